@@ -19,7 +19,15 @@ RAW_ENCODINGS = {"rgb8": "RGB", "bgr8": "BGR", "rgba8": "RGBX", "bgra8": "BGRX",
 COMPRESSED_ENCODINGS = ("jpeg", "png")
 """Of a `sensor_msgs/CompressedImage`."""
 
-_MAX_SIDE = 10_000  # pixels; no colour camera in a bubble has more
+MAX_SIDE = 10_000  # pixels; no camera in a bubble has more
+
+
+def check_rows(width: int, height: int, step: int, pixel_bytes: int, size: int) -> None:
+    """Raise ValueError unless so many bytes can be an image with rows of `step` bytes."""
+    if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+        raise ValueError(f"image size {width}×{height} is not plausible")
+    if step < width * pixel_bytes or height * step > size:
+        raise ValueError(f"{size} bytes with a row step of {step} are no {width}×{height} image")
 
 
 @dataclass(frozen=True)
@@ -80,13 +88,8 @@ class EncodedImage:
 
     def _raw(self) -> Image.Image:
         width, height, step = self.width, self.height, self.step
-        if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
-            raise ValueError(f"image size {width}×{height} is not plausible")
         layout = RAW_ENCODINGS[self.encoding]
-        if step < width * len(layout) or height * step > len(self.data):
-            raise ValueError(
-                f"{len(self.data)} bytes with a row step of {step} are no {width}×{height} image"
-            )
+        check_rows(width, height, step, len(layout), len(self.data))
         mode = "L" if layout == "L" else "RGB"
         return Image.frombuffer(mode, (width, height), self.data, "raw", layout, step, 1)
 
@@ -95,7 +98,7 @@ class EncodedImage:
             image = Image.open(io.BytesIO(self.data), formats=("JPEG", "PNG"))
         except UnidentifiedImageError as error:
             raise ValueError(f"the data are no {self.encoding}") from error
-        if max(image.size) > _MAX_SIDE:
+        if max(image.size) > MAX_SIDE:
             raise ValueError(f"image size {image.width}×{image.height} is not plausible")
         if image.mode.startswith("I") or image.mode == "F":
             raise ValueError("it has more than 8 bits a channel, as compressed depth has")

@@ -13,7 +13,6 @@ from bubbleviz.colour.static_poses import STATIC_TRANSFORMS, TRANSFORMS, StaticP
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Topic
 from bubbleviz.frames.depth_topics import (
-    CAMERA_INFO,
     COMPRESSED_IMAGE,
     IMAGE,
     common_prefix,
@@ -79,15 +78,15 @@ def _namespace(topic: str, words: tuple[str, ...]) -> str:
 
 def find_camera(bag: Bag, colour: Topic, depth: Topic) -> ColourCamera:
     """Camera of the colour images: intrinsics of their size that are nearest by name, and pose."""
-    first = bag.messages(colour).message(0)
-    size = size_of(first)
-    intrinsics = None if size is None else find_intrinsics(bag, colour, size)
+    size = size_of(bag.messages(colour).message(0))
+    info, intrinsics = find_intrinsics(bag, colour, size)
     pose = _relative_pose(bag, colour, depth)
-    own = any(
-        common_prefix(info.name, colour.name) >= common_prefix(info.name, depth.name)
-        for info in of_type(bag, CAMERA_INFO)
-    )
-    return colour_camera(intrinsics, pose, own=own)
+    return colour_camera(intrinsics, pose, own=is_own(info, colour.name, depth.name))
+
+
+def is_own(info: str, colour: str, depth: str) -> bool:
+    """Whether a camera info is, by its topic, of the colour camera and not of the depth camera."""
+    return info != "" and common_prefix(info, colour) >= common_prefix(info, depth)
 
 
 def colour_camera(

@@ -1,8 +1,10 @@
-"""The colour images of a recording, by time."""
+"""The colour images of a recording, and the image of a moment."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +12,35 @@ from bubbleviz.colour.colour_image import ColourImage, EncodedImage
 from bubbleviz.colour.colour_topics import find_camera
 from bubbleviz.frames.bags import Bag, Topic
 from bubbleviz.frames.gaps import usual_step
-from bubbleviz.frames.time_series import Laps, Timeline
+from bubbleviz.frames.time_series import Laps, Moment, Series, recorded_series
+
+
+@dataclass(frozen=True)
+class ColourAround:
+    """Finds the colour image nearest to a time after a frame, s; called, as `Frame.find_colour`.
+
+    Attributes
+    ----------
+    images : Series of ColourImage
+    moment : Moment
+    time_s : float
+        Of the frame.
+    within_ns : int
+        An image further off is none of that moment.
+    """
+
+    images: Series[ColourImage]
+    moment: Moment
+    time_s: float
+    within_ns: int
+
+    def __call__(self, after_s: float) -> ColourImage | None:
+        """Of the images there were when this was made."""
+        found = self.images.nearest(self.moment.later(round(1e9 * after_s)), self.within_ns)
+        if found is None:
+            return None
+        k, off_ns = found
+        return replace(self.images.item(k), time_s=self.time_s + after_s + 1e-9 * off_ns)
 
 
 class RecordedColour:
@@ -33,6 +63,7 @@ class RecordedColour:
     Attributes
     ----------
     topic : Topic
+    images : Series of ColourImage
     camera : ColourCamera
     encoding : str
     size : (int, int)
@@ -51,37 +82,18 @@ class RecordedColour:
         by_log: bool = False,
         laps: Laps | None = None,
     ) -> None:
-        self.topic, self._reading = topic, reading
-        self._messages = bag.messages(topic)
-        self._timeline = Timeline(self._messages, by_log=by_log, laps=laps)
-        self.camera = find_camera(bag, topic, depth)
-        first = EncodedImage.of(self._messages.message(0))
+        messages = bag.messages(topic)
+
+        def image(k: int) -> ColourImage:
+            read = partial(reading, lambda: EncodedImage.of(messages.message(k)))
+            return ColourImage(read, messages.stamp_ns(k), camera=self.camera)
+
+        self.topic, self.camera = topic, find_camera(bag, topic, depth)
+        self.images = recorded_series(messages, image, by_log=by_log, laps=laps)
+        first = EncodedImage.of(messages.message(0))
         self.encoding, self.size = first.encoding, first.size
-        step = usual_step(np.diff(self._messages.log_ns))
+        step = usual_step(np.diff(messages.log_ns))
         self.rate_hz = None if step is None else 1e9 / step
 
     def __len__(self) -> int:
-        """Count the images."""
-        return len(self._messages)
-
-    def nearest(
-        self, stamp_ns: int, log_ns: int, within_ns: int, time_s: float
-    ) -> ColourImage | None:
-        """Image nearest to a frame's stamp (with laps: its key) or log time; None further off.
-
-        Parameters
-        ----------
-        stamp_ns, log_ns : int
-        within_ns : int
-        time_s : float
-            Time of the frame, which the image's is told from.
-        """
-        k, off_ns = self._timeline.nearest(stamp_ns, log_ns)
-        if abs(off_ns) > within_ns:
-            return None
-
-        def read() -> EncodedImage:
-            return self._reading(lambda: EncodedImage.of(self._messages.message(k)))
-
-        stamp = self._messages.stamp_ns(k)
-        return ColourImage(read, stamp, time_s + 1e-9 * off_ns, self.camera)
+        return len(self.images)

@@ -169,12 +169,15 @@ def _fit(depth: _Curve, colour: _Curve, onset_s: float, after_s: float) -> tuple
     period = float(np.median(np.diff(depth.times_s)))
     window = np.linspace(-period, period, 9)
     curve = depth.at(times, window)
-    shifted = [colour.at(times + lag, window) for lag in _LAGS_S]
-    alike = np.nan_to_num([_correlation(curve, each) for each in shifted])
+    centred = curve - curve.mean()
+    moved = np.array([colour.at(times + lag, window) for lag in _LAGS_S])
+    shifted = moved - moved.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(centred) * np.linalg.norm(shifted, axis=1)
+    alike = shifted @ centred / np.maximum(length, 1e-300)
     best = int(np.clip(np.argmax(alike), 1, len(_LAGS_S) - 2))
-    slope, offset = np.polyfit(shifted[best], curve, 1)
-    left = curve - offset - slope * shifted[best]
-    rate = slope * (shifted[best + 1] - shifted[best - 1]) / (2.0 * _STEP_S)
+    slope = (shifted[best] @ centred) / max(shifted[best] @ shifted[best], 1e-300)
+    left = centred - slope * shifted[best]
+    rate = slope * (moved[best + 1] - moved[best - 1]) / (2.0 * _STEP_S)
     noise = left @ left / (len(left) - 3) * mean_inflation(_autocorrelation(left))
     sigma = float(np.sqrt(noise / max(rate @ rate, 1e-300)))
     return float(_LAGS_S[best]), sigma, float(alike[best])
@@ -184,11 +187,6 @@ def _moved(flow: OpticalFlow, grey: np.ndarray) -> float:
     """How far the texture moved where it moved most, pixels; NaN where none is found."""
     moved = np.linalg.norm(flow.measure(grey).moved_px, axis=1)
     return float(np.quantile(moved, _MOVED_MOST)) if len(moved) else np.nan
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-300))
 
 
 def _autocorrelation(values: np.ndarray) -> np.ndarray:

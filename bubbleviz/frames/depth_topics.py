@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from typing import Any
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
@@ -103,22 +105,29 @@ def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") 
 
 
 def find_intrinsics(
-    bag: Bag, depth: Topic, size: tuple[int, int], name: str | None = None
-) -> Intrinsics | None:
-    """Intrinsics from the CameraInfo beside `depth` that has its image size (width, height).
+    bag: Bag, images: Topic, size: tuple[int, int] | None, name: str | None = None
+) -> tuple[str, Intrinsics | None]:
+    """Topic and intrinsics of the CameraInfo beside images that has their size (width, height).
 
-    None where the recording has no CameraInfo for this camera.
+    An empty topic where the recording has no CameraInfo for this camera.
     """
     if name is not None:
         first_of_type(bag, CAMERA_INFO, name)
-    infos = of_type(bag, CAMERA_INFO, name)
-    infos.sort(key=lambda topic: common_prefix(topic.name, depth.name), reverse=True)
-    for topic in infos:
-        message = bag.messages(topic).message(0)
-        if (message.width, message.height) == size:
-            with damage(bag.path, f"the camera info on {topic.name}"):
-                return decode_intrinsics(message)
-    return None
+    infos = {t.name: bag.messages(t).message(0) for t in of_type(bag, CAMERA_INFO, name)}
+    found = nearest_info(infos, images.name, size)
+    if not found:
+        return "", None
+    with damage(bag.path, f"the camera info on {found}"):
+        return found, decode_intrinsics(infos[found])
+
+
+def nearest_info(infos: Mapping[str, Any], images: str, size: tuple[int, int] | None) -> str:
+    """Topic, of camera infos or intrinsics by topic, that is nearest to one of images by name.
+
+    Empty where none is of the size of the images.
+    """
+    fitting = [topic for topic, info in infos.items() if (info.width, info.height) == size]
+    return max(fitting, key=lambda topic: common_prefix(topic, images), default="")
 
 
 def common_prefix(a: str, b: str) -> int:

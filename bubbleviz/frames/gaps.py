@@ -87,7 +87,6 @@ class TimeAxis:
         self._between = 0.5 * (self.places[1:] + self.places[:-1])
 
     def __len__(self) -> int:
-        """Count the frames."""
         return len(self.places)
 
     def nearest(self, places: np.ndarray | float) -> np.ndarray:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import csv
 import json
 import re
-import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
-from pydantic import BaseModel, PositiveFloat, PositiveInt, ValidationError
+from pydantic import BaseModel, PositiveFloat, PositiveInt
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
-from bubbleviz.colour.colour_folder import FOLDERS, ColourFolder
-from bubbleviz.colour.colour_image import ColourImage
+from bubbleviz.colour.colour_image import ColourImage, EncodedImage
+from bubbleviz.colour.colour_topics import colour_camera
+from bubbleviz.colour.recorded_colour import ColourAround
 from bubbleviz.errors import InputError
+from bubbleviz.files.toml_files import checked, read_toml
+from bubbleviz.frames.depth_topics import PRESSURE, WRENCH
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import usual_step
 from bubbleviz.frames.point_cloud import project_points
-from bubbleviz.frames.time_series import NEAREST_NS
+from bubbleviz.frames.time_series import Moment, Series, values_at
 from bubbleviz.wording import count_of
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
@@ -32,31 +33,12 @@ NEAREST_M, FARTHEST_M = 1e-3, 10.0
 """Median depth that a camera inside a bubble can have, with ample room: else the unit is wrong."""
 LEAST_PA, MOST_PA = 20e3, 1e6
 """Absolute gas pressure that a bubble can have: else it is of another unit, or a gauge pressure."""
+FOLDERS = ("color", "colour", "rgb")
+"""What a folder of colour images beside depth images is called."""
+_COLOUR_ENCODINGS = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _MILLIMETRE = 1e-3
 _NANOSECONDS = 1e17
 """Stamps beyond it are in ns since 1970, below it in s."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Values over time that were measured beside the images.
-
-    Attributes
-    ----------
-    times_s : (n,) array
-        Rising, on the clock of the images.
-    values : (n, k) array
-    """
-
-    times_s: np.ndarray
-    values: np.ndarray
-
-    def at(self, time_s: float) -> np.ndarray | None:
-        """Values (k,), interpolated; of the nearest end within 0.1 s, None further off."""
-        off = max(self.times_s[0] - time_s, time_s - self.times_s[-1])
-        if off > 1e-9 * NEAREST_NS:
-            return None
-        return np.array([np.interp(time_s, self.times_s, column) for column in self.values.T])
 
 
 class ImageFolder:
@@ -76,8 +58,8 @@ class ImageFolder:
         In place of times. Without either the names are stamps, in s or ns.
     metres_per_unit : float, optional
         Of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given.
-    gas_pressure, wrench : Measured, optional
-        Absolute gas pressure in Pa, (n, 1); force in N and torque in N·m, (n, 6).
+    gas_pressure, wrench : Series, optional
+        Absolute gas pressure in Pa, (1,); force in N and torque in N·m, (6,); on the same clock.
 
     Attributes
     ----------
@@ -98,13 +80,14 @@ class ImageFolder:
         times_s: np.ndarray | None = None,
         rate_hz: float | None = None,
         metres_per_unit: float | None = None,
-        gas_pressure: Measured | None = None,
-        wrench: Measured | None = None,
+        gas_pressure: Series[np.ndarray] | None = None,
+        wrench: Series[np.ndarray] | None = None,
     ) -> None:
         self.path = Path(folder)
         self.name = self.path.name
         self._intrinsics, self._scale = intrinsics, metres_per_unit
-        self._gas_pressure, self._wrench = gas_pressure, wrench
+        given = {PRESSURE: gas_pressure, WRENCH: wrench}
+        self._series = {kind: each for kind, each in given.items() if each is not None}
         found = [path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES]
         if not found:
             raise InputError(f"{folder}: no images; put {', '.join(SUFFIXES)} files there")
@@ -121,62 +104,73 @@ class ImageFolder:
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
             raise InputError(f"{folder}: the time of image {late} is not after the one before")
-        self._colour = self._find_colour()
         self._clock_s = np.asarray(stamps, dtype=np.float64)
         self.times_s = self._clock_s - self._clock_s[0]
+        self._colour = self._find_colour()
         first = self._pixels(self._files[0])
         self._shape = first.shape
         self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
         self._check()
 
     def __len__(self) -> int:
-        """Count the images."""
         return len(self._files)
 
     def __getitem__(self, index: int) -> Frame:
         """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
-        time_s = float(self._clock_s[index])
-        pressure = self._gas_pressure.at(time_s) if self._gas_pressure else None
-        find_colour = None if self._colour is None else partial(self._colour_after, index)
+        time_s, stamp_ns = float(self.times_s[index]), self._stamp_ns(index)
+        moment = Moment(stamp_ns, stamp_ns)
+        colour = None
+        if self._colour is not None:
+            half_ns = round(0.5e9 * (usual_step(np.diff(self.times_s)) or 0.0))
+            colour = ColourAround(self._colour, moment, time_s, half_ns)
         return Frame(
             index=index,
-            time_s=float(self.times_s[index]),
+            time_s=time_s,
             depth_m=self._depth(self._files[index]),
             intrinsics=self._intrinsics,
-            gas_pressure_pa=None if pressure is None else float(pressure[0]),
-            wrench=self._wrench.at(time_s) if self._wrench else None,
-            stamp_ns=round(time_s * 1e9),
-            find_colour=find_colour,
+            stamp_ns=stamp_ns,
+            find_colour=colour,
+            **values_at(self._series, moment),
         )
 
     def close(self) -> None:
         """Nothing stays open."""
 
-    def _colour_after(self, index: int, after_s: float) -> ColourImage | None:
-        """Colour image nearest to a time after that of a frame, within half a period."""
-        off_s = np.abs(self.times_s - self.times_s[index] - after_s)
-        nearest = int(off_s.argmin())
-        half_s = 0.5 * (usual_step(np.diff(self.times_s)) or 0.0)
-        if self._colour is None or off_s[nearest] > half_s:
-            return None
-        number = _number(self._files[nearest].stem)
-        return self._colour.image(number, float(self.times_s[nearest]))
+    def _stamp_ns(self, index: int) -> int:
+        return round(float(self._clock_s[index]) * 1e9)
 
-    def _find_colour(self) -> ColourFolder | None:
+    def _find_colour(self) -> Series[ColourImage] | None:
         """Those of the same numbers in a folder inside this one."""
         folder = next((self.path / name for name in FOLDERS if (self.path / name).is_dir()), None)
         if folder is None:
             return None
         told = next((path for name in INTRINSICS if (path := folder / name).is_file()), None)
-        colour = ColourFolder(folder, _number, None if told is None else read_intrinsics(told))
-        if not colour.numbers & {_number(path.stem) for path in self._files}:
+        intrinsics = None if told is None else read_intrinsics(told)
+        camera = colour_camera(intrinsics, None, own=told is not None)
+        files: dict[float | None, Path] = {}
+        for path in sorted(folder.iterdir()):
+            number = _number(path.stem)
+            if path.suffix.lower() not in _COLOUR_ENCODINGS or number is None:
+                continue
+            if number in files:
+                raise InputError(f"{path}: has the number of {files[number].name}; leave one")
+            files[number] = path
+        numbers = [_number(path.stem) for path in self._files]
+        frames = [k for k, number in enumerate(numbers) if number in files]
+        if not frames:
             raise InputError(
                 f"{folder}: no JPEG or PNG image has the number of a depth image in its name; "
                 "name them as those, or take the folder away"
             )
-        return colour
+        stamps = [self._stamp_ns(k) for k in frames]
+
+        def image(k: int) -> ColourImage:
+            read = partial(_read_colour, files[numbers[frames[k]]])
+            return ColourImage(read, stamps[k], camera=camera)
+
+        return Series(stamps, image)
 
     def _depth(self, path: Path) -> np.ndarray:
         pixels = self._pixels(path)
@@ -257,19 +251,15 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
         The file cannot be read, or lacks a number; says which.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        table = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-        camera = _Camera.model_validate(table.get("camera", table))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    except (ValueError, AttributeError) as error:
-        reason = str(error)
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise InputError(f"{path}: no intrinsics: {reason}") from error
-    return Intrinsics(**camera.model_dump())
+    if path.suffix.lower() == ".json":
+        try:
+            table = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: not a readable JSON file ({error}); correct it") from error
+    else:
+        table = read_toml(path)
+    camera = table.get("camera", table) if isinstance(table, dict) else table
+    return Intrinsics(**checked(_Camera, camera, path, "intrinsics").model_dump())
 
 
 def read_times(path: str | Path) -> np.ndarray:
@@ -277,7 +267,7 @@ def read_times(path: str | Path) -> np.ndarray:
     return _columns(path, 1)[:, 0]
 
 
-def read_gas_pressure(path: str | Path) -> Measured:
+def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
     """Absolute gas pressure over time: a CSV of time in s and pressure in Pa.
 
     Raises
@@ -295,7 +285,7 @@ def read_gas_pressure(path: str | Path) -> Measured:
     return _measured(path, table)
 
 
-def read_wrench(path: str | Path) -> Measured:
+def read_wrench(path: str | Path) -> Series[np.ndarray]:
     """Force and torque over time: a CSV of time in s, three forces in N, three torques in N·m."""
     return _measured(path, _columns(path, 7))
 
@@ -311,10 +301,10 @@ class _Camera(BaseModel):
     distortion: tuple[float, ...] = ()
 
 
-def _measured(path: str | Path, table: np.ndarray) -> Measured:
+def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
     if np.any(np.diff(table[:, 0]) <= 0.0):
         raise InputError(f"{path}: the times do not rise")
-    return Measured(table[:, 0], table[:, 1:])
+    return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
 
 
 def _columns(path: str | Path, count: int) -> np.ndarray:
@@ -362,3 +352,10 @@ def _read(path: Path) -> np.ndarray:
             return np.asarray(image)
     except (OSError, ValueError, EOFError, UnidentifiedImageError) as error:
         raise InputError(f"{path}: cannot be read as an image: {error}") from error
+
+
+def _read_colour(path: Path) -> EncodedImage:
+    try:
+        return EncodedImage(_COLOUR_ENCODINGS[path.suffix.lower()], path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error

@@ -45,7 +45,6 @@ class KeptFrames:
         return self._source.times_s
 
     def __len__(self) -> int:
-        """Count the frames."""
         return len(self._source)
 
     def __getitem__(self, index: int) -> Frame:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.colour.colour_image import MAX_SIDE, check_rows
 
 DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     "16UC1": np.dtype(np.uint16),
@@ -22,7 +23,6 @@ REALSENSE_ENCODING = "mono16"
 
 _CONFIGURATION = struct.Struct("<iff")
 """Of a compressed depth image: its kind of compression, A and B."""
-_MAX_SIDE = 10_000  # pixels; no depth camera has more
 
 _MODELS: dict[str, DistortionModel] = {
     "": "none",
@@ -62,12 +62,7 @@ def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarr
         )
     height, width, step = int(message.height), int(message.width), int(message.step)
     dtype = DEPTH_ENCODINGS[encoding]
-    if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
-        raise ValueError(f"image size {width}×{height} is not plausible")
-    if step < width * dtype.itemsize or height * step > len(message.data):
-        raise ValueError(
-            f"{len(message.data)} bytes with a row step of {step} are no {width}×{height} image"
-        )
+    check_rows(width, height, step, dtype.itemsize, len(message.data))
     data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
     rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
     raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
@@ -97,7 +92,7 @@ def _decode_compressed(message: Any) -> np.ndarray:
     try:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
         with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
-            if max(image.size) > _MAX_SIDE or not image.mode.startswith("I"):
+            if max(image.size) > MAX_SIDE or not image.mode.startswith("I"):
                 raise ValueError(f"a PNG of {image.size[0]}×{image.size[1]} in mode {image.mode}")
             raw = np.asarray(image).astype(np.uint16)
     except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
@@ -137,24 +132,29 @@ def decode_intrinsics(message: Any) -> Intrinsics | None:
     fx, cx, fy, cy = (float(matrix[k]) for k in (0, 2, 4, 5))
     if not (np.isfinite(matrix).all() and fx > 0 and fy > 0):
         raise ValueError(f"focal lengths {fx:g}, {fy:g} px are not positive")
-    model, distortion = _distortion(str(message.distortion_model), coefficients)
-    return Intrinsics(
-        int(message.width), int(message.height), fx, fy, cx, cy, model, tuple(distortion)
-    )
+    model, distortion = distortion_of(str(message.distortion_model), coefficients)
+    return Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy, model, distortion)
 
 
-def _distortion(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, list[float]]:
+def distortion_of(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, tuple[float, ...]]:
+    """Distortion model by a name that ROS or the RealSense library gives it, and coefficients.
+
+    Raises
+    ------
+    ValueError
+        It is not known, or a coefficient is not finite.
+    """
     if not np.isfinite(coefficients).all():
         raise ValueError("distortion coefficients are not finite")
     if not coefficients.any():
-        return "none", []
+        return "none", ()
     key = name.strip().lower().replace(" ", "_")
     if key not in _MODELS or key in ("", "none") or coefficients[5:].any():
         raise ValueError(
             f"distortion model {name[:40]!r} with {len(coefficients)} coefficients is not known; "
             "rectify the images, or use plumb_bob or inverse_brown_conrady"
         )
-    return _MODELS[key], [float(c) for c in coefficients[:5]]
+    return _MODELS[key], tuple(coefficients[:5].tolist())
 
 
 def pressure_of(message: Any) -> np.ndarray:

@@ -142,7 +142,7 @@ class FrameMessages:
         if camera.intrinsics is not None and camera.own:
             info = _camera_info(header, camera.intrinsics)
             yield self._message(CAMERA_INFO, info, stamp, COLOUR_NAMES)
-        image = _colour_image(header, colour.read())
+        image = _image(header, colour.read())
         yield self._message(image.__msgtype__, image, stamp, COLOUR_NAMES)
 
     def _message(
@@ -157,31 +157,17 @@ class FrameMessages:
             pixels = np.clip(millimetres, 0, 65_535).astype("<u2")
         else:
             pixels = np.ascontiguousarray(depth_m, dtype="<f4")
-        return ros2_types().types[IMAGE](
-            header=header,
-            height=height,
-            width=width,
-            encoding=self._encoding,
-            is_bigendian=0,
-            step=width * pixels.itemsize,
-            data=pixels.view(np.uint8).reshape(-1),
-        )
+        step = width * pixels.itemsize
+        return _image(header, EncodedImage(self._encoding, pixels.tobytes(), width, height, step))
 
 
-def _colour_image(header: Any, encoded: EncodedImage) -> Any:
+def _image(header: Any, encoded: EncodedImage) -> Any:
     """`sensor_msgs/Image` or `sensor_msgs/CompressedImage` with the same bytes."""
     kinds, data = ros2_types().types, np.frombuffer(encoded.data, np.uint8)
     if encoded.encoding in COMPRESSED_ENCODINGS:
         return kinds[COMPRESSED_IMAGE](header, encoded.encoding, data)
-    return kinds[IMAGE](
-        header=header,
-        height=encoded.height,
-        width=encoded.width,
-        encoding=encoded.encoding,
-        is_bigendian=0,
-        step=encoded.step,
-        data=data,
-    )
+    place = (encoded.height, encoded.width, encoded.encoding)
+    return kinds[IMAGE](header, *place, is_bigendian=0, step=encoded.step, data=data)
 
 
 def _transforms(header: Any, child: str, pose: np.ndarray) -> Any:

@@ -13,9 +13,9 @@ import numpy as np
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourImage, EncodedImage
 from bubbleviz.colour.colour_topics import find_colour
-from bubbleviz.colour.recorded_colour import RecordedColour
+from bubbleviz.colour.recorded_colour import ColourAround, RecordedColour
 from bubbleviz.errors import InputError
-from bubbleviz.frames.bags import Bag, Messages, Topic
+from bubbleviz.frames.bags import Bag, Messages
 from bubbleviz.frames.bags.bag import damage
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
@@ -32,12 +32,20 @@ from bubbleviz.frames.depth_topics import (
 )
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.gaps import usual_step
-from bubbleviz.frames.message_decoding import decode_depth, encoding_of, pressure_of, wrench_of
+from bubbleviz.frames.message_decoding import decode_depth, encoding_of
 from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.time_series import NEAREST_NS, Laps, Series
+from bubbleviz.frames.time_series import (
+    NEAREST_NS,
+    VALUES,
+    Laps,
+    Moment,
+    Series,
+    recorded_series,
+    values_at,
+    without_garbage,
+)
 
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
-_GARBAGE_NS = 3_600_000_000_000  # one hour: a stamp further off is from an unset clock
 
 
 class Recording:
@@ -102,18 +110,15 @@ class Recording:
             self.depth_topic = find_depth(self.bag, depth_topic)
             self._unit_m = metres_per_unit(self.bag, self.depth_topic)
             self._open_images(info_topic)
-            self.intrinsics: Intrinsics | None = find_intrinsics(
-                self.bag, self.depth_topic, self.size, info_topic
-            )
-            self._pressure = self._series(PRESSURE, pressure_topic, pressure_of)
-            self._wrench = self._series(WRENCH, wrench_topic, wrench_of)
+            _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
+            self.intrinsics: Intrinsics | None = intrinsics
+            self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
             self.colour = self._colour(colour_topic)
         except BaseException:
             self.bag.close()
             raise
 
     def __len__(self) -> int:
-        """Count the frames."""
         return len(self.times_s)
 
     def __getitem__(self, index: int) -> Frame:
@@ -129,17 +134,14 @@ class Recording:
                     f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
                     f"{self.size[1]} pixels"
                 )
-            key, log = int(self._keys[index]), int(self._images.log_ns[k])
-            pressure = self._pressure.at(key, log) if self._pressure else None
             return Frame(
                 index=index,
                 time_s=float(self.times_s[index]),
                 depth_m=depth,
                 intrinsics=self.intrinsics,
-                gas_pressure_pa=None if pressure is None else float(pressure[0]),
-                wrench=self._wrench.at(key, log) if self._wrench else None,
                 stamp_ns=int(self.stamps_ns[index]),
                 find_colour=partial(self._colour_near, index) if self.colour else None,
+                **values_at(self._series, self._moment(index)),
             )
 
     def __enter__(self) -> Recording:
@@ -161,15 +163,14 @@ class Recording:
     @property
     def has_wrench(self) -> bool:
         """Whether a wrench was recorded."""
-        return self._wrench is not None
+        return WRENCH in self._series
 
     def gas_pressures_pa(self) -> np.ndarray:
         """Every recorded gas pressure, shape (n,), absolute, Pa; empty where there is none."""
-        series = self._pressure
-        if series is None:
+        if (series := self._series.get(PRESSURE)) is None:
             return np.empty(0)
         with self._lock, damage(self.path, "the gas pressure"):
-            return np.array([series.values(k)[0] for k in range(len(series))])
+            return np.array([series.item(k)[0] for k in range(len(series))])
 
     def marks(self) -> tuple[tuple[int, str], ...]:
         """Markers and notes made while recording: the frame of each, and its text."""
@@ -186,15 +187,18 @@ class Recording:
                 for k in range(len(messages))
             )
 
+    def _moment(self, index: int) -> Moment:
+        """Of a frame; by its key, which is its stamp where there is one lap."""
+        return Moment(int(self._keys[index]), int(self._images.log_ns[self._order[index]]))
+
     def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
         """Colour image nearest to a time after that of a frame."""
         if self.colour is None:
             return None
-        key = int(self._keys[index]) + round(1e9 * after_s)
-        log = int(self._images.log_ns[self._order[index]]) + round(1e9 * after_s)
-        time_s = float(self.times_s[index]) + after_s
-        with self._lock, damage(self.path, f"the colour image at {time_s:.3f} s"):
-            return self.colour.nearest(key, log, self._half_period_ns, time_s)
+        time_s = float(self.times_s[index])
+        find = ColourAround(self.colour.images, self._moment(index), time_s, self._half_period_ns)
+        with self._lock, damage(self.path, f"the colour image at {time_s + after_s:.3f} s"):
+            return find(after_s)
 
     def _colour(self, name: str | None) -> RecordedColour | None:
         topic = find_colour(self.bag, self.depth_topic, name)
@@ -241,7 +245,7 @@ class Recording:
         first = self._images.message(0)
         self.size = self._size_of(first, info_topic)
         self.encoding = encoding_of(first)
-        stamps = _without_garbage(_header_stamps(self._images), self._images.log_ns)
+        stamps = without_garbage(_header_stamps(self._images), self._images.log_ns)
         self._by_log = not stamps.all()
         if self._by_log:
             stamps = self._images.log_ns
@@ -253,25 +257,21 @@ class Recording:
         self.stamps_ns = times[self._order]
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
-    def _series(self, kind: str, name: str | None, value: Any) -> Series | None:
-        topic: Topic | None = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
-        if topic is None:
-            return None
-        messages = self.bag.messages(topic)
-        return (
-            Series(messages, value, by_log=self._by_log, laps=self._laps) if len(messages) else None
-        )
+    def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:
+        """Series of what was measured beside the images, by type, of topics that may be named."""
+        found: dict[str, Series[np.ndarray]] = {}
+        for kind, name in names.items():
+            topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
+            messages = None if topic is None else self.bag.messages(topic)
+            if messages:  # an index may list none
+                found[kind] = recorded_series(
+                    messages, partial(_values, messages, kind), by_log=self._by_log, laps=self._laps
+                )
+        return found
 
 
-def _without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
-    """Stamps, with those more than an hour off the others replaced.
-
-    A camera whose clock was lost for a moment would else end the recording in 1970, or 2100.
-    """
-    ahead = stamps_ns - log_ns
-    usual = int(np.median(ahead))
-    garbage = (np.abs(ahead - usual) > _GARBAGE_NS) & (stamps_ns != 0)
-    return np.where(garbage, log_ns + usual, stamps_ns)
+def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
+    return VALUES[kind](messages.message(k))
 
 
 def _header_stamps(images: Messages) -> np.ndarray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import whole_file
@@ -54,38 +54,31 @@ class RecordingWriter:
         self.path = Path(path)
         self.count = 0
         self._messages = FrameMessages(encoding, prefix, frame_id)
-        self._output: AbstractContextManager[Path] = whole_file(self.path, overwrite=overwrite)
+        self._open_files = ExitStack()
+        self._overwrite = overwrite
         self._file: McapFile
 
     def __enter__(self) -> RecordingWriter:
-        temporary = self._output.__enter__()
-        try:
+        with ExitStack() as stack:
+            temporary = stack.enter_context(whole_file(self.path, overwrite=self._overwrite))
             self._file = McapFile(temporary, name=self.path.name, chunk_bytes=CHUNK_BYTES)
-        except BaseException as error:
-            self._output.__exit__(type(error), error, error.__traceback__)
-            raise
+            stack.push(self._finish)
+            self._open_files = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            if error is None and self.count:
-                self._file.close()
-            else:
-                self._file.discard()
-            if error is None and not self.count:
-                raise InputError(f"{self.path}: no frames to write; nothing was written")
-        except BaseException as second:
-            self._output.__exit__(type(second), second, second.__traceback__)
-            raise
-        self._output.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._open_files.__exit__(*error)
+
+    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None and self.count:
+            self._file.close()
+            return
+        self._file.discard()
+        if kind is None:
+            raise InputError(f"{self.path}: no frames to write; nothing was written")
 
     def write(self, frame: Frame) -> None:
         """Append a frame; its stamp is `stamp_ns`, or `time_s` where that is 0."""
         for message in self._messages.of(frame):
-            self._file.write(message, log_ns=message[3])
+            self._file.write(message, log_ns=message.stamp_ns)
         self.count += 1

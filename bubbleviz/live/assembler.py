@@ -2,48 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.colour.colour_image import ColourImage
 from bubbleviz.colour.colour_topics import belongs_to
-from bubbleviz.colour.static_poses import StaticPoses, are_static_poses
+from bubbleviz.colour.static_poses import are_static_poses
 from bubbleviz.frames.depth_topics import (
     CAMERA_INFO,
     IMAGE,
     POINT_CLOUD,
-    PRESSURE,
-    WRENCH,
-    common_prefix,
+    nearest_info,
 )
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_decoding import (
     decode_depth,
     decode_intrinsics,
-    pressure_of,
-    wrench_of,
 )
 from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.time_series import NEAREST_NS
-from bubbleviz.live.colour_buffer import ColourBuffer, DepthPlace
+from bubbleviz.frames.time_series import (
+    FORWARD_NS,
+    NEAREST_NS,
+    VALUES,
+    GrowingSeries,
+    Moment,
+    StampClock,
+    Verdict,
+    values_at,
+)
+from bubbleviz.live.colour_buffer import ColourBuffer, KnownCameras
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.deserialise import decode
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.signal_buffer import Samples
 from bubbleviz.live.sources.live_source import OfferedTopic
-from bubbleviz.live.stamps import StampClock
 from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames
 
 WAIT_NS = 20_000_000
 """How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""
 COLOUR_WAIT_NS = NEAREST_NS
 """The same for the colour image, where colour is followed; no longer than until the next frame."""
-
-_SERIES = {PRESSURE: pressure_of, WRENCH: wrench_of}
 
 
 class _WrongSizeError(ValueError):
@@ -52,17 +52,8 @@ class _WrongSizeError(ValueError):
 
 class _Pending(NamedTuple):
     frame: Frame
-    time_ns: int
+    moment: Moment
     half_period_ns: int
-
-
-class _Series:
-    """One topic beside the depth images."""
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.clock = StampClock()
-        self.samples = Samples()
 
 
 class FrameAssembler:
@@ -107,15 +98,15 @@ class FrameAssembler:
         self._names = names or TopicNames()
         self.size, self._camera = size, camera
         self.other_size: tuple[int, int] | None = None
-        self._poses = StaticPoses()
+        self._known = KnownCameras("")
         self._begin()
 
     def _begin(self) -> None:
         """Forget the stream, keep the counts."""
-        self._depth, self._depth_frame = self._names.depth or "", ""
+        self._known = KnownCameras(self._names.depth or "", poses=self._known.poses)
         self._types: dict[str, str] = {}
-        self._cameras: dict[str, Intrinsics] = {}
-        self._series: dict[str, _Series] = {}
+        self._series: dict[str, GrowingSeries[np.ndarray]] = {}
+        self._topics: dict[str, str] = {}
         self._colour = ColourBuffer()
         self._clock = StampClock()
         self._first_ns: int | None = None
@@ -135,7 +126,7 @@ class FrameAssembler:
         if names.colour is not None:
             return names.colour
         for topic, kind in offered:
-            ours = topic.startswith(names.prefix) and belongs_to(topic, self._depth)
+            ours = topic.startswith(names.prefix) and belongs_to(topic, self._known.depth)
             if ours and names.is_colour(topic, kind):
                 return topic
         return ""
@@ -155,7 +146,8 @@ class FrameAssembler:
         """As `push`, uncounted and within one round."""
         try:
             if are_static_poses(message.topic, message.type):
-                self._poses = self._poses.after(decode(message))
+                poses = self._known.poses.after(decode(message))
+                self._known = replace(self._known, poses=poses)
                 return []
             if not self._is_ours(message):
                 return []
@@ -163,7 +155,7 @@ class FrameAssembler:
                 self._take_colour(message)
             elif message.type == CAMERA_INFO:
                 self._take_camera(message)
-            elif message.type in _SERIES:
+            elif message.type in VALUES:
                 self._take_values(message)
             else:
                 return self._take_depth(message)
@@ -213,69 +205,45 @@ class FrameAssembler:
             return True
         if kind in DEPTH_TYPES:
             return self._may_be_depth(topic, kind)
-        if kind in _SERIES:
-            series = self._series.setdefault(kind, _Series(topic))
-            return series.topic == topic
+        if kind in VALUES:
+            return self._topics.setdefault(kind, topic) == topic
         return True
 
     def _may_be_depth(self, topic: str, kind: str) -> bool:
         """The topic in use; none in use yet; or one called depth where the one in use is not."""
-        if self._names.depth is not None or topic == self._depth:
+        depth = self._known.depth
+        if self._names.depth is not None or depth in ("", topic):
             return True
-        called, ours = "depth" in topic.lower(), "depth" in self._depth.lower()
-        return kind == IMAGE and called and not ours if self._depth else True
-
-    def _use(self, message: RawMessage) -> None:
-        """Settle on the topic of an image that turned out to be depth."""
-        if self._depth != message.topic:
-            self._depth, self._clock = message.topic, StampClock()
-        self._types[message.topic] = message.type
+        return kind == IMAGE and "depth" in topic.lower() and "depth" not in depth.lower()
 
     # -- what they say ----------------------------------------------------------------------
 
     def _take_camera(self, message: RawMessage) -> None:
         camera = decode_intrinsics(decode(message))
         if camera is not None:
-            self._cameras[message.topic] = camera
+            infos = {**self._known.infos, message.topic: camera}
+            self._known = replace(self._known, infos=infos)
 
     def _take_colour(self, message: RawMessage) -> None:
         named = message.topic == self._names.colour
-        if self._colour.add(message, self._depth, named=named) == "bad":
-            self.counters.bad_stamps += 1
-            self._note(message, _bad_stamp(message))
+        self._judged(message, self._colour.add(message, self._known.depth, named=named))
 
     def _take_values(self, message: RawMessage) -> None:
-        values = _SERIES[message.type](decode(message))
-        series = self._series[message.type]
-        if message.stamp_ns == 0:
-            series.samples.by_arrival = True
-            series.samples.add(message.arrival_ns, values)
-            return
-        verdict, time_ns = series.clock.judge(message.stamp_ns, message.arrival_ns)
-        if verdict == "jump":
-            series.samples.clear()
-        if verdict == "bad":
-            self.counters.bad_stamps += 1
-            self._note(message, _bad_stamp(message))
-        series.samples.by_arrival = False
-        series.samples.add(time_ns, values)
+        values = VALUES[message.type](decode(message))
+        series = self._series.setdefault(message.type, GrowingSeries(FORWARD_NS))
+        self._judged(message, series.add(message.stamp_ns, message.arrival_ns, values))
 
     def _take_depth(self, message: RawMessage) -> list[Frame]:
         depth = self._decoded_depth(message)
-        self._use(message)
         verdict, time_ns = self._clock.judge(message.stamp_ns, message.arrival_ns)
-        if verdict == "bad":
-            self.counters.bad_stamps += 1
-            self._note(message, _bad_stamp(message))
-        elif verdict == "jump":
+        self._judged(message, verdict)
+        if verdict in ("duplicate", "out_of_order"):
+            self.counters.duplicate += verdict == "duplicate"
+            self.counters.out_of_order += verdict == "out_of_order"
+            return self._released(message.arrival_ns)
+        if verdict == "jump":
             self.counters.clock_jumps += 1
             self._first_ns = None
-        elif verdict == "duplicate":
-            self.counters.duplicate += 1
-        elif verdict == "out_of_order":
-            self.counters.out_of_order += 1
-        if verdict in ("duplicate", "out_of_order"):
-            return self._released(message.arrival_ns)
         released = self.flush()  # a newer one is there: the older waits no more
         if self._first_ns is None:
             self._first_ns = time_ns
@@ -290,14 +258,19 @@ class FrameAssembler:
         )
         step = NEAREST_NS if self._last_ns is None else time_ns - self._last_ns
         self._last_ns = time_ns
-        self._pending = _Pending(frame, time_ns, min(max(step, 0), NEAREST_NS) // 2)
+        moment = Moment(time_ns, message.arrival_ns)
+        self._pending = _Pending(frame, moment, min(max(step, 0), NEAREST_NS) // 2)
         return released + self._released(message.arrival_ns)
+
+    def _judged(self, message: RawMessage, verdict: Verdict) -> None:
+        if verdict == "bad":
+            self.counters.bad_stamps += 1
+            self._note(message, _bad_stamp(message))
 
     def _decoded_depth(self, message: RawMessage) -> np.ndarray:
         content: Any = decode(message)
-        self._depth_frame = content.header.frame_id
         if message.type == POINT_CLOUD:
-            camera = next(iter(self._cameras.values()), self._camera)
+            camera = next(iter(self._known.infos.values()), self._camera)
             depth = decode_cloud(content, camera)
         else:
             depth = decode_depth(content)
@@ -309,16 +282,17 @@ class FrameAssembler:
             raise _WrongSizeError(
                 f"image is {size[0]}×{size[1]}, not {self.size[0]}×{self.size[1]} pixels"
             )
+        if self._known.depth != message.topic:  # an image that turned out to be depth
+            self._clock = StampClock()
+        self._types[message.topic] = message.type
+        place = {"depth": message.topic, "depth_frame": content.header.frame_id}
+        self._known = replace(self._known, **place)
         return depth
 
     def _intrinsics(self, size: tuple[int, int]) -> Intrinsics | None:
         """Of the camera info nearest to the depth topic by name that is of the image's size."""
-        if self._names.info is not None:
-            return self._cameras.get(self._names.info)
-        fitting = [t for t, c in self._cameras.items() if (c.width, c.height) == size]
-        if not fitting:
-            return None
-        return self._cameras[max(fitting, key=lambda topic: common_prefix(topic, self._depth))]
+        infos, depth = self._known.infos, self._known.depth
+        return infos.get(self._names.info or nearest_info(infos, depth, size))
 
     # -- when they are complete -------------------------------------------------------------
 
@@ -326,46 +300,27 @@ class FrameAssembler:
         pending = self._pending
         if pending is None:
             return []
-        series = self._series.values()
-        if self._has_colour(pending) and all(
-            each.samples.covers(self._time_for(each, pending)) for each in series
-        ):
-            return self.flush()
-        return self.flush(now_ns)
+        moment = self._lagging(pending)
+        covered = all(each.covers(moment) for each in self._series.values())
+        return self.flush(None if covered and self._has_colour(pending) else now_ns)
 
     def _has_colour(self, pending: _Pending) -> bool:
         """Whether the colour image of a frame is here, or none is expected."""
-        return self._colour.covers(pending.time_ns + round(1e9 * self._colour_delay_s))
+        late_ns = round(1e9 * self._colour_delay_s)
+        return self._colour.arrived.covers(pending.moment.later(late_ns))
 
-    def _time_for(self, series: _Series, pending: _Pending) -> int:
-        """A frame's time on the clock of a series, ns."""
-        by_arrival = series.samples.by_arrival
-        time_ns = pending.frame.arrival_ns if by_arrival else pending.time_ns
-        return time_ns + round(self._lag_s * 1e9)
+    def _lagging(self, pending: _Pending) -> Moment:
+        """A frame's moment on the clocks of gas pressure and wrench."""
+        return pending.moment.later(round(self._lag_s * 1e9))
 
     def _finished(self, pending: _Pending) -> Frame:
-        values = {
-            kind: series.samples.at(self._time_for(series, pending))
-            for kind, series in self._series.items()
-        }
-        pressure = values.get(PRESSURE)
-        return replace(
-            pending.frame,
-            gas_pressure_pa=None if pressure is None else float(pressure[0]),
-            wrench=values.get(WRENCH),
-            find_colour=self._find_colour(pending),
-        )
-
-    def _find_colour(self, pending: _Pending) -> Callable[[float], ColourImage | None] | None:
-        if not self._colour.topic:
-            return None
-        return self._colour.around(
-            pending.time_ns,
-            pending.frame.time_s,
-            pending.half_period_ns,
-            DepthPlace(self._depth, self._depth_frame, self._poses),
-            self._cameras,
-        )
+        frame, find_colour = pending.frame, None
+        if self._colour.topic:
+            find_colour = self._colour.around(
+                pending.moment, frame.time_s, pending.half_period_ns, self._known
+            )
+        values = values_at(self._series, self._lagging(pending))
+        return replace(frame, find_colour=find_colour, **values)
 
     def _note(self, message: RawMessage, problem: str) -> None:
         self.counters.problem = f"{message.topic}: {problem}"

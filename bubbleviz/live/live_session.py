@@ -60,14 +60,11 @@ class LiveSession:
             self.recorder.listen_to(each.stream)
 
     def __enter__(self) -> LiveSession:
-        started: list[LiveSensor] = []
         try:
             for each in self.sensors:
-                started.append(each)
                 each.stream.start()
         except BaseException:
-            for each in started:
-                each.stream.stop()
+            self.__exit__()
             raise
         return self
 

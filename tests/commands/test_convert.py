@@ -246,7 +246,7 @@ def test_the_force_is_that_of_the_original(tmp_path):
         (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give the metres per unit"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), -0.1)), "most depths are negative"),
         (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "by the camera's intrinsics"),
-        (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: Field required"),
+        (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: missing; add it"),
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
     ],
 )

@@ -168,17 +168,6 @@ def test_without_stamps_the_log_times_count(tmp_path: Path) -> None:
         assert recording[2].gas_pressure_pa == pytest.approx(pressure_at(START + 2 * PERIOD))
 
 
-def test_pressure_without_stamps_is_matched_by_log_time(tmp_path: Path) -> None:
-    """The camera's stamps then are another clock's, 1 s behind."""
-    bag = BagMaker("mcap file")
-    for k in range(4):
-        log = START + k * PERIOD
-        bag.image(log - SECOND, depth_image(k), log=log)
-        bag.pressure(0, pressure_at(log), log=log)
-    with Recording(bag.write(tmp_path)) as recording:
-        assert recording[2].gas_pressure_pa == pytest.approx(pressure_at(START + 2 * PERIOD))
-
-
 @pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
 def test_pressure_beyond_its_range_is_the_nearest_or_none(
     tmp_path: Path, late_s: float, found: bool

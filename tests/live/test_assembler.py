@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from streams import frames_of
 from wire import (
     CLOUD,
     COMPRESSED,
@@ -36,11 +37,6 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.live.assembler import WAIT_NS, FrameAssembler
 from bubbleviz.live.raw_message import RawMessage, stamp_of
 from bubbleviz.live.topic_names import TopicNames
-
-
-def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
-    found = [frame for message in messages for frame in assembler.push(message)]
-    return found + assembler.flush()
 
 
 def test_a_frame_is_what_was_sent() -> None:
@@ -112,16 +108,6 @@ def test_a_pressure_long_silent_is_neither_waited_for_nor_used() -> None:
     assert frame.gas_pressure_pa is None
 
 
-def test_topics_without_stamps_are_timed_by_arrival() -> None:
-    assembler = FrameAssembler()
-    for k in range(3):
-        arrival = NOW + k * 10_000_000
-        message = arrived("/gas", PRESSURE, pressure(0, 1e5 + k), 0, arrival)
-        assembler.push(message)
-    (frame,) = frames_of(assembler, depth(NOW - 40 * SECOND, arrival=NOW + 15_000_000))
-    assert frame.gas_pressure_pa == pytest.approx(1e5 + 1.5)
-
-
 def test_duplicates_and_old_frames_are_counted_and_left_out() -> None:
     assembler = FrameAssembler()
     order = [0, 1, 2, 2, 1, 3]
@@ -166,22 +152,6 @@ def test_a_clock_that_was_set_is_followed_after_three_frames() -> None:
     assert assembler.counters.bad_stamps == 2
     assert len(found) == 12
     assert found[-1].time_s == pytest.approx(4 * PERIOD * 1e-9)
-
-
-def test_a_replay_that_begins_again_is_no_garbage() -> None:
-    assembler = FrameAssembler()
-    sent = []
-    for played in range(3):
-        for k in range(4):
-            m = depth(NOW + k * PERIOD, k, arrival=NOW + (4 * played + k) * PERIOD)
-            sent.append(
-                RawMessage(m.topic, m.type, m.payload, m.stamp_ns, m.arrival_ns, None, played)
-            )
-    found = frames_of(assembler, *sent)
-    counters = assembler.counters
-    assert len(found) == 12
-    assert (counters.bad_stamps, counters.duplicate, counters.out_of_order) == (0, 0, 0)
-    assert counters.received == 12
 
 
 def test_wrong_sizes_types_and_bytes_are_told_apart() -> None:

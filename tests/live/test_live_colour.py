@@ -7,12 +7,26 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from realsense_file import record_realsense
 from robot import HASH, open_session
-from wire import IMAGE, INFO, NOW, PERIOD, SECOND, STORE, arrived, camera_info, cdr, depth, header
+from streams import frames_of, played, recorded
+from wire import (
+    IMAGE,
+    INFO,
+    NOW,
+    PERIOD,
+    SECOND,
+    STORE,
+    arrived,
+    camera_info,
+    cdr,
+    depth,
+    grey,
+    header,
+)
 from wire import image as wire_image
 from zenoh import ext
 
@@ -34,26 +48,6 @@ from bubbleviz.sensor import Sensor, with_colour_delay
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
 
 
-def colour(stamp: int, k: int, topic: str = COLOUR, **changes: Any) -> RawMessage:
-    """A grey image all of whose pixels are k."""
-    fields = {
-        "header": header(stamp),
-        "height": 48,
-        "width": 64,
-        "encoding": "mono8",
-        "is_bigendian": 0,
-        "step": 64,
-        "data": np.full(48 * 64, k, np.uint8),
-    }
-    message = STORE.types[IMAGE](**{**fields, **changes})
-    return arrived(topic, IMAGE, cdr(message, IMAGE), stamp)
-
-
-def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
-    found = [frame for message in messages for frame in assembler.push(message)]
-    return found + assembler.flush()
-
-
 def level(frame: Frame, delay_s: float = 0.0) -> int | None:
     image = replace(frame, colour_delay_s=delay_s).colour
     return None if image is None else int(image.grey()[5, 5])
@@ -64,8 +58,8 @@ def both(k: int, shift: int = 0) -> list[RawMessage]:
     stamp = NOW + k * PERIOD
     return [
         depth(stamp, k, topic="/cam/depth/image"),
-        colour(stamp, 200, "/other/color/image_raw"),
-        colour(stamp + shift, k),
+        grey(stamp, 200, "/other/color/image_raw"),
+        grey(stamp + shift, k),
     ]
 
 
@@ -101,7 +95,7 @@ def test_a_frame_waits_for_the_colour_of_its_time(late: int, seen: int | None) -
     until = assembler.waits_until_ns
     assert until is not None and until - stamp < SECOND // 5
     found = assembler.flush(min(until, stamp + late))
-    image = colour(stamp, 1)
+    image = grey(stamp, 1)
     found += assembler.push(arrived(COLOUR, image.type, image.payload, stamp, stamp + late))
     assert [level(frame) for frame in found] == [seen]
 
@@ -142,17 +136,9 @@ def test_a_frame_waits_for_a_colour_image_that_is_late() -> None:
         assembler.push(message)
     stamp = NOW + PERIOD
     assert assembler.push(depth(stamp, 1, topic="/cam/depth/image")) == []
-    assert assembler.push(colour(stamp + PERIOD // 4, 11)) == []
-    (frame,) = assembler.push(colour(stamp + 3 * PERIOD // 4 + PERIOD // 16, 12))
+    assert assembler.push(grey(stamp + PERIOD // 4, 11)) == []
+    (frame,) = assembler.push(grey(stamp + 3 * PERIOD // 4 + PERIOD // 16, 12))
     assert level(frame, delay_s) == 12
-
-
-def test_a_frame_without_colour_in_half_a_period_has_none() -> None:
-    assembler = FrameAssembler()
-    assembler.follow_colour()
-    messages = [m for k in range(6) for m in both(k) if k % 3 or m.topic != COLOUR]
-    found = frames_of(assembler, *messages)
-    assert [level(frame) for frame in found[2:]] == [2, None, 4, 5]
 
 
 def test_the_camera_is_told() -> None:
@@ -184,33 +170,9 @@ def test_a_named_topic_of_another_namespace_counts() -> None:
     assert level(found[-1]) == 200
 
 
-def test_a_replay_plays_colour_when_asked(tmp_path: Path, small_sensor: Sensor) -> None:
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
-    recorder.start(path)
-    for k in range(5):
-        for message in both(k):
-            recorder.push(message)
-    recorder.stop()
-    for asked in (False, True):
-        stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
-        heard: list[RawMessage] = []
-        stream.listen(heard.append)
-        if asked:
-            stream.follow_colour()
-        with stream:
-            while stream.take(5.0) is not None:
-                pass
-        assert any(message.topic == COLOUR for message in heard) is asked
-
-
 @pytest.mark.parametrize("before", [True, False])
 def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, before: bool) -> None:
-    first, path = Recorder(), tmp_path / "rec.mcap"
-    first.start(path)
-    for k in range(5):
-        for message in both(k):
-            first.push(message)
-    first.stop()
+    path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
     recorder, copy = Recorder(), tmp_path / "copy.mcap"
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
     if before:
@@ -218,9 +180,7 @@ def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, befor
     recorder.listen_to(stream)
     if not before:
         recorder.start(copy)
-    with stream:
-        while stream.take(5.0) is not None:
-            pass
+    played(stream)
     recorder.stop()
     with Recording(copy) as recording:
         assert [level(recording[k]) for k in range(5)] == list(range(5))
@@ -244,7 +204,7 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
             stamp = time.time_ns()
             for message in both(0):
                 name = message.topic.removeprefix("/cam/")
-                payload = colour(stamp, 7).payload if "color" in name else wire_image(stamp)
+                payload = grey(stamp, 7).payload if "color" in name else wire_image(stamp)
                 if name in topics:
                     robot.put(f"0/cam/{name}/{kind}", payload)
 
@@ -276,13 +236,9 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
     """Not asked for, awaited, or not there: three words."""
     said = []
     for colours, asked in ((1, False), (1, True), (0, True)):
-        recorder, path = Recorder(), tmp_path / f"{len(said)}.mcap"
-        recorder.start(path)
-        for k in range(3):
-            recorder.push(depth(NOW + k * PERIOD, k, topic="/cam/depth/image"))
-        for _ in range(colours):
-            recorder.push(colour(NOW + 3600 * SECOND, 3))
-        recorder.stop()
+        messages = [depth(NOW + k * PERIOD, k, topic="/cam/depth/image") for k in range(3)]
+        messages += colours * [grey(NOW + 3600 * SECOND, 3)]
+        path = recorded(tmp_path / f"{len(said)}.mcap", messages)
         stream = open_stream(f"replay:{path}", small_sensor, any_size=True)
         if asked:
             stream.follow_colour()
@@ -297,25 +253,20 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
     ]
 
 
-def test_colour_comes_until_the_last_who_asked_lets_go(
-    tmp_path: Path, small_sensor: Sensor
+@pytest.mark.parametrize(
+    ("asked", "let_go", "comes"), [(0, 0, False), (1, 0, True), (2, 1, True), (2, 2, False)]
+)
+def test_a_replay_plays_colour_until_the_last_who_asked_lets_go(
+    asked: int, let_go: int, comes: bool, tmp_path: Path, small_sensor: Sensor
 ) -> None:
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
-    recorder.start(path)
-    for k in range(3):
-        for message in both(k):
-            recorder.push(message)
-    recorder.stop()
-    for kept, comes in ((0, False), (1, True)):
-        stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
-        for let_go in [stream.follow_colour(), stream.follow_colour()][kept:]:
-            let_go()
-        heard: list[RawMessage] = []
-        stream.listen(heard.append)
-        with stream:
-            while stream.take(5.0) is not None:
-                pass
-        assert any(message.topic == COLOUR for message in heard) is comes
+    path = recorded(tmp_path / "rec.mcap", [m for k in range(3) for m in both(k)])
+    stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
+    for forget in [stream.follow_colour() for _ in range(asked)][:let_go]:
+        forget()
+    heard: list[RawMessage] = []
+    stream.listen(heard.append)
+    played(stream)
+    assert any(message.topic == COLOUR for message in heard) is comes
 
 
 def static_pose(parent: str, child: str, at_m: tuple[float, float, float]) -> RawMessage:
@@ -336,7 +287,7 @@ def framed(stamp: int, k: int, frame_id: str) -> RawMessage:
     """A colour image in a frame of reference."""
     head = header(stamp)
     head.frame_id = frame_id
-    return colour(stamp, k, header=head)
+    return grey(stamp, k, header=head)
 
 
 POSE = np.array(
@@ -371,22 +322,19 @@ def test_the_pose_of_the_colour_camera_is_that_of_tf_static(
 
 def test_a_recording_and_its_replay_have_the_pose(tmp_path: Path, small_sensor: Sensor) -> None:
     """Although it was sent before the recording began."""
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
+    recorder, stamps = Recorder(), [NOW + k * PERIOD for k in range(5)]
     recorder.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
-    recorder.start(path)
-    for k in range(5):
-        recorder.push(depth(NOW + k * PERIOD, k, topic="/cam/depth/image"))
-        recorder.push(framed(NOW + k * PERIOD, k, "lens"))
-    recorder.stop()
+    messages = [
+        m for s in stamps for m in (depth(s, topic="/cam/depth/image"), framed(s, 1, "lens"))
+    ]
+    path = recorded(tmp_path / "rec.mcap", messages, recorder)
     with Recording(path) as recording:
         assert recording.colour is not None
         np.testing.assert_allclose(recording.colour.camera.T_D_C, POSE, atol=1e-12)
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
     stream.follow_colour()
-    with stream:
-        frame = None
-        while (newer := stream.take(5.0)) is not None:
-            frame = newer
+    frame = played(stream)
+    assert frame is not None and frame.colour is not None
     np.testing.assert_allclose(frame.colour.camera.T_D_C, POSE, atol=1e-12)
 
 
@@ -432,77 +380,9 @@ RECORDED = 80
 
 @pytest.fixture(scope="module")
 def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Depth and colour of two sensors, recorded by the SDK from its own software device."""
-    rs = pytest.importorskip("pyrealsense2")
+    """Depth and colour of two sensors."""
     path = tmp_path_factory.mktemp("realsense") / "camera.db3"
-    device = rs.software_device()
-    streams = {
-        "Depth": (rs.stream.depth, rs.format.z16, 2),
-        "Color": (rs.stream.color, rs.format.rgb8, 3),
-    }
-    profiles = {}
-    for uid, (name, (kind, form, size)) in enumerate(streams.items()):
-        lens, stream = rs.intrinsics(), rs.video_stream()
-        lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = 64, 48, 60 + uid, 61, 31, 23
-        stream.type, stream.index, stream.uid, stream.fmt = kind, 0, uid, form
-        stream.width, stream.height, stream.fps, stream.bpp = 64, 48, 30, size
-        stream.intrinsics = lens
-        sensor = device.add_sensor(name)
-        profiles[name] = sensor, sensor.add_video_stream(stream), size
-        if name == "Depth":
-            sensor.add_read_only_option(rs.option.depth_units, 1e-4)
-    placed = rs.extrinsics()
-    placed.rotation, placed.translation = POSE[:3, :3].T.ravel().tolist(), POSE[:3, 3].tolist()
-    profiles["Color"][1].register_extrinsics_to(profiles["Depth"][1], placed)
-    recorder, queue = rs.recorder(str(path), device), rs.frame_queue(50)
-    recorded = recorder.query_sensors()
-    for sensor in recorded:
-        sensor.open(sensor.get_stream_profiles()[0])
-        sensor.start(queue)
-    for k in range(RECORDED):
-        for name, (sensor, profile, size) in profiles.items():
-            frame = rs.software_video_frame()
-            depth_px, colour_px = np.full((48, 64), 1000 + k, np.uint16), np.zeros((48, 64, 3))
-            colour_px[:] = k, 2 * k, 3 * k
-            frame.pixels = depth_px if name == "Depth" else colour_px.astype(np.uint8)
-            frame.stride, frame.bpp, frame.depth_units = 64 * size, size, 1e-4
-            frame.timestamp, frame.domain = 1e6 + 1e3 * k / 30.0, rs.timestamp_domain.system_time
-            frame.frame_number, frame.profile = k, profile.as_video_stream_profile()
-            sensor.on_video_frame(frame)
-            assert queue.try_wait_for_frame(5000)[0]
-    for sensor in recorded:
-        sensor.stop()
-        sensor.close()
-    del recorded, recorder
-    return path
-
-
-def test_colour_of_a_realsense_camera_when_asked(
-    realsense_file: Path, small_sensor: Sensor
-) -> None:
-    for asked in (False, True):  # a frame waits only shortly for its colour: until one had it
-        options = "?loop=1" if asked else ""
-        stream = open_stream(f"realsense:{realsense_file}{options}", small_sensor)
-        heard: list[RawMessage] = []
-        stream.listen(heard.append)
-        if asked:
-            stream.follow_colour()
-        image, last = None, None
-        with stream:
-            while image is None and (last is None or asked or last.index < 5):
-                last = stream.take(5.0)
-                assert last is not None
-                image = last.colour
-        assert any("color" in message.topic for message in heard) is asked
-        assert stream.counters().undecodable == 0
-        if asked:
-            k = round(1e4 * float(last.depth_m[5, 5])) - 1000
-            assert image is not None
-            assert image.rgb()[5, 5].tolist() == [k, 2 * k, 3 * k]
-            assert image.camera.intrinsics is not None
-            assert image.camera.intrinsics.fx == 61
-            np.testing.assert_allclose(image.camera.T_D_C, POSE, atol=1e-6)
-            assert image.camera.remark == ""
+    return record_realsense(path, RECORDED, POSE)
 
 
 def test_colour_of_a_realsense_camera_asked_for_later(
@@ -525,6 +405,10 @@ def test_colour_of_a_realsense_camera_asked_for_later(
         assert frame is not None
         k = round(1e4 * float(frame.depth_m[5, 5])) - 1000
         assert frame.colour.rgb()[5, 5].tolist() == [k, 2 * k, 3 * k]
+        camera = frame.colour.camera
+        assert camera.intrinsics is not None and (camera.intrinsics.fx, camera.remark) == (61, "")
+        np.testing.assert_allclose(camera.T_D_C, POSE, atol=1e-6)
+        assert not any("color" in message.topic for message in heard[:10])
         rounds = [message.round for message in heard if "depth" in message.topic]
         assert rounds.count(0) < RECORDED  # the first was not played to its end
         let_go[0]()

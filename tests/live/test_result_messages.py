@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from streams import over_zenoh
 from wire import CLOUD, STORE, WRENCH
 
 import bubbleviz as bv
-from benchmarks.window.live_soak import free_port
 from bubbleviz.api.watching import PRODUCTS, Watcher
 from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero
 from bubbleviz.errors import InputError
@@ -23,10 +23,8 @@ from bubbleviz.live.counters import Counters
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.result_messages import DIAGNOSTICS, POSE, ResultMessages
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
 from bubbleviz.live.source_status import Status, status_of
-from bubbleviz.live.sources.live_source import Link, OfferedTopic
-from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
+from bubbleviz.live.sources.live_source import Deliver, Link, LiveSource
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Pose, Result
 from bubbleviz.rigid_object import load_object
@@ -69,35 +67,26 @@ def test_patch_and_force_are_what_was_estimated(pipeline: Pipeline, pressed: Res
     patch, estimate = pressed.patch, pressed.estimate
     assert patch is not None
     assert estimate is not None
-    layout = {f.name: (np.dtype("<f4"), f.offset) for f in cloud.fields}  # type: ignore[attr-defined]
-    table = cloud.data.view(
-        np.dtype(
-            {  # type: ignore[attr-defined]
-                "names": list(layout),
-                "formats": [kind for kind, _ in layout.values()],
-                "offsets": [offset for _, offset in layout.values()],
-                "itemsize": cloud.point_step,  # type: ignore[attr-defined]
-            }
-        )
-    )
-    rows = np.stack([table[name] for name in ("x", "y", "z", "pressure")], axis=1)
-    assert cloud.width * cloud.height == len(rows)  # type: ignore[attr-defined]
+    fields = [(field.name, field.offset, field.datatype) for field in cloud.fields]
+    assert fields == [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("pressure", 12, 7)]  # float32
+    assert cloud.point_step == 16 and not cloud.is_bigendian
+    rows = cloud.data.view("<f4").reshape(cloud.height * cloud.width, 4)
     inside = patch.node_mask
     assert len(rows) == inside.sum() > 3
     np.testing.assert_allclose(
         rows[:, :3], pipeline.mesh.deformed(estimate.displacement_m)[inside], atol=1e-7
     )
     np.testing.assert_allclose(rows[:, 3], estimate.contact_pressure_pa[inside], rtol=1e-6)
-    force = stamped.wrench.force  # type: ignore[attr-defined]
+    force = stamped.wrench.force
     np.testing.assert_array_equal([force.x, force.y, force.z], patch.force_n)
-    torque = stamped.wrench.torque  # type: ignore[attr-defined]
+    torque = stamped.wrench.torque
     # The moment of the pressure on the linear membrane, about the origin of B
     mesh = pipeline.mesh
     nodal = -(mesh.areas * estimate.contact_pressure_pa)[:, None] * mesh.normals
     moment = np.cross(mesh.deformed(estimate.displacement_m), nodal).sum(axis=0)
     np.testing.assert_allclose([torque.x, torque.y, torque.z], moment, atol=1e-12)
     for message in found.values():
-        stamp = message.header.stamp  # type: ignore[attr-defined]
+        stamp = message.header.stamp
         assert (stamp.sec, stamp.nanosec) == (1_790_000_000, 123_456_789)
 
 
@@ -106,8 +95,8 @@ def test_without_contact_the_force_is_zero_and_the_patch_empty(
 ) -> None:
     result = pipeline.process(press(small_sensor)[0], PRODUCTS)
     found = decoded(ResultMessages(pipeline.mesh).of(result))
-    assert found["/bubble/contact_patch"].width == 0  # type: ignore[attr-defined]
-    wrench = found["/bubble/contact_wrench"].wrench  # type: ignore[attr-defined]
+    assert found["/bubble/contact_patch"].width == 0
+    wrench = found["/bubble/contact_wrench"].wrench
     assert [wrench.force.z, wrench.torque.x] == [0.0, 0.0]
 
 
@@ -117,7 +106,7 @@ def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Res
     T[:3, 3] = [0.01, -0.02, 0.05]
     posed = replace(pressed, pose=Pose("ok", T))
     found = decoded(ResultMessages(pipeline.mesh).of(posed))
-    pose = found["/bubble/object_pose"].pose  # type: ignore[attr-defined]
+    pose = found["/bubble/object_pose"].pose
     assert [pose.position.x, pose.position.y, pose.position.z] == [0.01, -0.02, 0.05]
     half = np.sqrt(0.5)
     assert abs(pose.orientation.z) == pytest.approx(half)
@@ -131,7 +120,7 @@ def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Res
 def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(
     pipeline: Pipeline, pressed: Result
 ) -> None:
-    doubtful = replace(pressed.estimate, status="implausible", reason="another sensor")  # type: ignore[type-var]
+    doubtful = replace(pressed.estimate, status="implausible", reason="another sensor")
     result = replace(pressed, estimate=doubtful)
     messages = ResultMessages(pipeline.mesh)
     assert decoded(messages.of(result)) == {}
@@ -143,7 +132,7 @@ def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(
 def test_diagnostics_tell_state_and_counts(pipeline: Pipeline, pressed: Result) -> None:
     messages = ResultMessages(pipeline.mesh)
     counters = Counters(received=7, undecodable=2, problem="/cam: garbage")
-    implausible = replace(pressed, estimate=replace(pressed.estimate, status="implausible"))  # type: ignore[type-var]
+    implausible = replace(pressed, estimate=replace(pressed.estimate, status="implausible"))
     levels = {}
     for status, result in (
         (Status("live", 0.01), pressed),
@@ -168,35 +157,13 @@ def test_diagnostics_tell_state_and_counts(pipeline: Pipeline, pressed: Result) 
 def test_results_arrive_over_zenoh_and_only_where_asked_for(
     pipeline: Pipeline, pressed: Result, eventually: Eventually
 ) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    got: dict[str, bytes] = {}
-
-    def note(sample: object) -> None:
-        got[str(sample.key_expr)] = sample.payload.to_bytes()  # type: ignore[attr-defined]
-
-    with ZenohPublisher(SessionOptions("out", listen=endpoint), domain=3) as out:
-        listener = open_session(SessionOptions("in", endpoint))
-        try:
-            subscriber = listener.declare_subscriber("3/**", note)
-            messages = list(ResultMessages(pipeline.mesh).of(pressed))
-
-            def send() -> bool:
-                for topic, kind, payload, stamp in messages:
-                    out.put(topic, kind, payload, stamp)
-                return len(got) == 2
-
-            eventually(send)
-            subscriber.undeclare()
-        finally:
-            listener.close()
+    messages = list(ResultMessages(pipeline.mesh).of(pressed))
     hashes = {kind: STORE.hash_rihs01(kind) for kind in (CLOUD, WRENCH)}
-    assert got == {
-        f"3/bubble/contact_patch/sensor_msgs::msg::dds_::PointCloud2_/{hashes[CLOUD]}": messages[
-            0
-        ].payload,
-        f"3/bubble/contact_wrench/geometry_msgs::msg::dds_::WrenchStamped_/{hashes[WRENCH]}": (
-            messages[1].payload
-        ),
+    patch = f"3/bubble/contact_patch/sensor_msgs::msg::dds_::PointCloud2_/{hashes[CLOUD]}"
+    wrench = f"3/bubble/contact_wrench/geometry_msgs::msg::dds_::WrenchStamped_/{hashes[WRENCH]}"
+    assert over_zenoh(messages, 3, eventually) == {
+        patch: messages[0].payload,
+        wrench: messages[1].payload,
     }
 
 
@@ -230,43 +197,29 @@ def test_a_zero_is_learned_in_one_rest_and_only_then() -> None:
     assert zero.applied(unmeasured) is unmeasured
 
 
-class _Weather:
+class Weather(LiveSource):
     """The simulated sensor on a day when the air weighs 800 Pa less; sends a frame when told to."""
 
-    name = "weather"
-
     def __init__(self, simulation: SyntheticSource) -> None:
-        self._simulation, self._messages = simulation, FrameMessages()
-        self._sent = 0
+        super().__init__("weather")
+        self.simulation, self.messages, self.sent = simulation, FrameMessages(), 0
 
-    def start(self, deliver: Callable[[RawMessage], None]) -> None:
-        self._deliver = deliver
-
-    def stop(self) -> None:
-        pass
+    def start(self, deliver: Deliver) -> None:
+        self.deliver = deliver
 
     def link(self) -> Link:
         return "up"
 
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        return ()
-
-    def missed(self) -> int:
-        return 0
-
-    def problem(self) -> str:
-        return ""
-
     def send(self) -> None:
         now = time.time_ns()
-        frame = self._simulation[self._sent % len(self._simulation)]
-        for topic, kind, payload, stamp in self._messages.of(frame, now):
+        frame = self.simulation[self.sent % len(self.simulation)]
+        for topic, kind, payload, stamp in self.messages.of(frame, now):
             if kind.endswith("FluidPressure"):
                 content = STORE.deserialize_cdr(payload, kind)
                 content.fluid_pressure -= 800.0
                 payload = bytes(STORE.serialize_cdr(content, kind))
-            self._deliver(RawMessage(topic, kind, payload, stamp, now, self._sent))
-        self._sent += 1
+            self.deliver(RawMessage(topic, kind, payload, stamp, now, self.sent))
+        self.sent += 1
 
 
 def test_weather_is_not_contact(small_sensor: Sensor) -> None:
@@ -274,7 +227,7 @@ def test_weather_is_not_contact(small_sensor: Sensor) -> None:
     worst = {}
     for zeroed in (False, True):
         zero = PressureZero(small_sensor.pneumatics.reference_pressure_pa) if zeroed else None
-        source = _Weather(press(small_sensor, 60))
+        source = Weather(press(small_sensor, 60))
         with LiveStream(source) as stream:
             watcher = Watcher(stream, Pipeline.of(small_sensor), zero)
             statuses = []
@@ -355,7 +308,7 @@ def test_what_is_said_where_there_is_no_zero(
 def test_a_source_that_stopped_is_stale_within_a_second(
     link: str, silent: float | None, state: str
 ) -> None:
-    assert status_of(link, silent).state == state  # type: ignore[arg-type]
+    assert status_of(link, silent).state == state
 
 
 def test_a_zero_that_is_waited_for_asks_about_few_frames_of_a_contact() -> None:

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from streams import over_zenoh
 from wire import STORE
 
-from benchmarks.window.live_soak import free_port
 from bubbleviz.live.sinks.result_messages import ResultMessages
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from tests.shear.drag import Eyes, stuck
@@ -55,28 +53,14 @@ def test_a_wrench_and_slip_arrive_over_zenoh(
     eyes: Eyes, dragged: Result, eventually: Eventually
 ) -> None:
     truth = stuck("puck", 0.004, 0.001, 8.0)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    sent = list(ResultMessages(eyes.pipeline.mesh).of(dragged))
+    found = over_zenoh(sent, 4, eventually)
     got: dict[str, Any] = {}
-
-    def note(sample: Any) -> None:
-        _, _, topic, package, _ = str(sample.key_expr).split("/")
+    for key, payload in found.items():
+        _, _, topic, package, _ = key.split("/")
         kind = package.replace("::msg::dds_::", "/msg/").removesuffix("_")
-        got[topic] = STORE.deserialize_cdr(sample.payload.to_bytes(), kind)
-
-    with ZenohPublisher(SessionOptions("out", listen=endpoint), domain=4) as out:
-        listener = open_session(SessionOptions("in", endpoint))
-        try:
-            subscriber = listener.declare_subscriber("4/**", note)
-
-            def sent() -> bool:
-                for message in ResultMessages(eyes.pipeline.mesh).of(dragged):
-                    out.put(*message)
-                return got.keys() >= SHEAR_TOPICS
-
-            eventually(sent)
-            subscriber.undeclare()
-        finally:
-            listener.close()
+        got[topic] = STORE.deserialize_cdr(payload, kind)
+    assert got.keys() >= SHEAR_TOPICS
     wrench, sigma = (got[name].wrench for name in ("traction_wrench", "traction_wrench_sigma"))
     size = np.linalg.norm(truth.force_n)
     np.testing.assert_allclose(vector(wrench.force), truth.force_n, atol=0.05 * size)

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from realsense_file import record_realsense
+from streams import played, recorded
 from wire import (
     CLOUD,
     HEIGHT,
@@ -36,7 +38,6 @@ from bubbleviz.live.live_session import LiveSession
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.session_preset import SensorPlace, SessionPreset, load_session
-from bubbleviz.live.sinks.recorder import Recorder
 from bubbleviz.live.sources.open_stream import open_stream
 from bubbleviz.live.sources.replay import Replay
 from bubbleviz.sensor import Sensor, load_sensor
@@ -49,13 +50,9 @@ Eventually = Callable[[Callable[[], object]], None]
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     """Ten images and gas pressures, one of each every 33 ms."""
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
-    recorder.start(path)
-    for k in range(10):
-        recorder.push(gas(NOW + k * PERIOD, 1e5 + k))
-        recorder.push(depth(NOW + k * PERIOD, k))
-    recorder.stop()
-    return path
+    stamps = [NOW + k * PERIOD for k in range(10)]
+    messages = [m for k, s in enumerate(stamps) for m in (gas(s, 1e5 + k), depth(s, k))]
+    return recorded(tmp_path / "rec.mcap", messages)
 
 
 def test_the_simulation_streams_stamped_with_the_present(small_sensor: Sensor) -> None:
@@ -193,9 +190,7 @@ def test_another_camera_s_recording_is_counted_not_solved(
 @pytest.mark.parametrize("rows", [True, False])
 def test_point_clouds_are_recorded_and_read_again(tmp_path: Path, rows: bool) -> None:
     camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)  # as wire.camera_info has it
-    recorder, path = Recorder(), tmp_path / "rec.mcap"
-    recorder.start(path)
-    truths = []
+    truths, messages = [], []
     for k in range(3):
         truth = np.full((HEIGHT, WIDTH), 0.1 + 0.01 * k, np.float32)
         truths.append(truth)
@@ -203,10 +198,9 @@ def test_point_clouds_are_recorded_and_read_again(tmp_path: Path, rows: bool) ->
         stamp = NOW + k * PERIOD
         height, width = (HEIGHT, WIDTH) if rows else (1, HEIGHT * WIDTH)
         points = cloud(stamp, rays * truth[..., None], height, width)
-        recorder.push(arrived("/tof/points", CLOUD, points, stamp))
-        recorder.push(arrived("/tof/camera_info", INFO, camera_info(stamp), stamp))
-    recorder.stop()
-    with Recording(path) as recording:
+        messages.append(arrived("/tof/points", CLOUD, points, stamp))
+        messages.append(arrived("/tof/camera_info", INFO, camera_info(stamp), stamp))
+    with Recording(recorded(tmp_path / "rec.mcap", messages)) as recording:
         assert (recording.size, recording.encoding) == ((WIDTH, HEIGHT), "points")
         assert recording.intrinsics is not None
         for k, truth in enumerate(truths):
@@ -223,8 +217,7 @@ def test_the_nut_is_in_one_place_for_both_fingers() -> None:
     height = load_sensor(left.sensor).membrane.height_m
     assert height is not None
     poses = {
-        place.name: place.T_W_B @ grip_poses(place.name, height, 60)  # type: ignore[arg-type]
-        for place in (left, right)
+        place.name: place.T_W_B @ grip_poses(place.name, height, 60) for place in (left, right)
     }
     closed = slice(20, 44)
     np.testing.assert_allclose(poses["left"][closed], poses["right"][closed], atol=1e-8)
@@ -233,7 +226,7 @@ def test_the_nut_is_in_one_place_for_both_fingers() -> None:
         np.testing.assert_allclose(
             place.T_W_B,
             finger_pose(place.name, height),
-            atol=1e-9,  # type: ignore[arg-type]
+            atol=1e-9,
         )
 
 
@@ -242,11 +235,11 @@ def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
     assert np.ptp(nut.vertices[:, 1]) == pytest.approx(0.048)
     forces = []
     for side in ("left", "right"):
-        poses = grip_poses(side, 0.05, 40)  # type: ignore[arg-type]
+        poses = grip_poses(side, 0.05, 40)
         source = SyntheticSource(small_sensor, nut, poses, nodes=500)
         open_, closed = source.truth(0), source.truth(13)
         assert np.linalg.norm(open_.force_n) == 0.0
-        T_W_B = finger_pose(side, 0.05)  # type: ignore[arg-type]
+        T_W_B = finger_pose(side, 0.05)
         forces.append(T_W_B[:3, :3] @ closed.force_n)
     assert np.linalg.norm(forces[0]) > 1.0
     # what one finger feels the other feels the other way round
@@ -318,49 +311,14 @@ def test_session_files_are_refused_by_key(tmp_path: Path, change: str, says: str
 
 @pytest.fixture(scope="module")
 def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recorded by the SDK from its own software device: 12 frames, depth unit 0.1 mm."""
-    rs = pytest.importorskip("pyrealsense2")
-    path = tmp_path_factory.mktemp("realsense") / "camera.db3"
-    device = rs.software_device()
-    camera = device.add_sensor("Depth")
-    lens = rs.intrinsics()
-    lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy = 64, 48, 60.0, 61.0, 31.5, 23.5
-    lens.model = rs.distortion.inverse_brown_conrady
-    lens.coeffs = [0.1, 0.0, 0.0, 0.0, 0.01]
-    stream = rs.video_stream()
-    stream.type, stream.index, stream.uid, stream.fmt = rs.stream.depth, 0, 0, rs.format.z16
-    stream.width, stream.height, stream.fps, stream.bpp = 64, 48, 30, 2
-    stream.intrinsics = lens
-    profile = camera.add_video_stream(stream)
-    camera.add_read_only_option(rs.option.depth_units, 1e-4)
-    recorder = rs.recorder(str(path), device)
-    recorded = recorder.query_sensors()[0]
-    queue = rs.frame_queue(50)
-    recorded.open(recorded.get_stream_profiles()[0])
-    recorded.start(queue)
-    for k in range(12):
-        frame = rs.software_video_frame()
-        pixels = np.full((48, 64), 1000 + k, np.uint16)
-        pixels[0, 0] = 0
-        frame.pixels, frame.stride, frame.bpp, frame.depth_units = pixels, 128, 2, 1e-4
-        frame.timestamp, frame.domain = 1e6 + 1e3 * k / 30.0, rs.timestamp_domain.system_time
-        frame.frame_number, frame.profile = k, profile.as_video_stream_profile()
-        camera.on_video_frame(frame)
-        assert queue.try_wait_for_frame(5000)[0]
-    recorded.stop()
-    recorded.close()
-    del recorded, recorder
-    return path
+    return record_realsense(tmp_path_factory.mktemp("realsense") / "camera.db3", 12)
 
 
 def test_a_file_of_the_realsense_sdk_is_played(realsense_file: Path, small_sensor: Sensor) -> None:
     messages: list[RawMessage] = []
     stream = open_stream(f"realsense:{realsense_file}", small_sensor)
     stream.listen(messages.append)
-    with stream:
-        frame = stream.take(30.0)
-        while (newer := stream.take(5.0)) is not None:
-            frame = newer
+    frame = played(stream)
     assert frame is not None
     assert frame.depth_m.shape == (48, 64)
     assert frame.depth_m[5, 5] == pytest.approx(0.1011, abs=1e-6)

@@ -21,7 +21,7 @@ from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_encoding import FrameMessages
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
+from bubbleviz.live.sources.live_source import Deliver, Link, LiveSource, OfferedTopic
 from bubbleviz.result import Result
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear.passing_texture import COLLECTED
@@ -32,40 +32,27 @@ from tests.small_press import write_press, write_small_sensor
 NOW = 1_700_000_000_000_000_000
 
 
-class HandedSource:
+class HandedSource(LiveSource):
     """Delivers the frames that it is handed."""
 
-    name = "handed"
-
     def __init__(self) -> None:
-        self._deliver: Deliver = lambda _: None
-        self._messages = FrameMessages()
-        self._topics: dict[OfferedTopic, None] = {}
+        super().__init__("handed")
+        self.messages, self.found = FrameMessages(), dict[OfferedTopic, None]()
 
     def start(self, deliver: Deliver) -> None:
-        self._deliver = deliver
+        self.deliver = deliver
 
     def hand(self, frame: Frame) -> None:
         stamp = NOW + round(1e9 * frame.time_s)
-        for topic, kind, payload, at in self._messages.of(frame, stamp):
-            self._topics[OfferedTopic(topic, kind)] = None
-            self._deliver(RawMessage(topic, kind, payload, at, stamp))
+        for topic, kind, payload, at in self.messages.of(frame, stamp):
+            self.found[OfferedTopic(topic, kind)] = None
+            self.deliver(RawMessage(topic, kind, payload, at, stamp))
 
     def topics(self) -> tuple[OfferedTopic, ...]:
-        return tuple(self._topics)
-
-    def stop(self) -> None: ...
-
-    def follow_colour(self, on: bool = True) -> None: ...
+        return tuple(self.found)
 
     def link(self) -> Link:
         return "up"
-
-    def missed(self) -> int:
-        return 0
-
-    def problem(self) -> str:
-        return ""
 
 
 def frame_of(k: int) -> Frame:

@@ -22,6 +22,7 @@ from wire import HEIGHT, IMAGE, WIDTH, compressed_depth, image, number_of
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
+from bubbleviz.frames.frame import Frame
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.recorder import Recorder
@@ -53,6 +54,15 @@ def stream_of(port: int, sensor: Sensor, options: str = "") -> LiveStream:
     return open_stream(f"zenoh:tcp/127.0.0.1:{port}{options}", sensor)
 
 
+def first_frame(stream: LiveStream, send: Callable[[], object]) -> Frame:
+    """Send until a frame is there."""
+    frame = None
+    while frame is None:
+        send()
+        frame = stream.take(0.05)
+    return frame
+
+
 @pytest.mark.parametrize("layout", ["rmw", "dds"])
 def test_topics_are_found_and_frames_made(layout: str, small_sensor: Sensor) -> None:
     port = free_port()
@@ -77,12 +87,11 @@ def test_topics_are_found_and_frames_made(layout: str, small_sensor: Sensor) -> 
 
 def test_a_topic_named_needs_no_announcement(small_sensor: Sensor) -> None:
     port = free_port()
-    with open_session(str(port)) as quiet:
-        with stream_of(port, small_sensor, "?depth=/quiet") as stream:
-            frame = None
-            while frame is None:
-                quiet.put("quiet", image(time.time_ns()))
-                frame = stream.take(0.05)
+    with (
+        open_session(str(port)) as quiet,
+        stream_of(port, small_sensor, "?depth=/quiet") as stream,
+    ):
+        frame = first_frame(stream, lambda: quiet.put("quiet", image(time.time_ns())))
         assert frame.depth_m.shape == (HEIGHT, WIDTH)
 
 
@@ -213,10 +222,8 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor, eventually: 
     with open_session(str(port), "router"), open_session(str(port), "node") as node:
         tokens = [node.liveliness().declare_token(key) for key in TOKENS["rmw"]]
         with stream_of(port, small_sensor) as stream:
-            frame = None
-            while frame is None:
-                node.put(KEYS["rmw"]["/cam/depth"], image(time.time_ns()))
-                frame = stream.take(0.05)
+            key = KEYS["rmw"]["/cam/depth"]
+            first_frame(stream, lambda: node.put(key, image(time.time_ns())))
             assert ("/cam/depth", IMAGE) in stream.topics()
             # and back: results of ours reach the node
             got: list[bytes] = []
@@ -380,31 +387,23 @@ def test_a_refusal_of_who_comes_back_is_told(
     at = f"tls/localhost:{free_port()}"
     with open_stream(f"zenoh:{at}?ca={ca}&depth=/quiet", small_sensor) as stream:
         with listener(at, Credentials(cert=cert, key=key)) as robot:
-            frame = None
-            while frame is None:
-                robot.put("quiet", image(time.time_ns()))
-                frame = stream.take(0.05)
+            first_frame(stream, lambda: robot.put("quiet", image(time.time_ns())))
         with listener(at, Credentials(cert=other, key=other_key)):
             eventually(lambda: "is not signed by" in stream.status().text)
             assert stream.status().state == "reconnecting"
             assert stream.status().text.endswith(f"; check ca= ({stream.name})")
         eventually(lambda: "nothing listens at localhost" in stream.status().text)
         with listener(at, Credentials(cert=cert, key=key)) as robot:
-            frame = None
-            while frame is None:
-                robot.put("quiet", image(time.time_ns()))
-                frame = stream.take(0.05)
+            first_frame(stream, lambda: robot.put("quiet", image(time.time_ns())))
             eventually(lambda: stream.source.problem() == "")
 
 
 def test_a_camera_of_another_size_that_comes_back_is_told(
     small_sensor: Sensor, eventually: Eventually
 ) -> None:
-    port, frame = free_port(), None
+    port = free_port()
     with open_session(str(port)) as camera, stream_of(port, small_sensor, "?depth=/q") as stream:
-        while frame is None:
-            camera.put("q", image(time.time_ns()))
-            frame = stream.take(0.05)
+        first_frame(stream, lambda: camera.put("q", image(time.time_ns())))
         other = {"height": 24, "width": 32, "step": 64}
 
         def refused() -> bool:
@@ -416,10 +415,7 @@ def test_a_camera_of_another_size_that_comes_back_is_told(
         assert stream.status().text.endswith(
             f"has {WIDTH}×{HEIGHT}; choose the sensor file of this camera ({stream.name})"
         )
-        frame = None
-        while frame is None:
-            camera.put("q", image(time.time_ns()))
-            frame = stream.take(0.05)
+        first_frame(stream, lambda: camera.put("q", image(time.time_ns())))
         eventually(lambda: stream.status().problem == "")
 
 
@@ -438,11 +434,11 @@ def test_our_keys_are_the_ones_robots_use() -> None:
         assert sorted(kinds) == ["/cam/camera_info", "/cam/depth", "/gas"]
         for topic, kind in kinds.items():
             type_hash = KEYS["rmw"]["/gas"].split("/")[-1]
-            published = zenoh_keys.publication(topic, kind, type_hash, layout, 0)  # type: ignore[arg-type]
+            published = zenoh_keys.publication(topic, kind, type_hash, layout, 0)
             assert published == KEYS[layout][topic]
-            subscribed = zenoh_keys.subscription(topic, layout, 0)  # type: ignore[arg-type]
+            subscribed = zenoh_keys.subscription(topic, layout, 0)
             assert zenoh.KeyExpr(subscribed).includes(published)
-            token = zenoh_keys.announcement(topic, kind, type_hash, layout, 0, "b3f7", 1)  # type: ignore[arg-type]
+            token = zenoh_keys.announcement(topic, kind, type_hash, layout, 0, "b3f7", 1)
             assert zenoh_keys.parse_token(token, 0) == (topic, kind, layout)
             assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
 

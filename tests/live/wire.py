@@ -128,3 +128,10 @@ def depth(
 
 def gas(stamp: int, value: float, arrival: int | None = None) -> RawMessage:
     return arrived("/gas", PRESSURE, pressure(stamp, value), stamp, arrival)
+
+
+def grey(stamp: int, k: int, topic: str = "/cam/color/image_raw", **changes: Any) -> RawMessage:
+    """A colour camera's grey image all of whose pixels are k."""
+    pixels = np.full(HEIGHT * WIDTH, k, np.uint8)
+    shown = {"encoding": "mono8", "step": WIDTH, "data": pixels, **changes}
+    return arrived(topic, IMAGE, image(stamp, **shown), stamp)

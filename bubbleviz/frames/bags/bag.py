@@ -17,9 +17,7 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.chunks import decompress
 from bubbleviz.frames.bags.mcap_storage import MAGIC, McapStorage
-from bubbleviz.frames.bags.ros1_storage import Ros1Storage
-from bubbleviz.frames.bags.sqlite_storage import SqliteStorage
-from bubbleviz.frames.bags.storage import Entries, Storage
+from bubbleviz.frames.bags.storage import Ros1Storage, SqliteStorage, Storage
 from bubbleviz.frames.message_decoding import header_stamp_ns
 
 
@@ -87,6 +85,8 @@ class Bag:
         Whether messages are serialised as in ROS 1.
     note : str
         What is missing of the recording, in words; empty when it is whole.
+    inflates : bool
+        Whether messages are compressed one by one, so that the first bytes of one need all of it.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -128,23 +128,8 @@ class Bag:
             ]
             return Messages(self, topic, parts)
 
-    def decode(self, payload: bytes, kind: str) -> Any:
-        """Message object of rosbags from its serialised form."""
-        store = typestore(ros1=self.ros1)
-        read = store.deserialize_ros1 if self.ros1 else store.deserialize_cdr
-        return read(payload, kind)
-
-    def inflate(self, payload: bytes) -> bytes:
-        """Undo rosbag2's compression of single messages, where the bag has it."""
-        return decompress(payload) if self._compressed_messages else payload
-
-    @property
-    def inflates(self) -> bool:
-        """Whether a message's first bytes need all of it."""
-        return self._compressed_messages
-
     def _open(self) -> None:
-        self._compressed_messages = False
+        self.inflates = False
         if self.ros1:
             self._open_ros1()
         else:
@@ -164,7 +149,7 @@ class Bag:
         described = (self.path / "metadata.yaml").exists()
         if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
             folder = self._opened(DirectoryReader(self.path))
-            self._compressed_messages = folder.metadata.compression_mode == "message"
+            self.inflates = folder.metadata.compression_mode == "message"
             self._storages = [_storage(reader) for reader in folder.storages]
         else:
             self._storages = [self._open_bare(file) for file in self._bare_files()]
@@ -246,28 +231,24 @@ class Messages:
         When each message was recorded, ns.
     """
 
-    def __init__(self, bag: Bag, topic: Topic, parts: list[tuple[Storage, Entries]]) -> None:
+    def __init__(self, bag: Bag, topic: Topic, parts: list[tuple[Storage, np.ndarray]]) -> None:
         self.topic = topic
         self._bag = bag
         self._storages = [storage for storage, _ in parts]
-        log = np.concatenate([e.log_ns for _, e in parts] or [np.empty(0, np.int64)])
-        order = np.argsort(log, kind="stable")
-        self.log_ns = log[order]
-        self._part = np.repeat(np.arange(len(parts)), [len(e.log_ns) for _, e in parts])[order]
-        self._chunk = np.concatenate([e.chunk for _, e in parts] or [order])[order]
-        self._offset = np.concatenate([e.offset for _, e in parts] or [order])[order]
+        numbered = [np.insert(rows, 3, part, axis=1) for part, (_, rows) in enumerate(parts)]
+        rows = np.concatenate(numbered or [np.empty((0, 4), np.int64)])
+        self._rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        self.log_ns = self._rows[:, 0].copy()
 
     def __len__(self) -> int:
-        """Count the messages."""
         return len(self.log_ns)
 
     def payload(self, k: int, limit: int | None = None) -> bytes:
         """Serialised message `k`, or its first `limit` bytes."""
-        storage = self._storages[self._part[k]]
-        chunk, offset = int(self._chunk[k]), int(self._offset[k])
+        _, chunk, offset, part = self._rows[k].tolist()
         if self._bag.inflates:
-            return self._bag.inflate(storage.read(chunk, offset))[:limit]
-        return storage.read(chunk, offset, limit)
+            return decompress(self._storages[part].read(chunk, offset))[:limit]
+        return self._storages[part].read(chunk, offset, limit)
 
     def stamp_ns(self, k: int) -> int:
         """Header stamp of message `k`, ns; 0 when unset. Reads no more than the header."""
@@ -277,4 +258,6 @@ class Messages:
     def message(self, k: int) -> Any:
         """Message `k`, decoded by rosbags."""
         with damage(self._bag.path, f"message {k} of {self.topic.name}"):
-            return self._bag.decode(self.payload(k), self.topic.type)
+            store = typestore(ros1=self._bag.ros1)
+            read = store.deserialize_ros1 if self._bag.ros1 else store.deserialize_cdr
+            return read(self.payload(k), self.topic.type)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any, Literal
 import bubbleviz
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import cannot_write, refuse_existing
-from bubbleviz.frames.bags.rosbag2_metadata import BagFacts, metadata_yaml
 from bubbleviz.frames.message_encoding import ros2_types
 
 CHUNK_BYTES = 4 << 20
@@ -93,8 +93,8 @@ class McapFile:
         self.synced_bytes = 0
         self.kept = Kept()
         self._first_ns = self._last_ns = 0
-        self._facts = BagFacts(self._file.name)
         self._channels: dict[tuple[str, str], int] = {}
+        self._counts: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._writer: Any = Writer(
             self._stream, chunk_size=chunk_bytes, compression=CompressionType[compression.upper()]
@@ -114,6 +114,7 @@ class McapFile:
         topic, kind, payload, stamp_ns = message
         if (topic, kind) not in self._channels:
             self._channels[topic, kind] = self._new_channel(topic, kind)
+            self._counts[topic, kind] = 0
         log_ns = max(log_ns, 0)
         self._writer.add_message(
             self._channels[topic, kind],
@@ -122,8 +123,8 @@ class McapFile:
             sequence=sequence & 0xFFFF_FFFF,
             data=payload,
         )
-        self._facts.add(topic, log_ns)
-        self._first_ns = self._first_ns or log_ns
+        self._counts[topic, kind] += 1
+        self._first_ns = min(self._first_ns, log_ns) if self.count else log_ns
         self._last_ns = max(self._last_ns, log_ns)
         self.count += 1
 
@@ -143,14 +144,15 @@ class McapFile:
     def close(self) -> None:
         """Finish the file, with the index that makes it quick to open."""
         self._writer.flush()
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": self._facts.yaml()})
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(self._information())})
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
         self.synced_bytes = self._stream.tell()
         self._stream.close()
         if self._folder is not None:
-            (self._folder / "metadata.yaml").write_text(metadata_yaml(self._facts), "utf-8")
+            text = _yaml({"rosbag2_bagfile_information": self._information()})
+            (self._folder / "metadata.yaml").write_text(text, "utf-8")
 
     def discard(self) -> None:
         """Remove the file: nothing was worth recording."""
@@ -172,13 +174,58 @@ class McapFile:
         types = ros2_types()
         if kind not in types.fielddefs:
             raise InputError(f"{self.path}: {topic} has type {kind}, which cannot be recorded")
-        self._facts.describe(topic, kind, types.hash_rihs01(kind))
         if kind not in self._schemas:
             definition, _ = types.generate_msgdef(kind, ros_version=2)
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())
         metadata = {"offered_qos_profiles": "[]", "topic_type_hash": types.hash_rihs01(kind)}
         channel: int = self._writer.register_channel(topic, "cdr", self._schemas[kind], metadata)
         return channel
+
+    def _information(self) -> dict[str, Any]:
+        """The section `rosbag2_bagfile_information` of metadata.yaml, version 9."""
+        length_ns = self._last_ns - self._first_ns
+        whole: dict[str, Any] = {
+            "duration": {"nanoseconds": length_ns},
+            "starting_time": {"nanoseconds_since_epoch": self._first_ns},
+            "message_count": self.count,
+        }
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": kind,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [],
+                    "type_description_hash": ros2_types().hash_rihs01(kind),
+                },
+                "message_count": count,
+            }
+            for (topic, kind), count in self._counts.items()
+        ]
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [self._file.name],
+            **whole,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": self._file.name, **whole}],
+            "custom_data": None,
+            "ros_distro": "bubbleviz",
+        }
+
+
+def _yaml(content: dict[str, Any]) -> str:
+    from ruamel.yaml import YAML  # rosbags brings it and reads with it
+
+    stream = io.StringIO()
+    writer = YAML(typ="safe")
+    writer.default_flow_style = False
+    writer.width = 1000
+    writer.representer.ignore_aliases = lambda _: True
+    writer.dump(content, stream)
+    return stream.getvalue()
 
 
 def _sync_folder(folder: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from bubbleviz.frames.bags.chunks import MAX_SIZE, ChunkCache, FilePart, LazyChunk
-from bubbleviz.frames.bags.storage import Entries
+from bubbleviz.frames.bags.storage import table_of
 
 MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
@@ -67,11 +67,11 @@ class McapStorage:
         self._topics: dict[int, tuple[str, str]] = {}
         self._walk(reader.data_end if reader else self._file.size, cut=reader is None)
         self.connections = [
-            _Connection(channel, topic, kind, len(self.entries(channel).log_ns))
+            _Connection(channel, topic, kind, len(self.entries(channel)))
             for channel, (topic, kind) in self._topics.items()
         ]
 
-    def entries(self, channel: int) -> Entries:
+    def entries(self, channel: int) -> np.ndarray:
         """Positions of the messages of a channel, in file order where all have an index."""
         numbers: list[int] = []
         blocks: list[bytes] = []
@@ -83,8 +83,7 @@ class McapStorage:
         counts = np.array([len(block) // 16 for block in blocks], np.int64)
         chunk = np.repeat(np.array(numbers, np.int64), counts)
         rows = np.column_stack([pairs[:, 0], chunk, pairs[:, 1]])
-        found = np.array(self._found.get(channel, []), np.int64).reshape(-1, 3)
-        return Entries.of(np.concatenate([rows, found]))
+        return np.concatenate([rows, table_of(self._found.get(channel, []))])
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
         """Payload of a message, or its first `limit` bytes."""

@@ -12,15 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bubbleviz.camera.intrinsics import DistortionModel, Intrinsics
+from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_decoding import distortion_of
 from bubbleviz.frames.message_encoding import FrameMessages, Message, ros2_types
 from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
-from bubbleviz.live.sources.paced_thread import PacedThread
+from bubbleviz.live.sources.live_source import Deliver, LiveSource, OfferedTopic
 from bubbleviz.live.sources.source_uri import SourceUri
 from bubbleviz.wording import how_to_install
 
@@ -31,15 +30,10 @@ _PATIENCE_S = 0.5  # s between looks for a request to stop; chosen
 _QUEUE = 64  # pictures between the SDK's thread and ours, two seconds at 30 Hz
 _BACK_OFF_S = (0.5, 4.0)  # s between attempts to open a camera, first and longest; chosen
 
-_MODELS: dict[str, DistortionModel] = {
-    "none": "none",
-    "brown_conrady": "plumb_bob",
-    "inverse_brown_conrady": "inverse_brown_conrady",
-}
 _ENCODINGS = {name: name for name in ("rgb8", "bgr8", "rgba8", "bgra8")} | {"y8": "mono8"}
 
 
-class RealSenseLive:
+class RealSenseLive(LiveSource):
     """Depth, and colour when asked for, of a RealSense camera through the SDK.
 
     A camera unplugged is looked for again.
@@ -73,54 +67,18 @@ class RealSenseLive:
         loop: bool = False,
         prefix: str = "/bubble",
     ) -> None:
-        self.name = str(file.name if file else serial or "RealSense")
+        super().__init__(str(file.name if file else serial or "RealSense"))
         self._sdk, self._serial, self._file = sdk, serial, file
         self._size, self._rate, self._loop = size, rate, loop
         self._messages = FrameMessages("32FC1", prefix)
-        self._with_colour = False
-        self._link: Link = "connecting"
-        self._topics: tuple[OfferedTopic, ...] = ()
-        self._colour_topics: tuple[OfferedTopic, ...] = ()
-        self._thread: PacedThread | None = None
-        self._problem = ""
-        self._missed = 0
 
-    def start(self, deliver: Deliver) -> None:
-        """Start streaming in a new thread."""
-        self._thread = PacedThread(lambda pace: self._run(pace, deliver), self.name)
-
-    def stop(self) -> None:
-        """Stop streaming and let go of the camera."""
-        if self._thread is not None:
-            self._thread.stop()
-        self._link = "ended"
-
-    def follow_colour(self, on: bool = True) -> None:
-        """Stream colour, too, or no more: a camera is opened anew for it, a file begins again."""
-        self._with_colour = on
-
-    def link(self) -> Link:
-        """`lost` while the camera is looked for."""
-        return self._link
-
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        """What a frame is made of, once there is one, and what of colour there is."""
-        return tuple(dict.fromkeys(self._topics + self._colour_topics))
-
-    def missed(self) -> int:
-        """Frames the camera counted that the SDK never gave."""
-        return self._missed
-
-    def problem(self) -> str:
-        """What the SDK said last when it failed."""
-        return self._problem or ("" if self._thread is None else self._thread.problem)
-
-    def _run(self, pace: PacedThread, deliver: Deliver) -> None:
+    def _run(self, deliver: Deliver) -> None:
+        """Stream; a camera is opened anew for colour that is asked for, a file begins again."""
         wait, played = _BACK_OFF_S[0], 0
-        while not pace.stopping:
+        while not self._stopped.is_set():
             before, again = time.monotonic(), False
             try:
-                again = self._stream(pace, deliver, played)
+                again = self._stream(deliver, played)
             except RuntimeError as error:  # all the SDK raises
                 self._problem = " ".join(str(error).split())[:160]
             if again or (self._file is not None and self._loop and not self._problem):
@@ -128,13 +86,13 @@ class RealSenseLive:
                 continue
             if self._file is not None:
                 break
-            self._link = "lost" if self._topics else "connecting"
+            if self._link == "up":
+                self._link = "lost"
             lasted = time.monotonic() - before
             wait = _BACK_OFF_S[0] if lasted > 5.0 else min(2.0 * wait, _BACK_OFF_S[1])
-            pace.wait_until(time.monotonic() + wait)
-        self._link = "ended"
+            self._wait_until(time.monotonic() + wait)
 
-    def _stream(self, pace: PacedThread, deliver: Deliver, played: int) -> bool:
+    def _stream(self, deliver: Deliver, played: int) -> bool:
         """Until stopped, the recording ended, or the camera is gone; True to open it for colour."""
         pictures: queue.Queue[_Picture] = queue.Queue(_QUEUE)
         ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
@@ -142,17 +100,16 @@ class RealSenseLive:
         sensor = device.first_depth_sensor()
         depth = self._depth_profile(sensor)
         offered = _Colour.of(self._profiles(device, "color"), depth)
-        colour = offered if self._with_colour else None
         if offered is not None:
-            self._colour_topics = (OfferedTopic(self._messages.colour_topic, IMAGE),)
-        camera = _intrinsics(depth.as_video_stream_profile().intrinsics)
-        unit = float(sensor.get_depth_scale())
-        sender = _Sender(deliver, self._messages, unit, camera, played, colour)
+            self._offer(OfferedTopic(self._messages.colour_topic, IMAGE))
         opened: list[tuple[Any, list[Any]]] = [(sensor, [depth])]
+        colour = offered if self._with_colour else None
         if colour is not None and colour.sensor.is_depth_sensor():
             opened[0][1].append(colour.profile)
         elif colour is not None:
             opened.append((colour.sensor, [colour.profile]))
+        camera = _intrinsics(depth.as_video_stream_profile().intrinsics)
+        to_messages = _Pictures(self._messages, float(sensor.get_depth_scale()), camera, colour)
         enough = threading.Event()
         # without the SDK's pipeline, which leaves out frames of a recording that come late
         with ExitStack() as stack:
@@ -165,14 +122,24 @@ class RealSenseLive:
                 each.start(self._receiver(pictures, enough))
                 stack.callback(each.stop)
             stack.callback(enough.set)  # a sensor stops only once its callback has returned
-            return self._send(pace, device, pictures, sender)
+            reopen = offered is not None and colour is None
+            return self._send(deliver, played, device, pictures, to_messages, reopen=reopen)
 
     def _send(
-        self, pace: PacedThread, device: Any, pictures: queue.Queue[_Picture], sender: _Sender
+        self,
+        deliver: Deliver,
+        played: int,
+        device: Any,
+        pictures: queue.Queue[_Picture],
+        to_messages: _Pictures,
+        *,
+        reopen: bool,
     ) -> bool:
-        """As `_stream`."""
-        while not pace.stopping:
-            if self._with_colour and self._colour_topics and sender.colour is None:
+        """As `_stream`; `reopen` when colour is asked for."""
+        began: tuple[float, int] | None = None
+        last: _Picture | None = None
+        while not self._stopped.is_set():
+            if self._with_colour and reopen:
                 return True
             try:
                 picture = pictures.get(timeout=_PATIENCE_S)
@@ -182,12 +149,26 @@ class RealSenseLive:
                 continue
             if picture.colour and not self._with_colour:
                 continue
-            if self._file is not None and not pace.wait_until(sender.due_s(picture)):
-                break
-            self._missed += sender.missed(picture)
-            self._topics = sender.send(picture)
+            arrival_ns = picture.arrival_ns
+            if self._file is not None:  # when it is due
+                began = began or (time.monotonic(), picture.stamp_ns)
+                if not self._wait_until(began[0] + (picture.stamp_ns - began[1]) * 1e-9):
+                    break
+                arrival_ns = time.time_ns()
+            if not picture.colour:
+                if last is not None:
+                    self._missed += max(picture.number - last.number - 1, 0)
+                last = picture
+            for topic, kind, payload, stamp in to_messages.of(picture):
+                self._offer(OfferedTopic(topic, kind))
+                number = picture.number
+                deliver(RawMessage(topic, kind, payload, stamp, arrival_ns, number, played))
             self._link, self._problem = "up", ""
         return False
+
+    def _offer(self, topic: OfferedTopic) -> None:
+        if topic not in self._offered:
+            self._offered = (*self._offered, topic)
 
     def _receiver(self, pictures: queue.Queue[_Picture], enough: threading.Event) -> Any:
         """Callback for the SDK's thread; playback of a recording is paced by it."""
@@ -309,61 +290,27 @@ def _pose(profile: Any, base: Any) -> np.ndarray | None:
     return pose
 
 
-class _Sender:
+class _Pictures(NamedTuple):
     """Pictures of one stream to messages."""
 
-    def __init__(
-        self,
-        deliver: Deliver,
-        messages: FrameMessages,
-        unit: float,
-        camera: Intrinsics,
-        played: int,
-        colour: _Colour | None,
-    ) -> None:
-        self.colour, self._topics = colour, dict[OfferedTopic, None]()
-        self._deliver, self._messages, self._unit, self._camera = deliver, messages, unit, camera
-        self._played = played
-        self._last: _Picture | None = None
-        self._began: tuple[float, int] | None = None
+    messages: FrameMessages
+    unit_m: float
+    camera: Intrinsics
+    colour: _Colour | None
 
-    def due_s(self, picture: _Picture) -> float:
-        """When a recording's picture is due, of `time.monotonic`."""
-        self._began = self._began or (time.monotonic(), picture.stamp_ns)
-        start, first_ns = self._began
-        return start + (picture.stamp_ns - first_ns) * 1e-9
-
-    def missed(self, picture: _Picture) -> int:
-        """Pictures the camera counted between the last one and this."""
-        if picture.colour:
-            return 0
-        last, self._last = self._last, picture
-        return 0 if last is None else max(picture.number - last.number - 1, 0)
-
-    def send(self, picture: _Picture) -> tuple[OfferedTopic, ...]:
-        """Deliver a picture's messages; their topics."""
-        arrival = picture.arrival_ns if self._began is None else time.time_ns()
-        for topic, kind, payload, stamp in self._messages_of(picture):
-            self._deliver(
-                RawMessage(topic, kind, payload, stamp, arrival, picture.number, self._played)
-            )
-            self._topics[OfferedTopic(topic, kind)] = None
-        return tuple(self._topics)
-
-    def _messages_of(self, picture: _Picture) -> Iterator[Message]:
+    def of(self, picture: _Picture) -> Iterator[Message]:
         raw = picture.raw
-        if picture.colour:
-            if self.colour is not None:
-                height, width = raw.shape[:2]
-                encoding, step = self.colour.encoding, raw.strides[0]
-                encoded = EncodedImage(encoding, raw.tobytes(), width, height, step)
-                image = ColourImage(lambda: encoded, camera=self.colour.camera)
-                yield from self._messages.of_colour(image, picture.stamp_ns)
-            return
-        depth_m = raw.astype(np.float32) * np.float32(self._unit)
-        depth_m[raw == 0] = np.nan
-        frame = Frame(picture.number, 0.0, depth_m, self._camera, stamp_ns=picture.stamp_ns)
-        yield from self._messages.of(frame)
+        if not picture.colour:
+            depth_m = raw.astype(np.float32) * np.float32(self.unit_m)
+            depth_m[raw == 0] = np.nan
+            frame = Frame(picture.number, 0.0, depth_m, self.camera, stamp_ns=picture.stamp_ns)
+            yield from self.messages.of(frame)
+        elif self.colour is not None:
+            height, width = raw.shape[:2]
+            step = raw.strides[0]
+            encoded = EncodedImage(self.colour.encoding, raw.tobytes(), width, height, step)
+            image = ColourImage(lambda: encoded, camera=self.colour.camera)
+            yield from self.messages.of_colour(image, picture.stamp_ns)
 
 
 def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSenseLive:
@@ -406,20 +353,8 @@ def serials(sdk: Any) -> tuple[str, ...]:
 
 
 def _intrinsics(found: Any) -> Intrinsics:
-    """Intrinsics as ours; InputError for a distortion model that we do not have."""
-    model = _MODELS.get(str(found.model).rsplit(".", 1)[-1])
-    coefficients = tuple(float(c) for c in found.coeffs)
-    if not any(coefficients):
-        model = "none"
-    if model is None:
-        raise InputError(f"the camera's distortion model {found.model} is not known")
-    return Intrinsics(
-        int(found.width),
-        int(found.height),
-        float(found.fx),
-        float(found.fy),
-        float(found.ppx),
-        float(found.ppy),
-        model,
-        coefficients if model != "none" else (),
-    )
+    """Intrinsics as ours; ValueError for a distortion model that we do not have."""
+    model = str(found.model).rsplit(".", 1)[-1]
+    distortion = distortion_of(model, np.array(found.coeffs, np.float64))
+    fx, fy, cx, cy = (float(value) for value in (found.fx, found.fy, found.ppx, found.ppy))
+    return Intrinsics(int(found.width), int(found.height), fx, fy, cx, cy, *distortion)

@@ -12,12 +12,11 @@ from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Bag, Messages
 from bubbleviz.frames.bags.bag import typestore
 from bubbleviz.live.raw_message import RawMessage, stamp_of
-from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
-from bubbleviz.live.sources.paced_thread import PacedThread
+from bubbleviz.live.sources.live_source import Deliver, LiveSource, OfferedTopic
 from bubbleviz.live.topic_names import TYPES, TopicNames
 
 
-class Replay:
+class Replay(LiveSource):
     """Messages of a recording, delivered when they are due.
 
     Parameters
@@ -40,10 +39,8 @@ class Replay:
         self, path: str | Path, *, speed: float = 1.0, loop: bool = False, realtime: bool = True
     ) -> None:
         self._bag = Bag(path)
-        self.name = self._bag.path.name
+        super().__init__(self._bag.path.name)
         self._speed, self._loop, self._realtime = speed, loop, realtime
-        self._names = TopicNames()
-        self._thread: PacedThread | None = None
         self._streams: list[Messages] = [
             self._bag.messages(topic)
             for topic in self._bag.topics
@@ -52,56 +49,29 @@ class Replay:
         if not any(len(stream) for stream in self._streams if stream.topic.type in TYPES):
             self._bag.close()
             raise InputError(f"{path}: has none of the messages used here; see bubbleviz info")
-
-    def start(self, deliver: Deliver) -> None:
-        """Begin to play."""
-        self._thread = PacedThread(lambda pace: self._run(pace, deliver), self.name)
+        self._offered = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
 
     def stop(self) -> None:
         """Stop playing and close the recording."""
-        if self._thread is not None:
-            self._thread.stop()
+        super().stop()
         self._bag.close()
 
-    def follow_colour(self, on: bool = True) -> None:
-        """Play colour images, too, or no more."""
-        self._names = TopicNames(with_colour=on)
-
-    def link(self) -> Link:
-        """`ended` at the end of the recording."""
-        if self._thread is None:
-            return "connecting"
-        return "up" if self._thread.running else "ended"
-
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        """Topics of the recording."""
-        return tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
-
-    def missed(self) -> int:
-        """None ever."""
-        return 0
-
-    def problem(self) -> str:
-        """What ended it early."""
-        return "" if self._thread is None else self._thread.problem
-
-    def _run(self, pace: PacedThread, deliver: Deliver) -> None:
+    def _run(self, deliver: Deliver) -> None:
+        self._link = "up"
         times = np.concatenate([stream.log_ns for stream in self._streams])
         which = np.repeat(np.arange(len(self._streams)), [len(s) for s in self._streams])
         number = np.concatenate([np.arange(len(s)) for s in self._streams])
         order = np.argsort(times, kind="stable")
         rows = [(int(which[k]), int(number[k]), int(times[k])) for k in order]
-        played = 0
-        while not pace.stopping:
+        colour, played = TopicNames(), 0
+        while True:
             start = time.monotonic()
             for stream, k, log_ns in rows:
                 due = start + (log_ns - rows[0][2]) * 1e-9 / self._speed
-                if self._realtime and not pace.wait_until(due):
-                    return
-                if pace.stopping:
+                if not self._wait_until(due if self._realtime else start):
                     return
                 topic = self._streams[stream].topic
-                if self._names.with_colour or not self._names.is_colour(topic.name, topic.type):
+                if self._with_colour or not colour.is_colour(topic.name, topic.type):
                     deliver(self._message(self._streams[stream], k, played))
             if not self._loop:
                 return

@@ -11,14 +11,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bubbleviz.errors import InputError
 from bubbleviz.frames.message_encoding import Encoding
 
-SCHEMES = {
-    "synthetic": "synthetic:[object][?rate=HZ&noise=RELATIVE]",
-    "replay": "replay:REC[?speed=X&loop=1]",
-    "zenoh": "zenoh:[tcp/HOST:PORT][?depth=/topic]",
-    "realsense": "realsense:[SERIAL | FILE.bag]",
-}
-"""Schemes, each with an example."""
-
 
 class SourceOptions(BaseModel):
     """Options of every scheme.
@@ -80,12 +72,13 @@ class RealSenseOptions(SourceOptions):
     loop: bool = False
 
 
-OPTIONS: dict[str, type[SourceOptions]] = {
-    "synthetic": SyntheticOptions,
-    "replay": ReplayOptions,
-    "zenoh": ZenohOptions,
-    "realsense": RealSenseOptions,
+_SCHEMES: dict[str, tuple[type[SourceOptions], str]] = {
+    "synthetic": (SyntheticOptions, "synthetic:[object][?rate=HZ&noise=RELATIVE]"),
+    "replay": (ReplayOptions, "replay:REC[?speed=X&loop=1]"),
+    "zenoh": (ZenohOptions, "zenoh:[tcp/HOST:PORT][?depth=/topic]"),
+    "realsense": (RealSenseOptions, "realsense:[SERIAL | FILE.bag]"),
 }
+"""Options of each scheme, and an example."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +92,7 @@ class SourceUri:
     scheme, place : str
         Before and behind the colon.
     options : SourceOptions
-        Of the scheme's own type in `OPTIONS`.
+        Of the scheme's own type.
     """
 
     text: str
@@ -127,12 +120,13 @@ def parse_uri(text: str) -> SourceUri:
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)
     except ValueError as error:
         raise _refusal(text, f"{error}; write name=value&name=value") from error
-    if parts.scheme not in SCHEMES:
-        raise _refusal(text, f"begin with one of {', '.join(SCHEMES.values())}")
+    if parts.scheme not in _SCHEMES:
+        examples = ", ".join(example for _, example in _SCHEMES.values())
+        raise _refusal(text, f"begin with one of {examples}")
     given = dict(pairs)
     if len(given) < len(pairs):
         raise _refusal(text, "an option is given twice")
-    model = OPTIONS[parts.scheme]
+    model, _ = _SCHEMES[parts.scheme]
     try:
         options = model.model_validate(given)
     except ValidationError as error:

@@ -22,8 +22,7 @@ from bubbleviz.frames.depth_topics import (
 )
 from bubbleviz.frames.message_decoding import COMPRESSED
 from bubbleviz.live.raw_message import RawMessage, stamp_of
-from bubbleviz.live.sources.live_source import Deliver, Link, OfferedTopic
-from bubbleviz.live.sources.paced_thread import PacedThread
+from bubbleviz.live.sources.live_source import Deliver, LiveSource, OfferedTopic
 from bubbleviz.live.sources.zenoh_keys import (
     TOKENS,
     Announced,
@@ -45,14 +44,13 @@ from bubbleviz.live.topic_names import TopicNames, is_used
 
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
 BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
-CLOSING_S = 2.0  # s; chosen
 LOOK_S = 0.1
 """How often newly announced topics are subscribed to, and the connection is looked at."""
 WHY_EVERY_S = 3.0
 """How often it is asked why a session does not come back: Zenoh tries every 2 s at least."""
 
 
-class ZenohSource:
+class ZenohSource(LiveSource):
     """Subscribes to every announced topic of a useful type, and to the topics named.
 
     Zenoh itself connects again when a connection is lost, with back-off; subscriptions outlive
@@ -67,23 +65,21 @@ class ZenohSource:
         ROS_DOMAIN_ID.
     """
 
+    closing_s = 2.0  # chosen: the thread may be waiting for a host that does not answer
+
     def __init__(
         self, options: SessionOptions, names: TopicNames | None = None, domain: int = 0
     ) -> None:
-        self.name = options.text
+        super().__init__(options.text)
         self._options, self._names, self._domain = options, names or TopicNames(), domain
         self._session: Any = None
         self._subscribers: dict[tuple[str, Layout], tuple[str, Any]] = {}  # with their type
         self._announced: dict[str, Announced] = {}
         self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._counts: dict[tuple[bytes, str], int] = {}
-        self._missed = 0
-        self._link: Link = "connecting"
-        self._no_session = ""
         self._lock = threading.Lock()
         self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
-        self._connector: PacedThread | None = None
         self._deliver: Deliver | None = None
 
     def start(self, deliver: Deliver) -> None:
@@ -93,23 +89,17 @@ class ZenohSource:
             self._session = open_session(self._options)
         else:
             make_config(self._options)  # a malformed endpoint is refused now
-        self._connector = PacedThread(self._keep, "zenoh connector")
+        super().start(deliver)
 
     def stop(self) -> None:
         """Close the session."""
         with self._gate:
             self._deliver = None
-        if self._connector is not None:
-            self._connector.stop(CLOSING_S)  # it may be waiting for a host that does not answer
-        self._link = "ended"
+        super().stop()
 
     def follow_colour(self, on: bool = True) -> None:
         """Subscribe to topics of colour images, too, at the next look, or no more."""
         self._names = replace(self._names, with_colour=on)
-
-    def link(self) -> Link:
-        """`lost` while Zenoh tries to connect again."""
-        return self._link
 
     def topics(self) -> tuple[OfferedTopic, ...]:
         """Announced topics of the types used here, by name."""
@@ -122,42 +112,41 @@ class ZenohSource:
             }
         return tuple(OfferedTopic(*topic) for topic in sorted(found))
 
-    def missed(self) -> int:
-        """Messages that publishers of rmw_zenoh counted and that never arrived."""
-        return self._missed
-
-    def problem(self) -> str:
-        """Why there is no session, or the error that ended the subscription thread."""
-        return self._no_session or ("" if self._connector is None else self._connector.problem)
-
     def _named(self) -> list[tuple[str, str]]:
+        """Topics chosen by name, with their types."""
         names = self._names
+        colour = names.colour if names.with_colour else None
         roles = (
             (names.depth, _image_type(names.depth)),
             (names.info, CAMERA_INFO),
             (names.pressure, PRESSURE),
             (names.wrench, WRENCH),
+            (colour, _image_type(colour)),
         )
         return [(topic, kind) for topic, kind in roles if topic is not None]
 
     def _on_token(self, sample: Any) -> None:
         self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
 
-    def _keep(self, pace: PacedThread) -> None:
-        if not self._connect(pace):
+    def _run(self, deliver: Deliver) -> None:
+        if not self._connect():
             return
         why, looked = "", time.monotonic()
         if self._options.connect is not None:  # a client's session is open once it is connected
             self._link = "up"
         try:
-            self._watch()
-            while pace.wait_until(time.monotonic() + LOOK_S):
+            self._subscribe_to_wanted()
+            liveliness = self._session.liveliness()
+            self._watchers = [
+                liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
+            ]
+            while self._wait_until(time.monotonic() + LOOK_S):
                 while not self._tokens.empty():
                     self._take_token(*self._tokens.get())
                 self._subscribe_to_wanted()
                 self._let_go_of_colour()
                 if connected(self._session):
-                    self._link, self._no_session, looked = "up", "", time.monotonic()
+                    self._link, self._problem, looked = "up", "", time.monotonic()
                 elif self._link != "connecting":
                     self._link = "lost"
                     if time.monotonic() - looked >= WHY_EVERY_S:
@@ -170,31 +159,22 @@ class ZenohSource:
         place = self._options.connect
         why = "" if place is None else why_no_session(place, self._options.credentials)
         if why == before:
-            self._no_session = why
+            self._problem = why
         return why
 
-    def _connect(self, pace: PacedThread) -> bool:
+    def _connect(self) -> bool:
         """Open the session, retrying with increasing intervals; False when stopped."""
         wait = BACK_OFF_S[0]
         while self._session is None:
             try:
                 self._session = open_session(self._options)
-                self._no_session = ""
+                self._problem = ""
             except InputError as error:  # no router or peer yet, or one with other passwords
-                self._no_session = error.why if isinstance(error, NotConnectedError) else ""
-                if not pace.wait_until(time.monotonic() + wait):
+                self._problem = error.why if isinstance(error, NotConnectedError) else ""
+                if not self._wait_until(time.monotonic() + wait):
                     return False
                 wait = min(1.5 * wait, BACK_OFF_S[1])
         return True
-
-    def _watch(self) -> None:
-        for topic, kind in self._named():
-            for layout in LAYOUTS:
-                self._subscribe(Announced(topic, kind, layout))
-        liveliness = self._session.liveliness()
-        self._watchers = [
-            liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
-        ]
 
     def _take_token(self, key: str, alive: bool) -> None:
         announced = parse_token(key, self._domain)
@@ -207,14 +187,13 @@ class ZenohSource:
                 self._announced.pop(key, None)
 
     def _subscribe_to_wanted(self) -> None:
-        """Subscribe to what was announced, but not to compressed images beside the same raw ones.
+        """Subscribe to what is named, and announced, but to no compressed images beside raw ones.
 
         Robots announce them for every camera, and compress only for who subscribes.
         """
-        if self._names.with_colour and self._names.colour is not None:
-            kind = _image_type(self._names.colour)
+        for topic, kind in self._named():
             for layout in LAYOUTS:
-                self._subscribe(Announced(self._names.colour, kind, layout))
+                self._subscribe(Announced(topic, kind, layout))
         with self._lock:
             announced = list(self._announced.values())
         there = {each.topic for each in announced}

@@ -1,0 +1,102 @@
+"""A recording is a stream that has ended: the frames of either have the same beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from streams import frames_of, recorded
+from wire import (
+    NOW,
+    PERIOD,
+    PRESSURE,
+    SECOND,
+    WRENCH,
+    arrived,
+    depth,
+    gas,
+    grey,
+    pressure,
+    wrench,
+)
+
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.live.assembler import FrameAssembler
+from bubbleviz.live.raw_message import RawMessage
+
+MS = 1_000_000
+
+
+def of_another_clock() -> list[RawMessage]:
+    """Gas pressure without stamps; the camera's clock is 40 s behind."""
+    frames = [depth(NOW - 40 * SECOND + k * PERIOD, k, NOW + k * PERIOD) for k in range(6)]
+    stampless = [
+        arrived("/gas", PRESSURE, pressure(0, 1e5 + 10 * k), 0, NOW + 20 * k * MS)
+        for k in range(10)
+    ]
+    return stampless + frames
+
+
+def with_jitter() -> list[RawMessage]:
+    """Stamps and arrivals of every topic waver, each at its own rate."""
+    rng, found = np.random.default_rng(0), list[RawMessage]()
+    for k in range(20):
+        stamp = NOW + k * PERIOD + int(rng.integers(0, 4 * MS))
+        found.append(depth(stamp, k, stamp + 9 * MS))
+    for k in range(100):
+        stamp = NOW - 5 * MS + 7 * k * MS + int(rng.integers(0, 2 * MS))
+        found.append(gas(stamp, 1e5 + float(rng.integers(0, 1000)), stamp + MS))
+        force = wrench(stamp, rng.uniform(-9.0, 9.0, 6).tolist())
+        found.append(arrived("/ft", WRENCH, force, stamp, stamp + 2 * MS))
+    return found
+
+
+def beyond_the_last(late_ms: int) -> list[RawMessage]:
+    """One gas pressure, and a frame after it."""
+    return [gas(NOW, 1.06e5), depth(NOW + late_ms * MS)]
+
+
+def with_colour() -> list[RawMessage]:
+    """Colour of two moments in three, a quarter of a period earlier."""
+    shown = [k for k in range(12) if k % 3]
+    images = [grey(NOW + k * PERIOD - PERIOD // 4, k) for k in shown]
+    return [*images, *(depth(NOW + k * PERIOD, k) for k in range(12))]
+
+
+def beside(frame: Frame) -> tuple[object, ...]:
+    """What belongs to a frame, with the colour of its moment and of a fifth of a second before."""
+    values = None if frame.wrench is None else tuple(frame.wrench.tolist())
+    find = frame.find_colour or (lambda _: None)
+    images = [find(lag_s) for lag_s in (0.0, -0.2)]
+    levels = [None if image is None else int(image.grey()[5, 5]) for image in images]
+    return round(frame.time_s, 9), frame.gas_pressure_pa, values, *levels
+
+
+@pytest.mark.parametrize(
+    ("messages", "has"),
+    [
+        (of_another_clock(), [100_000.0, 100_000.0 + PERIOD / 2 / MS]),
+        (with_jitter(), None),
+        (beyond_the_last(90), [1.06e5]),
+        (beyond_the_last(110), [None]),
+        (with_colour(), [None, None]),
+    ],
+    ids=["another clock", "jitter", "near the last", "far from it", "colour"],
+)
+def test_a_recording_and_its_stream_have_the_same_beside_each_frame(
+    tmp_path: Path, messages: list[RawMessage], has: list[float | None] | None
+) -> None:
+    messages = sorted(messages, key=lambda message: message.arrival_ns)
+    assembler = FrameAssembler()
+    assembler.follow_colour()
+    live = [beside(frame) for frame in frames_of(assembler, *messages)]
+    with Recording(recorded(tmp_path / "rec.mcap", messages)) as recording:
+        assert live == [beside(recording[k]) for k in range(len(recording))]
+    if has is None:
+        assert len({values for _, _, values, *_ in live}) == 20
+    else:
+        assert [value for _, value, *_ in live[:2]] == pytest.approx(has)
+    if "color" in "".join(message.topic for message in messages):
+        assert [level for *_, level, _ in live] == [k if k % 3 else None for k in range(12)]
