@@ -18,7 +18,6 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.camera.pixel_model import RangeLine
-from bubbleviz.export.vtk_export import VtkExporter
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
@@ -26,6 +25,7 @@ from bubbleviz.inverse.estimator import EstimatorOptions
 from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.membrane.symmetric_lu import symmetric_lu
+from bubbleviz.output.series import VtkSeries
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import load_object
@@ -165,7 +165,7 @@ class _Stages:
         expected = np.zeros(observer.blocks)
         ranges = observer.pixel_residuals(free.depth_m)
         line = RangeLine(1.0 + 0.1 * ranges, ranges, ranges - 0.01, ranges + 0.01, 2)
-        exporter = VtkExporter(self._folder, "frame", self._model.mesh)
+        exporter = VtkSeries(self._folder, "frame", self._model)
         tracker = exact.pipeline.tracker
         assert tracker is not None
         return {

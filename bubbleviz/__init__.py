@@ -15,40 +15,58 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bubbleviz.api.chosen_frames import open
+    from bubbleviz.api.batching import batch
     from bubbleviz.api.connecting import connect
+    from bubbleviz.api.converting import convert
+    from bubbleviz.api.estimating import estimate, register, track
+    from bubbleviz.api.exporting import export
+    from bubbleviz.api.frames import info, open
     from bubbleviz.api.identifying import identify
+    from bubbleviz.api.recording import publish, record
     from bubbleviz.api.simulating import simulate
-    from bubbleviz.api.solving import estimate, register, track
+    from bubbleviz.api.watching import watch
     from bubbleviz.errors import InputError
     from bubbleviz.sensor import load_sensor, save_sensor
 
 __version__ = "0.2.0"
+_PLACES = {
+    "InputError": "errors",
+    "batch": "api.batching",
+    "connect": "api.connecting",
+    "convert": "api.converting",
+    "estimate": "api.estimating",
+    "export": "api.exporting",
+    "identify": "api.identifying",
+    "info": "api.frames",
+    "load_sensor": "sensor",
+    "open": "api.frames",
+    "publish": "api.recording",
+    "record": "api.recording",
+    "register": "api.estimating",
+    "save_sensor": "sensor",
+    "simulate": "api.simulating",
+    "track": "api.estimating",
+    "watch": "api.watching",
+}
 __all__ = [
     "InputError",
+    "batch",
     "connect",
+    "convert",
     "estimate",
+    "export",
     "identify",
+    "info",
     "load_sensor",
     "open",
+    "publish",
+    "record",
     "register",
     "save_sensor",
     "simulate",
     "track",
+    "watch",
 ]
-
-_PLACES = {
-    "InputError": "bubbleviz.errors",
-    "connect": "bubbleviz.api.connecting",
-    "estimate": "bubbleviz.api.solving",
-    "identify": "bubbleviz.api.identifying",
-    "load_sensor": "bubbleviz.sensor",
-    "open": "bubbleviz.api.chosen_frames",
-    "register": "bubbleviz.api.solving",
-    "save_sensor": "bubbleviz.sensor",
-    "simulate": "bubbleviz.api.simulating",
-    "track": "bubbleviz.api.solving",
-}
 
 
 if not TYPE_CHECKING:  # else a misspelt name would be of any type
@@ -56,7 +74,8 @@ if not TYPE_CHECKING:  # else a misspelt name would be of any type
     def __getattr__(name: str) -> Any:
         if name not in _PLACES:
             raise AttributeError(f"module 'bubbleviz' has no attribute {name!r}")
-        found = globals()[name] = getattr(import_module(_PLACES[name]), name)
+        module = import_module(f"bubbleviz.{_PLACES[name]}")
+        found = globals()[name] = getattr(module, name)
         return found
 
 

@@ -240,7 +240,7 @@ def with_colour_delay(sensor: Sensor, colour_delay_s: float | None) -> Sensor:
     return sensor.model_copy(update={"camera": camera, "file": ""})
 
 
-def save_sensor(sensor: Sensor, path: str | Path) -> None:
+def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) -> None:
     """Write a sensor file, and under its name copies of the mesh and the pixels that it names.
 
     Parameters
@@ -248,6 +248,8 @@ def save_sensor(sensor: Sensor, path: str | Path) -> None:
     sensor : Sensor
     path : path
         `X.toml`.
+    overwrite : bool
+        Replace files of these names.
 
     Raises
     ------
@@ -261,13 +263,13 @@ def save_sensor(sensor: Sensor, path: str | Path) -> None:
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
         # Published last to first: the sensor file comes last, when what it names is there.
-        toml = files.enter_context(whole_file(path))
+        toml = files.enter_context(whole_file(path, overwrite=overwrite))
 
         def copied(name: str) -> str:
             there, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)
             if not there.is_file():
                 raise InputError(f"{there}: is not there any more; put it back or identify anew")
-            shutil.copyfile(there, files.enter_context(whole_file(copy)))
+            shutil.copyfile(there, files.enter_context(whole_file(copy, overwrite=overwrite)))
             return copy.name
 
         if membrane.mesh_file is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 import bubbleviz as bv
 from bubbleviz.api.connecting import Stream
-from bubbleviz.api.frame_result import FrameResult
+from bubbleviz.api.results import FrameResult
 
 SPEED_M_PER_S = 0.005
 VALID_S = 0.1  # three frames at 30 Hz

@@ -4,7 +4,7 @@
 
 Depth images, camera info and gas pressure come in; force and contact patch go out as
 `/bubbleviz/contact_wrench` and `/bubbleviz/contact_patch`, which `ros2 topic echo` shows on the
-robot (with `rmw_zenoh`, or its Zenoh bridge). `bubbleviz watch --publish-to` does that and more.
+robot (with `rmw_zenoh`, or its Zenoh bridge). `bubbleviz watch --connect` does that and more.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml

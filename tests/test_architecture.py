@@ -23,7 +23,7 @@ BY_NAME = {"getattr", "setattr", "delattr", "hasattr", "attrgetter"}
 """Functions that take the name of an attribute as text; pytest's `monkeypatch` has two of them."""
 PUBLIC_AFTER_ALL = {"_replace", "_asdict", "_fields", "_exit"}
 """Documented, of named tuples and `os`."""
-PICTURE = "bubbleviz.api.membrane_picture imports pyvista"
+PICTURE = "bubbleviz.api.results imports pyvista"
 """Of one frame in a notebook: VTK, when it is asked for, and no Qt."""
 WINDOW = {"bubbleviz_ui", "PySide6", "pyqtgraph", "pyvista", "pyvistaqt"}
 

@@ -199,7 +199,11 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
 
     def record(name: str, answer: object) -> object:
         def asking(
-            sensor: Sensor, *rest: object, fresh: bool = False, truth: Path | None = None
+            sensor: Sensor,
+            *rest: object,
+            fresh: bool = False,
+            truth: Path | None = None,
+            overwrite: bool = False,
         ) -> object:
             words = (*(("fresh",) if fresh else ()), *((truth,) if truth is not None else ()))
             asked.append((name, (sensor.name, *rest, *words)))

@@ -82,8 +82,8 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need() -> Non
         "from scipy import ndimage; assert ndimage.label([0, 1, 1])[1] == 1"
     )
     unneeded = (
-        "bubbleviz.commands.convert",
-        "bubbleviz.export.vtk_export",
+        "bubbleviz.api.converting",
+        "bubbleviz.output.series",
         "bubbleviz_ui.importing.import_dialog",
         "bubbleviz_ui.shell.text_dialogs",
         "matplotlib.figure",

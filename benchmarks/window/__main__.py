@@ -124,12 +124,12 @@ def bench_live(
         from benchmarks.window.window_soak import window_soak
 
         whole = window_soak(sensor, 60.0 * minutes, rate, out, size)
-        report(whole, None, as_json=as_json)
+        report(whole, as_json=as_json)
         return whole.soak.exit_code
     from benchmarks.window.live_soak import soak
 
     soaked = soak(sensor, 60.0 * minutes, rate, out)
-    report(soaked, None, as_json=as_json)
+    report(soaked, as_json=as_json)
     return soaked.exit_code
 
 
@@ -147,7 +147,7 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
     from bubbleviz.live.session_preset import load_session
 
     measured = pair_bench(load_session(session), seconds, rate)
-    report(measured, None, as_json=as_json)
+    report(measured, as_json=as_json)
     return measured.exit_code
 
 
@@ -161,7 +161,7 @@ def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
     from benchmarks.window.live_restarts import restart_bench
 
     seen = restart_bench(sensor, times, seed)
-    report(seen, None, as_json=as_json)
+    report(seen, as_json=as_json)
     return int(not seen.passed)
 
 

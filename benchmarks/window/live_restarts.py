@@ -12,7 +12,7 @@ from statistics import median
 from benchmarks.window.bench_window import live_window, recorded_run
 from benchmarks.window.live_soak import Publisher, depth_images
 from benchmarks.window.replay_rate import run_for
-from bubbleviz.commands.summary import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz_ui.live.connection import single

@@ -21,8 +21,8 @@ from mcap.reader import make_reader
 from mcap.records import Message
 
 from benchmarks.window.process_usage import resident_bytes
-from bubbleviz.commands.summary import Summary
-from bubbleviz.commands.watch import PRODUCTS, Watcher
+from bubbleviz.api.summary import Summary
+from bubbleviz.api.watching import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.live.live_stream import LiveStream

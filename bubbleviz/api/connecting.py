@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.sensor_matching import AUTO
 from bubbleviz.live.counters import Counters
 from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live.sources.auto_sensor import sensor_for_source
+from bubbleviz.live.sources.open_stream import open_stream, patience_s
 from bubbleviz.sensor import Sensor, load_sensor
 
 
@@ -45,6 +47,10 @@ class Stream:
         """What arrived, what was left out, and what is wrong with it."""
         return self.live.counters()
 
+    def sensor_or(self, sensor: str | Path | Sensor) -> Sensor:
+        """The stream's sensor for `auto`, or another one."""
+        return self.sensor if str(sensor) == AUTO else load_sensor(sensor)
+
     def __iter__(self) -> Iterator[Frame]:
         return self.live.each(self.take)
 
@@ -59,7 +65,7 @@ class Stream:
         self.close()
 
 
-def connect(source: str, sensor: str | Path | Sensor) -> Stream:
+def connect(source: str, sensor: str | Path | Sensor = AUTO) -> Stream:
     """Connect to a live source.
 
     Parameters
@@ -68,7 +74,7 @@ def connect(source: str, sensor: str | Path | Sensor) -> Stream:
         `zenoh:tcp/HOST:7447` (ROS 2 messages, no ROS here), `realsense:[serial]`, `replay:REC`,
         `synthetic:[object]`, each with options, `scheme:place?option=value&…`.
     sensor : str, path or Sensor
-        Sensor file or preset.
+        Sensor file or preset; `auto` waits for the first image and is the preset of its size.
 
     Returns
     -------
@@ -87,7 +93,20 @@ def connect(source: str, sensor: str | Path | Sensor) -> Stream:
     ...     for found in bv.estimate(stream):
     ...         print(found.force_n)
     """
-    loaded = load_sensor(sensor)
+    loaded = sensor_of(source, sensor)
     live = open_stream(source, loaded)
     live.start()
     return Stream(live, source, loaded)
+
+
+def sensor_of(source: str, sensor: str | Path | Sensor) -> Sensor:
+    """Sensor of a live source, found by its first image for `auto`."""
+    if not isinstance(sensor, Sensor):
+        sensor = sensor_for_source(source, str(sensor), patience_s(source))
+    return load_sensor(sensor)
+
+
+def offered(stream: LiveStream) -> str:
+    """Topics that a source has, in words."""
+    topics = ", ".join(topic.name for topic in stream.topics())
+    return f"topics there: {topics}" if topics else "no topics were found"

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from bubbleviz.api.blas_threads import OneBlasThread
-from bubbleviz.calibration.identification import Identification
+from bubbleviz.api.frames import parse_frames
+from bubbleviz.api.summary import Summary
+from bubbleviz.calibration.identification import Identification, collect_press, with_rubber
+from bubbleviz.calibration.identification import identify as identify_at_rest
+from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.calibration.save_identification import save
+from bubbleviz.calibration.save_identification import check_outputs, save
 from bubbleviz.calibration.surface.reference_surface import Name
-from bubbleviz.commands.identify import identify_with_levels
+from bubbleviz.calibration.validation import KnownPress, Validation
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing, set_aside
+from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.frames.kept_frames import KeptFrames
+from bubbleviz.frames.recording import Recording
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
 
 
-@dataclass(frozen=True)
-class Identified:
-    """An identified sensor that is not in a file yet.
+@dataclass
+class Identified(Summary):
+    """An identified sensor, in a file once it is saved.
 
     Attributes
     ----------
@@ -31,11 +41,21 @@ class Identified:
         The frames it was made from.
     started_from : str
         Name of the sensor file it started from.
+    validation : Validation or None
+        By a known press, where one was given.
+    numbers : dict
+        Of the report, SI units, with `verdict`; empty until it is saved.
+    out, report : Path or None
+        Where it was saved.
     """
 
     found: Identification
     source: FrameSource
     started_from: str
+    validation: Validation | None = None
+    numbers: dict[str, Any] = field(default_factory=dict)
+    out: Path | None = None
+    report: Path | None = None
 
     @property
     def tension_n_per_m(self) -> float:
@@ -58,7 +78,14 @@ class Identified:
         """Pre-stretch λ of the rubber; None where neither levels nor a press tell it."""
         return self.found.sensor.membrane.prestretch
 
-    def save(self, out: str | Path, report: str | Path | None = None) -> dict[str, Any]:
+    def save(
+        self,
+        out: str | Path,
+        report: str | Path | None = None,
+        *,
+        overwrite: bool = False,
+        progress: Progress = quiet,
+    ) -> dict[str, Any]:
         """Write X.toml with its pixels and mesh beside it, and a report where it is asked for.
 
         Parameters
@@ -67,6 +94,9 @@ class Identified:
             X.toml.
         report : path, optional
             New folder for HTML and JSON.
+        overwrite : bool
+            Replace files of these names, and a folder of such files.
+        progress : Progress
 
         Returns
         -------
@@ -78,24 +108,60 @@ class Identified:
         InputError
             A file exists or cannot be written; nothing is written then.
         """
-        folder = None if report is None else Path(report)
-        return save(self.found, self.source, self.started_from, Path(out), folder)
+        out, folder = Path(out), None if report is None else Path(report)
+        where = self.found, self.source, self.started_from, out, folder
+        with set_aside(*_files(out, folder)) if overwrite else nullcontext():
+            self.numbers = save(*where, progress, self.validation)
+        self.out, self.report = out, folder
+        return self.numbers
+
+    def facts(self) -> dict[str, Any]:
+        """The numbers of the report; before it is saved tension, gauge pressure and pre-stretch."""
+        return self.numbers or {
+            "tension_n_per_m": self.tension_n_per_m,
+            "tension_interval_n_per_m": self.tension_interval_n_per_m,
+            "gauge_pressure_pa": self.gauge_pressure_pa,
+            "prestretch": self.prestretch,
+        }
+
+    def to_text(self) -> str:
+        """Verdict and advice for people, and what was written."""
+        if not self.numbers:
+            return repr(self)
+        verdict = self.numbers["verdict"]
+        report = f" and {self.report / 'report.html'}" if self.report else ""
+        advice = (f"- {line}" for line in verdict["advice"])
+        return "\n".join([verdict["summary"], *advice, f"wrote {self.out}{report}"])
 
     def __repr__(self) -> str:
         low, high = self.tension_interval_n_per_m
         return f"<γ0 {self.tension_n_per_m:.2f} N/m, 95 % within {low:.2f}…{high:.2f}>"
 
 
+def _files(out: Path, report: Path | None) -> list[Path]:
+    """What is replaced; InputError where that is no file of ours."""
+    files = [out, out.with_suffix(".ply"), out.with_suffix(".npz"), *filter(None, [report])]
+    for each in files:
+        refuse_existing(each, overwrite=True)
+    return files
+
+
 def identify(
     frames: FrameSource,
     sensor: str | Path | Sensor,
     *,
-    contact_free: Sequence[int] | None = None,
+    contact_free: Sequence[int] | str | None = None,
     surface: Name | None = None,
     nodes: int = 1000,
-    levels: Iterable[FrameSource] = (),
-    vented: FrameSource | None = None,
+    levels: Iterable[FrameSource | str | Path] = (),
+    vented: FrameSource | str | Path | None = None,
     held_press: bool = True,
+    object: str | None = None,
+    pose: str | None = None,
+    pressed: str | None = None,
+    out: str | Path | None = None,
+    report: str | Path | None = None,
+    overwrite: bool = False,
     progress: Progress = quiet,
 ) -> Identified:
     """Identify tension γ0, reference surface and pixels of an untouched sensor.
@@ -106,20 +172,25 @@ def identify(
         Of a recording that begins without contact.
     sensor : str, path or Sensor
         What to start from: name, camera pose, gauge pressure, chamber volume.
-    contact_free : sequence of int, optional
-        Indices into `frames`; found where not given.
+    contact_free : sequence of int or str, optional
+        Indices into `frames`, or "A:B"; found where not given.
     surface : {"sphere", "ellipsoid", "free-form"}, optional
         In place of the data's choice.
     nodes : int
         Of the mesh.
-    levels : iterable of Frames
+    levels : iterable of Frames or path
         The untouched sensor at other inflation levels: better pixels and, where gas pressures were
         recorded, pre-stretch λ and gauge pressure.
-    vented : Frames, optional
+    vented : Frames or path, optional
         The chamber open: its gas pressure is the atmospheric one.
     held_press : bool
         Whether a press in `frames` that is held is asked for λ and gauge pressure where there are
         no levels.
+    object, pose, pressed : str, optional
+        Validate by a known press in `frames`: mesh file or preset, its T_B_O as
+        "x y z qx qy qz qw" (m, unit quaternion), and the frames "A:B" in which it is held still.
+    out, report, overwrite
+        As of `Identified.save`, which is done at the end where `out` is given.
     progress : callable
         Told each step and how far it is.
 
@@ -139,20 +210,59 @@ def identify(
     >>> found = bv.identify(bv.open("rest.mcap"), "punyo_oval_d405")
     >>> found.save("mine.toml", report="report")
     """
+    if out is not None:  # before the work
+        files = Path(out), None if report is None else Path(report)
+        _files(*files) if overwrite else check_outputs(*files)
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
-    started = load_sensor(sensor)
-    source = KeptFrames(frames)
+    sensor, source, opened = load_sensor(sensor), KeptFrames(frames), None
+    if isinstance(contact_free, str):
+        contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
+    press = _known_press(source, object, pose, pressed)
     with OneBlasThread():
-        opened = None if vented is None else Vented.measure(vented)
-        found = identify_with_levels(
-            source,
-            started if opened is None else opened.set_in(started),
-            contact_free,
-            nodes=nodes,
-            surface=surface,
-            levels=levels,
-            vented=opened,
-            held_press=held_press,
-            progress=progress,
+        if vented is not None:
+            with _opened(vented) as chamber:
+                opened = Vented.measure(chamber)
+            sensor = opened.set_in(sensor)
+        found = identify_at_rest(
+            source, sensor, contact_free, nodes=nodes, surface=surface, progress=progress
         )
-    return Identified(found, source, name)
+        measured = []
+        for level in levels:
+            with _opened(level) as frames_of_level:
+                measured.append(Level.measure(KeptFrames(frames_of_level), sensor, nodes, progress))
+        found = rectify(found, measured)
+        held = collect_press(source, found, progress) if held_press else None
+        progress("stretching rubber", 0.0)
+        inflated = [each.samples for each in measured if each.samples]
+        found = with_rubber(found, inflated, opened, held)
+        validation = None
+        if press is not None:
+            progress("predicting the known press", 0.0)
+            validation = press.validate(found.model, source)
+    identified = Identified(found, source, name, validation)
+    if out is not None:
+        identified.save(out, report, overwrite=overwrite, progress=progress)
+    return identified
+
+
+@contextmanager
+def _opened(frames: FrameSource | str | Path) -> Iterator[FrameSource]:
+    """Frames, or those of a recording while they are looked at."""
+    if not isinstance(frames, str | Path):
+        yield frames
+        return
+    with Recording(frames) as recording:
+        yield recording
+
+
+def _known_press(
+    source: FrameSource, obj: str | None, pose: str | None, pressed: str | None
+) -> KnownPress | None:
+    """What to validate by, refused before the work where it cannot be read."""
+    if obj is None and pose is None and pressed is None:
+        return None
+    if obj is None or pose is None or pressed is None:
+        raise InputError("validation needs --object, --pose and --pressed together")
+    load_object(obj), parse_pose(pose)
+    frames = parse_frames(pressed, len(source), source.name, "--pressed")
+    return KnownPress(obj, pose, frames.start, frames.stop)

@@ -1,19 +1,28 @@
-"""Presses that never happened, with the truth behind them."""
+"""Simulated presses with ground truth."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
-from typing import Literal, Self, overload
+from typing import Any, Literal, Self, overload
 
 import numpy as np
 
 from bubbleviz.api.blas_threads import OneBlasThread
-from bubbleviz.api.chosen_frames import Frames
-from bubbleviz.commands.simulate import simulated_press, write_simulation
+from bubbleviz.api.frames import Frames
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing, whole_file
+from bubbleviz.files.pose_reader import parse_pose, read_path
 from bubbleviz.frames.frame import Frame
-from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import Sensor
+from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.membrane.gap import checked_pose
+from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation.press_path import press_path
 from bubbleviz.simulation.printed_speckle import Speckle
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.simulation.truth import Truth
@@ -45,16 +54,25 @@ class Simulation(Frames):
         with OneBlasThread():
             return self.source.truth(self.chosen[index])
 
-    def save(self, recording: str | Path, truth: str | Path | None = None) -> None:
+    def save(
+        self,
+        out: str | Path,
+        truth: str | Path | None = None,
+        *,
+        overwrite: bool = False,
+        progress: Progress = quiet,
+    ) -> None:
         """Write all frames as a recording, and TRUTH.npz where it is asked for.
 
         Raises
         ------
         InputError
             A file exists or cannot be written; nothing is written then.
+        SolveError
+            No equilibrium at a pose; nothing is written.
         """
         with OneBlasThread():
-            write_simulation(self.source, Path(recording), None if truth is None else Path(truth))
+            write_simulation(self.source, out, truth, overwrite=overwrite, progress=progress)
 
 
 def simulate(
@@ -132,19 +150,76 @@ def simulate(
         holes=holes,
         outliers=outliers,
     )
+    sensor, obj, times = load_sensor(sensor), load_object(object), None
+    moved = drag_m != 0.0 or twist_rad != 0.0
     with OneBlasThread():
-        source = simulated_press(
+        if isinstance(pose, Path):
+            poses, times = read_path(pose)
+        else:
+            poses = parse_pose(pose) if isinstance(pose, str) else np.asarray(pose, np.float64)
+            if poses.ndim == 2 and moved:
+                mesh, moved = build_mesh(sensor), False
+                poses = press_path(obj, checked_pose(poses), mesh, frames, drag_m, twist_rad)
+            elif poses.ndim == 2:
+                poses = np.repeat(poses[None], frames, axis=0)
+        if moved:
+            raise InputError("drag and twist: give one pose to press to, not a path")
+        source = SyntheticSource(
             sensor,
-            object,
-            pose,
+            obj,
+            poses,
             noise,
-            frames=frames,
-            rate_hz=rate_hz,
-            seed=seed,
+            rate_hz,
+            seed,
+            times_s=times,
             model=model,
             friction=friction,
-            drag_m=drag_m,
-            twist_rad=twist_rad,
             texture=Speckle(seed=seed) if texture else None,
         )
     return Simulation(source)
+
+
+def write_simulation(
+    source: SyntheticSource,
+    out: str | Path,
+    truth: str | Path | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress = quiet,
+) -> None:
+    """Write all frames of a source, and TRUTH.npz where it is asked for; as `Simulation.save`."""
+    for path in (out, truth) if truth else (out,):
+        refuse_existing(path, overwrite=overwrite)
+    truths: list[Truth] = []
+    with ExitStack() as stack:
+        temporary = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None
+        writer = stack.enter_context(RecordingWriter(out, overwrite=overwrite))
+        for index in range(len(source)):
+            writer.write(source[index])
+            if temporary:
+                truths.append(source.truth(index))
+            progress("simulating", (index + 1) / len(source))
+        if temporary:
+            arrays: dict[str, Any] = _truth_arrays(source, truths)
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, **arrays)
+
+
+def _truth_arrays(source: SyntheticSource, truths: list[Truth]) -> dict[str, np.ndarray]:
+    """Arrays of TRUTH.npz: the names of RESULT.npz, on the simulation's mesh, and T_B_O."""
+    mesh = source.mesh
+    touched = [np.isfinite(t.center_of_pressure_m[0]) for t in truths]
+    return {
+        "frame": np.arange(len(truths)),
+        "time_s": source.times_s[: len(truths)],
+        "status": np.where(touched, "ok", "no_contact"),
+        "nodes_m": mesh.nodes,
+        "normals": mesh.normals,
+        "triangles": mesh.triangles,
+        "rim": mesh.rim,
+        "T_B_O": source.poses[: len(truths)],
+        **{
+            field.name: np.stack([getattr(truth, field.name) for truth in truths])
+            for field in fields(Truth)
+        },
+    }

@@ -141,29 +141,10 @@ def identify(
     surface: Name | None = None,
     progress: Progress = quiet,
 ) -> Identification:
-    """Identify a sensor from contact-free frames.
+    """Identify a sensor from contact-free frames; arguments and errors of `bubbleviz.identify`.
 
-    Parameters
-    ----------
-    source : FrameSource
-        Recording that starts without contact.
-    sensor : Sensor
-        Name, camera pose (its rim plane and axes are kept), gauge pressure, chamber volume; what
-        the recording tells better (intrinsics, gas pressure) is taken from there.
-    contact_free : sequence of int, optional
-        Frames to use; found by themselves where not given.
-    nodes : int
-        Target number of nodes of the mesh.
-    surface : {"sphere", "ellipsoid", "free-form"}, optional
-        The operator's choice, in place of the data's.
-    progress : Progress
-
-    Raises
-    ------
-    InputError
-        Whatever makes the answer worthless: too few contact-free frames, frames of another
-        camera or in another unit, no gauge pressure, no dome, half of it unseen, a moving
-        camera, contact all along.
+    Name, camera pose (its rim plane and axes are kept), gauge pressure and chamber volume are the
+    given sensor's; what the recording tells better (intrinsics, gas pressure) is taken from there.
     """
     with errors_name(source):
         chosen = contact_free

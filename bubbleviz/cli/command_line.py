@@ -12,12 +12,7 @@ from typing import Any, NoReturn
 import click
 
 import bubbleviz
-from bubbleviz.cli.batch_command import batch
-from bubbleviz.cli.convert_command import convert
-from bubbleviz.cli.export_command import export
-from bubbleviz.cli.identify_command import identify
-from bubbleviz.cli.live_commands import publish, record, watch
-from bubbleviz.cli.recording_commands import estimate, info, pose, simulate
+from bubbleviz.cli import verb_commands
 from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.wording import how_to_install
@@ -27,6 +22,8 @@ WINDOW_GROUP = "bubbleviz.commands"
 WINDOW_COMMANDS = ("open", "window")
 MOVED = {"bench": "python -m benchmarks.window"}
 """Commands of version 0.2 that a checkout has, and what does their work there."""
+OTHER_NAMES = {"track": "pose"}
+"""Commands under the name that their function has in Python."""
 WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
 INSTALL = f"is not installed; run {how_to_install('window')}"
 
@@ -101,6 +98,7 @@ class AllCommands(OneLineErrors):
         InputError
             It is a command of the window, which is not installed, or one that is elsewhere now.
         """
+        name = OTHER_NAMES.get(name, name)
         if name in self.commands:
             return self.commands[name]
         if name in MOVED:
@@ -132,8 +130,6 @@ def main(context: click.Context, fresh: bool) -> Any:
     return context.invoke(window, fresh=fresh)
 
 
-for command in (
-    *(batch, convert, estimate, export, identify, info, pose),
-    *(publish, record, simulate, study, watch),
-):
-    main.add_command(command)
+for command in (*vars(verb_commands).values(), study):
+    if isinstance(command, click.Command):
+        main.add_command(command)

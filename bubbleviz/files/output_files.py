@@ -7,30 +7,36 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from bubbleviz.errors import InputError
 
+_OURS = {
+    *(".csv", ".parquet", ".npz", ".json", ".html", ".toml", ".ply", ".pvd", ".vtp", ".series"),
+    *(".png", ".svg", ".pdf", ".mcap", ".yaml"),
+}
+"""Suffixes of files that this program writes into folders."""
 _CANNOT_WRITE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
+def whole_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Temporary path beside `path` that becomes `path` when the block ends without an error.
 
     Write a file or a folder at the temporary path, which does not exist yet and ends like
-    `path` (some writers choose the format by it). When the block raises, nothing remains.
+    `path` (some writers choose the format by it). When the block raises, nothing remains of it,
+    and what `overwrite` would have replaced is as it was.
 
     Raises InputError: `path` exists, its folder does not, or the disk refuses.
     """
     path = Path(path)
-    refuse_existing(path)
-    beginning = path.stem[:50]  # a name as long as the disk takes leaves no room for more
-    temporary = path.parent / f".{beginning}.{secrets.token_hex(4)}{path.suffix}"
+    refuse_existing(path, overwrite=overwrite)
+    temporary = _beside(path)
     try:
         yield temporary
-        _publish(temporary, path)
+        with set_aside(path) if overwrite and temporary.is_dir() else nullcontext():
+            _publish(temporary, path, overwrite=overwrite)
     except OSError as error:
         if error.errno in _CANNOT_WRITE or error.filename == str(temporary):
             raise cannot_write(path, error) from error
@@ -39,15 +45,46 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         _discard(temporary)
 
 
-def refuse_existing(path: str | Path) -> None:
-    """Raise InputError unless a new file can be made at `path`; ask before long work."""
+@contextmanager
+def set_aside(*paths: Path) -> Iterator[None]:
+    """Keep what is at some paths under hidden names; it is back there if the block raises.
+
+    For outputs that have to be written in place, or are several.
+    """
+    kept = {path: _beside(path) for path in paths if os.path.lexists(path)}
+    for path, aside in kept.items():
+        path.rename(aside)
+    try:
+        yield
+    except BaseException:
+        for path, aside in kept.items():
+            _discard(path)
+            aside.rename(path)
+        raise
+    for aside in kept.values():
+        _discard(aside)
+
+
+def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
+    """Raise InputError unless a file can be made at `path`; ask before long work.
+
+    With `overwrite` a file may be there, or a folder that holds nothing but files of the kinds that
+    this program writes.
+    """
     path = Path(path)
     try:
         exists, parent_exists = os.path.lexists(path), path.parent.is_dir()
     except (OSError, ValueError) as error:
         raise cannot_write(path, error) from error
-    if exists:
+    if exists and not overwrite:
         raise _exists(path)
+    if exists and path.is_dir():
+        for each in path.iterdir():
+            if each.is_dir() or each.suffix.lower() not in _OURS:
+                raise InputError(
+                    f"{path}: holds {each.name}, which bubbleviz did not write; choose another "
+                    "folder, or move that away"
+                )
     if not parent_exists:
         raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):
@@ -62,8 +99,17 @@ def free_name(path: Path) -> Path:
     return free
 
 
-def _publish(temporary: Path, path: Path) -> None:
+def _beside(path: Path) -> Path:
+    """Hidden name in the same folder that is not taken."""
+    beginning = path.stem[:50]  # a name as long as the disk takes leaves no room for more
+    return path.parent / f".{beginning}.{secrets.token_hex(4)}{path.suffix}"
+
+
+def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
     """Move into place; a file that appeared at `path` meanwhile is refused, not replaced."""
+    if overwrite and temporary.is_file() and not path.is_dir():
+        temporary.replace(path)
+        return
     if temporary.is_dir():
         if os.path.lexists(path):
             raise _exists(path)

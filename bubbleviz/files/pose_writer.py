@@ -70,7 +70,9 @@ class PoseRow:
 _AREAS = ("patch_area_m2", "object_patch_area_m2")
 
 
-def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]) -> int:
+def write_poses(
+    path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"], *, overwrite: bool = False
+) -> int:
     """Write POSES.csv, or a TUM trajectory of the frames that are `ok`; count of lines.
 
     The areas of both patches are columns where any frame has that by the object. A TUM line is
@@ -79,7 +81,7 @@ def write_poses(path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"]
     Raises InputError: the file exists or cannot be written.
     """
     rows = list(rows)
-    with whole_file(path) as temporary:
+    with whole_file(path, overwrite=overwrite) as temporary:
         if form == "csv":
             areas = any(np.isfinite(row.object_patch_area_m2) for row in rows)
             write_rows(temporary, [row.columns(areas=areas) for row in rows])

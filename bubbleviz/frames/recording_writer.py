@@ -33,6 +33,8 @@ class RecordingWriter:
         What the topic names begin with.
     frame_id : str
         Name of the camera's frame in the headers.
+    overwrite : bool
+        Replace what is at `path`.
 
     Raises
     ------
@@ -47,16 +49,18 @@ class RecordingWriter:
         encoding: Encoding = "32FC1",
         prefix: str = "/bubble",
         frame_id: str = "bubble_depth_optical_frame",
+        overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self.count = 0
         self._messages = FrameMessages(encoding, prefix, frame_id)
         self._open_files = ExitStack()
+        self._overwrite = overwrite
         self._file: McapFile
 
     def __enter__(self) -> RecordingWriter:
         with ExitStack() as stack:
-            temporary = stack.enter_context(whole_file(self.path))
+            temporary = stack.enter_context(whole_file(self.path, overwrite=self._overwrite))
             self._file = McapFile(temporary, name=self.path.name, chunk_bytes=CHUNK_BYTES)
             stack.push(self._finish)
             self._open_files = stack.pop_all()

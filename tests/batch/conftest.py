@@ -10,12 +10,12 @@ from small_press import write_press, write_small_sensor
 
 
 @pytest.fixture(scope="session")
-def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sensor(tmp_path_factory):
     return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
 
 
 @pytest.fixture(scope="session")
-def originals(tmp_path_factory: pytest.TempPathFactory, sensor: Path) -> Path:
+def originals(tmp_path_factory, sensor):
     """Three good recordings, one of them in a folder below."""
     folder = tmp_path_factory.mktemp("recordings")
     (folder / "day 1").mkdir()
@@ -26,6 +26,6 @@ def originals(tmp_path_factory: pytest.TempPathFactory, sensor: Path) -> Path:
 
 
 @pytest.fixture
-def recordings(originals: Path, tmp_path: Path) -> Path:
+def recordings(originals, tmp_path):
     """A copy that a test may change."""
     return Path(shutil.copytree(originals, tmp_path / "in"))

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,34 +17,36 @@ import pytest
 from click.testing import CliRunner
 from small_press import write_press
 
-from bubbleviz.batch.batch_job import Job, Settings, run_job
-from bubbleviz.batch.batch_summary import BatchSummary
-from bubbleviz.batch.find_recordings import find_recordings
-from bubbleviz.batch.local_processes import run_in_processes
-from bubbleviz.batch.summary_row import Row
+import bubbleviz as bv
+from bubbleviz.api.batching import (
+    BatchSummary,
+    Job,
+    Row,
+    find_recordings,
+    run_in_processes,
+    run_job,
+)
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import estimate_recording
 from bubbleviz.errors import InputError
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
 LONG = 500  # frames
-Eventually = Callable[[Callable[[], object]], None]
 FILES = {"result.npz", "result.csv", "summary.json"}
 
 
-def batch(*words: str | Path) -> subprocess.CompletedProcess[str]:
+def batch(*words):
     return subprocess.run([*COMMAND, *map(str, words)], capture_output=True, text=True, check=False)
 
 
-def resumed(*words: str | Path) -> dict[str, str]:
+def resumed(*words):
     """What the command says of each recording when it goes on, in this process."""
     done = CliRunner().invoke(main, ["batch", *map(str, words), "--resume", "--json"])
     assert done.exit_code == 0, done.stderr
     return {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
 
 
-def start(*words: str | Path) -> subprocess.Popen[str]:
+def start(*words):
     """The command in a session of its own, as a terminal would have it."""
     return subprocess.Popen(
         [*COMMAND, *map(str, words)],
@@ -56,30 +57,30 @@ def start(*words: str | Path) -> subprocess.Popen[str]:
     )
 
 
-def table_of(out: Path) -> dict[str, dict[str, str]]:
+def table_of(out):
     with (out / "summary.csv").open(newline="", encoding="utf-8") as file:
         return {row["recording"]: row for row in csv.DictReader(file)}
 
 
-def hidden_in(out: Path) -> list[str]:
+def hidden_in(out):
     """Temporary files."""
     return [path.name for path in out.rglob(".*") if path.name != ".batch.lock"]
 
 
-def lives(process: psutil.Process) -> bool:
+def lives(process):
     """Whether a process does anything still."""
     return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
 
 
 @pytest.fixture(scope="module")
-def long_original(sensor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def long_original(sensor, tmp_path_factory):
     """Takes longer than a worker outlives its parent: 0.2 s."""
     path = tmp_path_factory.mktemp("long") / "z.mcap"
     return write_press(path, sensor, (0.044, 0.043) * (LONG // 2))
 
 
 @pytest.fixture
-def long_recording(long_original: Path, recordings: Path) -> Path:
+def long_recording(long_original, recordings):
     """One more among the others."""
     return Path(shutil.copy(long_original, recordings))
 
@@ -87,7 +88,7 @@ def long_recording(long_original: Path, recordings: Path) -> Path:
 # -- one bad recording among good ones, and once more ------------------------------------------
 
 
-def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path: Path) -> None:
+def test_good_and_corrupted_recordings(recordings, sensor, tmp_path):
     good = (recordings / "a.mcap").read_bytes()
     (recordings / "bad.mcap").write_bytes(good[:1000])
     out = tmp_path / "out"
@@ -111,26 +112,22 @@ def test_good_and_corrupted_recordings(recordings: Path, sensor: Path, tmp_path:
     assert told == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
 
 
-def test_a_recording_that_ends_early_says_so(
-    recordings: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_a_recording_that_ends_early_says_so(recordings, sensor, tmp_path):
     cut = recordings / "cut.mcap"
     record = [*COMMAND[:-1], "record", "--source", f"replay:{recordings / 'a.mcap'}", "--out", cut]
     subprocess.run(record, check=True, capture_output=True)
     cut.write_bytes(cut.read_bytes()[:-40])
-    row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), Settings(str(sensor))))
+    row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), str(sensor), {}))
     assert row.outcome == "done"
     assert "ends early" in row.note
     told = BatchSummary("t", [row]).to_text()
     assert "cut.mcap: cut.mcap ends early" in told
 
 
-def test_numbers_are_those_of_the_command_estimate(
-    recordings: Path, sensor: Path, tmp_path: Path
-) -> None:
-    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), Settings(str(sensor)))
+def test_numbers_are_those_of_the_command_estimate(recordings, sensor, tmp_path):
+    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), str(sensor), {})
     row = run_job(job)
-    summary = estimate_recording(recordings / "a.mcap", sensor, tmp_path / "alone.npz")
+    run = bv.estimate(bv.open(recordings / "a.mcap"), sensor, out=tmp_path / "alone.npz")
     with np.load(tmp_path / "a" / "result.npz") as one, np.load(tmp_path / "alone.npz") as two:
         for key in ("force_n", "contact_pressure_pa", "patch_mask", "status"):
             np.testing.assert_array_equal(one[key], two[key])
@@ -138,41 +135,43 @@ def test_numbers_are_those_of_the_command_estimate(
         touching = two["patch_area_m2"] > 0.0
         residual = two["residual_rms_m"]
     assert (row.outcome, row.frames, row.contact_frames) == ("done", 5, touching.sum())
-    assert row.max_force_n == pytest.approx(summary.max_force_n, rel=1e-12)
+    assert row.max_force_n == pytest.approx(run.facts()["max_force_n"], rel=1e-12)
     assert row.max_force_n == pytest.approx(size.max())
     assert row.mean_contact_force_n == pytest.approx(size[touching].mean())
-    assert row.median_residual_rms_m == summary.median_residual_rms_m
+    assert row.median_residual_rms_m == run.facts()["median_residual_rms_m"]
     assert (row.worst_frame, row.worst_residual_rms_m) == (np.argmax(residual), residual.max())
 
 
-def test_the_frame_to_look_at_is_one_not_to_be_trusted(tmp_path: Path) -> None:
-    path = tmp_path / "result.npz"
-    np.savez(
-        path,
-        frame=[10, 20, 30, 40],
-        status=["ok", "no_data", "implausible", "no_contact"],
-        force_n=[[0, 3, 4], [np.nan] * 3, [np.nan] * 3, [0, 0, 0]],
-        measured_force_n=[4.0, 9.0, 9.0, 0.1],
-        patch_area_m2=[1e-4, np.nan, np.nan, 0],
-        residual_rms_m=[9e-3, np.nan, np.nan, 1e-4],
-        total_ms=[100, 2, 3, 4],
-        kappa=[np.nan] * 4,
-    )
-    row = Row.of_result("r", "s", path)
+def test_the_frame_to_look_at_is_one_not_to_be_trusted():
+    nan = float("nan")
+    values = {
+        "frame": [10, 20, 30, 40],
+        "status": ["ok", "no_data", "implausible", "no_contact"],
+        "force_n": [[0, 3, 4], [nan] * 3, [nan] * 3, [0, 0, 0]],
+        "measured_force_n": [4.0, 9.0, 9.0, 0.1],
+        "patch_area_m2": [1e-4, nan, nan, 0],
+        "residual_rms_m": [9e-3, nan, nan, 1e-4],
+        "total_ms": [100, 2, 3, 4],
+        "solve_ms": [1, 1, 1, 1],
+        "kkt_residual": [0, nan, nan, 0],
+    }
+    rows = [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]
+    row = Row.of("r", rows, {"sensor": "s", "warning": None, "kappa": None})
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
     assert (row.max_force_n, row.mean_contact_force_n, row.median_ms) == (5.0, 5.0, 3.0)
     assert row.mean_contact_measured_force_n == 4.0
-    again = Row.from_dict(json.loads(row.to_json()))
-    assert again.to_json() == row.to_json()
+    said = BatchSummary("t", [row]).to_json()
+    again = Row.from_dict(json.loads(said)["rows"][0])
+    assert BatchSummary("t", [again]).to_json() == said
 
 
 @pytest.mark.parametrize("change", ["settings", "sensor", "recording", "nothing", "summary"])
-def test_what_is_done_again(change: str, recordings: Path, sensor: Path, tmp_path: Path) -> None:
+def test_what_is_done_again(change, recordings, sensor, tmp_path):
     own = Path(shutil.copy(sensor, tmp_path / "own.toml"))
-    job = Job("b", str(recordings / NAMES[1]), str(tmp_path / "b"), Settings(str(own)))
+    job = Job("b", str(recordings / NAMES[1]), str(tmp_path / "b"), str(own), {})
     assert run_job(job).outcome == "done"
     if change == "settings":
-        job = Job(job.name, job.recording, job.out, Settings(str(own), kappa=2.0))
+        job = Job(job.name, job.recording, job.out, str(own), {"kappa": 2.0})
     elif change == "sensor":
         own.write_text(own.read_text().replace("height_m = 0.05", "height_m = 0.0501"))
     elif change == "recording":
@@ -181,18 +180,16 @@ def test_what_is_done_again(change: str, recordings: Path, sensor: Path, tmp_pat
         (tmp_path / "b" / "summary.json").write_text("{")
     row = run_job(job)
     assert row.outcome == ("kept" if change == "nothing" else "done")
-    assert row.kappa == job.settings.kappa
+    assert row.kappa == job.options.get("kappa")
     assert run_job(job).outcome == "kept"
     assert {path.name for path in (tmp_path / "b").iterdir()} == FILES
 
 
-def test_a_folder_that_is_not_a_result_is_not_replaced(
-    recordings: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_a_folder_that_is_not_a_result_is_not_replaced(recordings, sensor, tmp_path):
     out = tmp_path / "b"
     out.mkdir()
     (out / "thesis.tex").write_text("years of work")
-    row = run_job(Job("b", str(recordings / NAMES[1]), str(out), Settings(str(sensor))))
+    row = run_job(Job("b", str(recordings / NAMES[1]), str(out), str(sensor), {}))
     assert row.outcome == "bad_input"
     assert "exists already" in row.error
     assert (out / "thesis.tex").read_text() == "years of work"
@@ -202,8 +199,8 @@ def test_a_folder_that_is_not_a_result_is_not_replaced(
 
 
 def test_killed_in_the_middle_then_resumed(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
-) -> None:
+    recordings, sensor, long_recording, tmp_path, eventually
+):
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "1"]
     running = start(*words)
@@ -227,9 +224,7 @@ def test_killed_in_the_middle_then_resumed(
     assert table_of(out)[long_recording.name]["frames"] == str(LONG)
 
 
-def test_interrupted_leaves_whole_files(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
-) -> None:
+def test_interrupted_leaves_whole_files(recordings, sensor, long_recording, tmp_path, eventually):
     out = tmp_path / "out"
     running = start(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
     eventually(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
@@ -246,8 +241,8 @@ def test_interrupted_leaves_whole_files(
 
 @pytest.mark.long
 def test_two_batches_do_not_write_into_one_folder(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
-) -> None:
+    recordings, sensor, long_recording, tmp_path, eventually
+):
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out]
     running = start(*words)
@@ -262,17 +257,16 @@ def test_two_batches_do_not_write_into_one_folder(
 
 @pytest.mark.long
 def test_a_process_that_dies_costs_its_own_recording_only(
-    recordings: Path, sensor: Path, long_recording: Path, tmp_path: Path, eventually: Eventually
-) -> None:
-    settings = Settings(str(sensor))
+    recordings, sensor, long_recording, tmp_path, eventually
+):
     jobs = [
-        Job(path.name, str(path), str(tmp_path / path.name), settings)
+        Job(path.name, str(path), str(tmp_path / path.name), str(sensor), {})
         for path in (long_recording, *(recordings / name for name in NAMES))
     ]
     running = run_in_processes(jobs, 1)
     me = psutil.Process()
 
-    def kill_when_it_works() -> None:
+    def kill_when_it_works():
         eventually(lambda: bool(hidden_in(tmp_path)))
         for child in me.children():
             if "--multiprocessing-fork" in child.cmdline():
@@ -288,7 +282,7 @@ def test_a_process_that_dies_costs_its_own_recording_only(
     assert "process ended with code -9" in rows[0].error
 
 
-def test_blas_has_one_thread_in_a_worker(tmp_path: Path) -> None:
+def test_blas_has_one_thread_in_a_worker(tmp_path):
     code = (
         "import os, threading\n"
         "from bubbleviz.processes.worker_server import serve\n"
@@ -309,7 +303,7 @@ def test_blas_has_one_thread_in_a_worker(tmp_path: Path) -> None:
 # -- finding, and refusals ---------------------------------------------------------------------
 
 
-def test_what_is_a_recording(tmp_path: Path) -> None:
+def test_what_is_a_recording(tmp_path):
     for name in ("bag/metadata.yaml", "bag/bag_0.mcap", "deep/er/x.bag", "y.db3", "notes.txt",
                  ".z.0a1b2c3d.mcap", ".hidden/w.mcap"):  # fmt: skip
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -322,7 +316,7 @@ def test_what_is_a_recording(tmp_path: Path) -> None:
         find_recordings(tmp_path / "empty")
 
 
-def test_a_recording_itself(recordings: Path) -> None:
+def test_a_recording_itself(recordings):
     (recordings / "metadata.yaml").touch()
     assert find_recordings(recordings) == [recordings]
 
@@ -337,9 +331,7 @@ def test_a_recording_itself(recordings: Path) -> None:
         ("in", ["--jobs", "2", "--scheduler", "tcp://x:1"], "--jobs is for processes here"),
     ],
 )
-def test_wrong_words(
-    folder: str, more: list[str], words: str, recordings: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_wrong_words(folder, more, words, recordings, sensor, tmp_path):
     (tmp_path / "there").mkdir()
     given = ["--sensor", str(sensor), "--out", str(tmp_path / "out"), *more]
     given = [str(tmp_path / word) if word == "there" else word for word in given]
@@ -350,14 +342,14 @@ def test_wrong_words(
     assert not (tmp_path / "out").exists()
 
 
-def test_auto_names_what_fits_no_preset(recordings: Path, tmp_path: Path) -> None:
-    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), Settings(None))
+def test_auto_names_what_fits_no_preset(recordings, tmp_path):
+    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), "auto", {})
     row = run_job(job)
     assert row.outcome == "bad_input"
     assert "no preset has a camera of 56×43 pixels" in row.error
 
 
-def test_a_process_chooses_its_threads_before_it_imports_numpy() -> None:
+def test_a_process_chooses_its_threads_before_it_imports_numpy():
     code = "import sys, bubbleviz.processes.worker_server; print('numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

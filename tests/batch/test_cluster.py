@@ -5,22 +5,19 @@ from __future__ import annotations
 import socket
 import sys
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 from distributed import LocalCluster
 
-from bubbleviz.batch import dask_cluster
-from bubbleviz.batch.batch_job import Job, Settings, run_job
-from bubbleviz.batch.dask_cluster import check_cluster
-from bubbleviz.commands.batch import run_batch
+from bubbleviz.api.batching import Job, batch, run_job
 from bubbleviz.errors import InputError
+from bubbleviz.processes import dask_cluster
+from bubbleviz.processes.dask_cluster import check_cluster
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
+def address():
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
@@ -33,44 +30,43 @@ def address() -> Iterator[str]:
 
 
 @pytest.mark.long
-def test_results_are_those_of_this_process(
-    address: str, recordings: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_results_are_those_of_this_process(address, recordings, sensor, tmp_path):
     assert address.startswith("tcp://127.0.0.1:")
     (recordings / "bad.mcap").write_bytes(b"no recording")
-    settings = Settings(str(sensor))
     out = tmp_path / "out"
-    far = run_batch(recordings, settings, out, scheduler=address)
+    far = batch(recordings, out, sensor, scheduler=address)
     assert [row.outcome for row in far.rows] == ["done", "done", "bad_input", "done"]
     for row in far.rows:
         if row.has_result:
             alone = tmp_path / "alone" / row.recording
-            run_job(Job(row.recording, str(recordings / row.recording), str(alone), settings))
+            run_job(
+                Job(row.recording, str(recordings / row.recording), str(alone), str(sensor), {})
+            )
             paths = out / row.recording / "result.npz", alone / "result.npz"
             with np.load(paths[0]) as one, np.load(paths[1]) as two:
                 np.testing.assert_array_equal(one["force_n"], two["force_n"])
-    again = run_batch(recordings, settings, out, scheduler=address, resume=True)
+    again = batch(recordings, out, sensor, scheduler=address, resume=True)
     assert [row.outcome for row in again.rows] == ["kept", "kept", "bad_input", "kept"]
     with pytest.raises(InputError, match="1 of 4 recordings have no result"):
         again.raise_failures()
 
 
 @pytest.fixture
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+def _impatient(monkeypatch):
     monkeypatch.setattr(dask_cluster, "TIMEOUT_S", 1.0)
 
 
 @pytest.mark.usefixtures("_impatient")
-def test_no_scheduler_there(recordings: Path, sensor: Path, tmp_path: Path) -> None:
+def test_no_scheduler_there(recordings, sensor, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(InputError, match="no Dask scheduler answers within 1 s; start one"):
-        run_batch(recordings, Settings(str(sensor)), tmp_path / "out", scheduler=address)
+        batch(recordings, tmp_path / "out", sensor, scheduler=address)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_server_that_is_no_scheduler() -> None:
+def test_a_server_that_is_no_scheduler():
     with socket.create_server(("127.0.0.1", 0)) as server:
         threading.Thread(target=_talk, args=(server,), daemon=True).start()
         with pytest.raises(InputError, match="no Dask scheduler answers"):
@@ -78,18 +74,18 @@ def test_a_server_that_is_no_scheduler() -> None:
 
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1", "foo://x:1"])
-def test_no_address(address: str) -> None:
+def test_no_address(address):
     with pytest.raises(InputError, match=f"--scheduler {address}: no Dask scheduler answers"):
         check_cluster(address)
 
 
-def test_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)  # what a missing module looks like
     with pytest.raises(InputError, match=r"pip install .*\[cluster\]"):
         check_cluster("tcp://127.0.0.1:8786")
 
 
-def _talk(server: socket.socket) -> None:
+def _talk(server):
     """Something else listens there, such as a web server."""
     while True:
         try:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.cli.identify_command import identify
+from bubbleviz.cli.verb_commands import identify
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
@@ -117,7 +117,7 @@ def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("extra", "match"),
     [
-        (("--contact-free", "9:3"), "A < B"),
+        (("--contact-free", "9:3"), "outside its 6 frames"),
         (("--contact-free", "0:4"), "at least 5"),
         (("--out", "given.toml"), "exists already"),
         (("--out", "mine.txt"), "ends in .toml"),

@@ -10,7 +10,7 @@ from bubbleviz.calibration.identification import identify
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.camera.pixel_model import PixelModel, RangeLine
-from bubbleviz.cli.identify_command import identify as command
+from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.pipeline import Pipeline
@@ -152,9 +152,9 @@ def test_command_validates_by_a_known_press(press, tmp_path):
         "--object", "cylinder", "--pose", f"0 0 {z} 0 0 0 1",
     ]  # fmt: skip
     out = ["--out", str(tmp_path / "new.toml")]
-    missing = CliRunner().invoke(command, [*arguments, *out])
+    missing = CliRunner().invoke(main, ["identify", *arguments, *out])
     assert missing.exit_code == 2 and "--pressed" in missing.output
-    result = CliRunner().invoke(command, [*arguments, *out, "--pressed", "12:16"])
+    result = CliRunner().invoke(main, ["identify", *arguments, *out, "--pressed", "12:16"])
     assert result.exit_code == 0, result.output
     numbers = json.loads(result.stdout)["validation"]
     assert numbers["rms_m"] < 0.15 * numbers["untouched_rms_m"]
@@ -169,7 +169,7 @@ def test_command_takes_further_levels(tmp_path):
     files = [recorded(dome, tmp_path / f"{k}.mcap") for k, dome in enumerate(domes)]
     (tmp_path / "given.toml").write_text(sensor_to_toml(domes[0].sensor))
     out = tmp_path / "new.toml"
-    result = CliRunner().invoke(command, [
+    result = CliRunner().invoke(main, ["identify",
         str(files[0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "150",
         "--level", str(files[1]), "--out", str(out), "--json",
     ])  # fmt: skip
@@ -182,10 +182,10 @@ def test_pressed_frames_outside_are_refused_and_leave_nothing(press, tmp_path):
     recording = recorded(press, tmp_path / "press.mcap")
     (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
     before = sorted(tmp_path.iterdir())
-    result = CliRunner().invoke(command, [
+    result = CliRunner().invoke(main, ["identify",
         str(recording), "--sensor", str(tmp_path / "given.toml"), "--contact-free", "0:12",
         "--nodes", "150", "--out", str(tmp_path / "new.toml"), "--object", "cylinder",
         "--pose", "0 0 0.05 0 0 0 1", "--pressed", "90:99",
     ])  # fmt: skip
-    assert isinstance(result.exception, InputError) and "outside its 16" in str(result.exception)
+    assert result.exit_code == 2 and "outside its 16" in result.stderr
     assert sorted(tmp_path.iterdir()) == before

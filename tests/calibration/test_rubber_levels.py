@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from bubbleviz.calibration.identification import identify, with_rubber
 from bubbleviz.calibration.rest.rest_frames import collect
 from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.cli.identify_command import identify as command
+from bubbleviz.cli.verb_commands import identify as command
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording_writer import RecordingWriter

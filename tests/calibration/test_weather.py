@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.api.held_frames import HeldFrames
+from bubbleviz.api.frames import HeldFrames
 from bubbleviz.calibration.pressure_zero import zero_of
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags import Messages
 from bubbleviz.frames.recording import Recording
@@ -197,7 +197,7 @@ def test_info_tells_the_colour_images(tmp_path: Path) -> None:
     for k in range(3):
         add_colour(bag, START + 2 * k * PERIOD, k)
     with Recording(bag.write(tmp_path)) as recording:
-        facts = recording_info(recording)
+        facts = info(recording)
     assert facts.colour is not None
     assert (facts.colour.width, facts.colour.height, facts.colour.images) == (32, 24, 3)
     said = facts.to_text()

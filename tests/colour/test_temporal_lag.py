@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bubbleviz.api.frames import info
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
 from bubbleviz.colour.temporal_lag import TemporalLag, lag_between, temporal_lag
-from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
@@ -124,11 +124,11 @@ def test_the_lag_that_is_seen_is_told_with_its_interval(led_by_colour: Path) -> 
         found = temporal_lag(recording)
         assert found.lag_s == pytest.approx(-2.4 * PERIOD_S, abs=0.4 * PERIOD_S)
         assert found.interval_s[0] < -2.4 * PERIOD_S < found.interval_s[1] < 0.0
-    facts = recording_info(led_by_colour, lag=True)
+    facts = info(led_by_colour, lag=True)
     assert found.to_text() in facts.to_text()
     told = json.loads(facts.to_json())["colour"]["lag"]
     assert told == {"lag_s": found.lag_s, "interval_s": list(found.interval_s)}
-    assert "delay" not in recording_info(led_by_colour).to_text()
+    assert "delay" not in info(led_by_colour).to_text()
 
 
 def errors_px(recording: Recording, texture: TextureFlow, frame: Frame, lead: float) -> np.ndarray:
@@ -194,7 +194,7 @@ def test_colour_that_never_moves_is_no_error(tmp_path: Path) -> None:
         flow = texture(recording[24])
         assert flow is not None and not flow.problem
         assert np.abs(flow.moved_px).max() < 0.5
-    facts = recording_info(path, lag=True)
+    facts = info(path, lag=True)
     assert "no colour delay seen: no contact with at least 5 colour images" in facts.to_text()
     assert facts.colour is not None and facts.colour.lag is None
 
@@ -206,7 +206,7 @@ def test_a_recording_without_colour_images_tells_no_lag(tmp_path: Path) -> None:
     path = bag.write(tmp_path)
     with Recording(path) as recording, pytest.raises(InputError, match="no colour"):
         temporal_lag(recording)
-    assert recording_info(path, lag=True).colour is None
+    assert info(path, lag=True).colour is None
 
 
 def test_colour_leads_in_the_real_press(punyo_press_colour: Path) -> None:

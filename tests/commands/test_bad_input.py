@@ -8,12 +8,11 @@ import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import tomli_w
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.frames.frame import Frame
@@ -35,7 +34,7 @@ COMMANDS = {
 }
 
 
-def toml(**changes: Any) -> str:
+def toml(**changes):
     """Sensor file of a small dome; `section__key=value` changes a value of a valid sensor."""
     sensor = Sensor(
         name="small",
@@ -53,20 +52,20 @@ def toml(**changes: Any) -> str:
     return text
 
 
-def snapshot(folder: Path) -> dict[Path, bytes | None]:
+def snapshot(folder):
     return {p: p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
 
 
 class Bench:
     """A folder with a recording and a sensor file, and commands run on them."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder
         self.sensor = folder / "sensor.toml"
         self.sensor.write_text(toml())
         self.recording = folder / "rec"
 
-    def names(self) -> dict[str, str]:
+    def names(self):
         files = {"OUT": "result.npz", "CSV": "result.csv", "PNG": "picture.png"}
         return {
             "REC": str(self.recording),
@@ -74,11 +73,11 @@ class Bench:
             **{key: str(self.folder / file) for key, file in files.items()},
         }
 
-    def run(self, *words: str) -> Result:
+    def run(self, *words):
         names = self.names()
         return CliRunner().invoke(main, [names.get(word, word) for word in words])
 
-    def refused(self, command: str, culprit: str, *words: str) -> str:
+    def refused(self, command, culprit, *words):
         """Stderr of a command that must refuse, name the culprit, and leave the folder alone."""
         before = snapshot(self.folder)
         done = self.run(*COMMANDS[command])
@@ -94,11 +93,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Bench:
+def bench(tmp_path):
     return Bench(tmp_path)
 
 
-def record(bench: Bench, images: list[np.ndarray], encoding: str = "32FC1", **more: Any) -> None:
+def record(bench, images, encoding="32FC1", **more):
     bag = BagMaker("mcap file")
     for k, pixels in enumerate(images):
         bag.image(START + k * 10**8, pixels, encoding)
@@ -113,30 +112,30 @@ GOOD = [depth_image(k) for k in range(3)]
 
 
 @pytest.fixture(params=list(COMMANDS))
-def command(request: pytest.FixtureRequest) -> str:
+def command(request):
     return str(request.param)
 
 
 @pytest.fixture(params=[name for name in COMMANDS if name != "info"])
-def solving(request: pytest.FixtureRequest) -> str:
+def solving(request):
     """Commands that need a sensor, too."""
     return str(request.param)
 
 
-def test_missing_file(bench: Bench, command: str) -> None:
+def test_missing_file(bench, command):
     bench.recording = bench.folder / "nope.mcap"
     bench.refused(command, "nope.mcap", "no such recording")
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
-def test_empty_file(bench: Bench, command: str, suffix: str) -> None:
+def test_empty_file(bench, command, suffix):
     bench.recording = bench.folder / f"rec{suffix}"
     bench.recording.touch()
     bench.refused(command, bench.recording.name)
 
 
 @pytest.mark.parametrize("kind", ["mcap file", "db3 file"])
-def test_bag_without_messages(bench: Bench, command: str, kind: str) -> None:
+def test_bag_without_messages(bench, command, kind):
     bag = BagMaker(kind)
     bag.pressure(START, 1e5)
     kept, bag.rows = bag.rows, []
@@ -146,32 +145,30 @@ def test_bag_without_messages(bench: Bench, command: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1])
-def test_an_mcap_cut_off_in_its_first_chunk(bench: Bench, command: str, share: float) -> None:
+def test_an_mcap_cut_off_in_its_first_chunk(bench, command, share):
     record(bench, GOOD)
     os.truncate(bench.recording, int(bench.recording.stat().st_size * share))
     bench.refused(command, bench.recording.name, "was cut off before its first message")
 
 
-def test_bag_without_depth(bench: Bench, command: str) -> None:
+def test_bag_without_depth(bench, command):
     bag = BagMaker("mcap file")
     bag.pressure(START, 1e5)
     bench.recording = bag.write(bench.folder)
     bench.refused(command, bench.recording.name, "no depth image")
 
 
-def test_wrong_encoding(bench: Bench, command: str) -> None:
+def test_wrong_encoding(bench, command):
     record(bench, [np.zeros((24, 32, 3), np.uint8)], "rgb8", step=96)
     bench.refused(command, bench.recording.name, "'rgb8'", "32FC1")
 
 
-def test_image_size_that_differs_from_the_sensors(bench: Bench, solving: str) -> None:
+def test_image_size_that_differs_from_the_sensors(bench, solving):
     record(bench, [depth_image(0, 10, 20)])
     bench.refused(solving, bench.recording.name, "20×10", "32×24", "sensor.toml")
 
 
-def test_image_size_that_differs_although_the_camera_info_agrees(
-    bench: Bench, solving: str
-) -> None:
+def test_image_size_that_differs_although_the_camera_info_agrees(bench, solving):
     """The recording's intrinsics win over the sensor's, but not over its camera being another."""
     record(bench, [depth_image(0, 10, 20)], info_size=(20, 10))
     with Recording(bench.recording) as recording:
@@ -179,7 +176,7 @@ def test_image_size_that_differs_although_the_camera_info_agrees(
     bench.refused(solving, bench.recording.name, "20×10", "32×24", "sensor.toml")
 
 
-def test_camera_info_of_another_size_than_the_images(bench: Bench, solving: str) -> None:
+def test_camera_info_of_another_size_than_the_images(bench, solving):
     record(bench, GOOD, info_size=(64, 48))
     bench.refused(solving, bench.recording.name, INFO, "64×48", "32×24")
 
@@ -201,16 +198,14 @@ def test_camera_info_of_another_size_than_the_images(bench: Bench, solving: str)
         "gauge in kPa",
     ],
 )  # fmt: skip
-def test_bad_sensor_file(
-    bench: Bench, solving: str, old: str, new: str, words: tuple[str, ...]
-) -> None:
+def test_bad_sensor_file(bench, solving, old, new, words):
     record(bench, GOOD)
     bench.sensor.write_text(toml(replace={old: new}))
     bench.refused(solving, "sensor.toml", *words)
 
 
 @pytest.mark.parametrize("value", [1e-30, 1e30, -1.0, 0.0])
-def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench: Bench, value: float) -> None:
+def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench, value):
     """It is solved or refused, whichever number is absurd."""
     record(bench, GOOD)
     good = tomllib.loads(toml())
@@ -232,9 +227,7 @@ def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench: Bench, value: flo
 
 @pytest.mark.parametrize("zeroed", [(), ("--zero-gas",)])
 @pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-4e3, False), (6e3, True)])
-def test_a_gas_pressure_that_is_not_the_sensors_is_warned_of(
-    tmp_path: Path, off_pa: float, warned: bool, zeroed: tuple[str, ...]
-) -> None:
+def test_a_gas_pressure_that_is_not_the_sensors_is_warned_of(tmp_path, off_pa, warned, zeroed):
     sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
     source = small_source(tmp_path / "small.toml", heights=15 * (0.06,))
     with RecordingWriter(tmp_path / "rec.mcap") as writer:
@@ -252,7 +245,7 @@ def test_a_gas_pressure_that_is_not_the_sensors_is_warned_of(
         assert "109.9 kPa " in line and "in the recording, 103.9 kPa" in line
 
 
-def test_missing_sensor_file(bench: Bench, solving: str) -> None:
+def test_missing_sensor_file(bench, solving):
     record(bench, GOOD)
     bench.sensor = bench.folder / "nope.toml"
     bench.refused(solving, "nope.toml", "no such sensor file", "pico_flexx_75mm")
@@ -262,7 +255,7 @@ BROKEN_MESHES = (b"", b"ply\nformat ascii 1.0\nelement vertex 9\n")
 
 
 @pytest.fixture(params=[*BROKEN_MESHES, None])
-def bad_dome(bench: Bench, request: pytest.FixtureRequest) -> Bench:
+def bad_dome(bench, request):
     """A sensor whose membrane is a mesh file that is empty, broken off or missing."""
     record(bench, GOOD)
     mesh = '[membrane]\nshape = "mesh"\nmesh_file = "dome.ply"\nnodes = 60\n[pneumatics]'
@@ -273,7 +266,7 @@ def bad_dome(bench: Bench, request: pytest.FixtureRequest) -> Bench:
     return bench
 
 
-def test_unreadable_mesh_of_the_membrane(bad_dome: Bench) -> None:
+def test_unreadable_mesh_of_the_membrane(bad_dome):
     bad_dome.refused("estimate", "dome.ply")
 
 
@@ -282,7 +275,7 @@ def test_unreadable_mesh_of_the_membrane(bad_dome: Bench) -> None:
     [None, *(pytest.param(data, marks=pytest.mark.long) for data in BROKEN_MESHES)],
     indirect=True,
 )
-def test_unreadable_mesh_through_the_real_window_command(bad_dome: Bench) -> None:
+def test_unreadable_mesh_through_the_real_window_command(bad_dome):
     """In a process of its own: the window's screen is one a process makes once."""
     before = snapshot(bad_dome.folder)
     names = bad_dome.names()
@@ -297,7 +290,7 @@ def test_unreadable_mesh_through_the_real_window_command(bad_dome: Bench) -> Non
     assert snapshot(bad_dome.folder) == before
 
 
-def test_unreadable_object_mesh(bench: Bench) -> None:
+def test_unreadable_object_mesh(bench):
     (bench.folder / "thing.ply").write_bytes(b"ply\nhello\n")
     before = snapshot(bench.folder)
     words = ("simulate", "--sensor", "SENSOR", "--object", str(bench.folder / "thing.ply"))
@@ -309,14 +302,14 @@ def test_unreadable_object_mesh(bench: Bench) -> None:
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
 @pytest.mark.parametrize("encoding", ["32FC1", "16UC1"])
-def test_all_zero_depth(bench: Bench, value: float, encoding: str) -> None:
+def test_all_zero_depth(bench, value, encoding):
     pixels = np.full((24, 32), value)
     image = np.nan_to_num(pixels).astype(np.uint16) if encoding == "16UC1" else pixels
     record(bench, [image.astype(np.float32) if encoding == "32FC1" else image] * 3, encoding)
     bench.refused("estimate", bench.recording.name, "no depth in any frame")
 
 
-def test_depth_that_never_meets_the_membrane(bench: Bench) -> None:
+def test_depth_that_never_meets_the_membrane(bench):
     """A column of pixels at the image's edge looks past the dome: returns, but none on it."""
     images = np.zeros((3, 24, 32), np.float32)
     images[:, :1, :1] = 5.0
@@ -325,16 +318,14 @@ def test_depth_that_never_meets_the_membrane(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("file", ["result.npz", "result.csv"])
-def test_an_existing_output_is_refused_before_any_work(
-    bench: Bench, file: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_existing_output_is_refused_before_any_work(bench, file, monkeypatch):
     record(bench, GOOD)
     (bench.folder / file).write_text("precious")
     monkeypatch.setattr(Recording, "__init__", lambda *_: pytest.fail("opened the recording"))
     bench.refused("estimate", file, "exists already")
 
 
-def test_the_same_name_for_both_outputs(bench: Bench) -> None:
+def test_the_same_name_for_both_outputs(bench):
     record(bench, GOOD)
     done = bench.run(*COMMANDS["estimate"][:-1], "OUT")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -356,7 +347,7 @@ def test_the_same_name_for_both_outputs(bench: Bench) -> None:
         ("3:", "outside its 3 frames"),
     ],
 )
-def test_frames_that_are_not_there(bench: Bench, frames: str, words: str) -> None:
+def test_frames_that_are_not_there(bench, frames, words):
     record(bench, GOOD)
     done = bench.run(*COMMANDS["estimate"], "--frames", frames)
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -369,7 +360,7 @@ def test_frames_that_are_not_there(bench: Bench, frames: str, words: str) -> Non
     ("option", "value", "words"),
     [("--kappa", "nan", "--kappa nan"), ("--kappa", "-1", "-1"), ("--solver", "zz", "linear")],
 )
-def test_bad_options(bench: Bench, option: str, value: str, words: str) -> None:
+def test_bad_options(bench, option, value, words):
     record(bench, GOOD)
     done = bench.run(*COMMANDS["estimate"], option, value)
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -377,14 +368,14 @@ def test_bad_options(bench: Bench, option: str, value: str, words: str) -> None:
     assert not list(bench.folder.glob("*result*"))
 
 
-def test_scene_that_is_not_shipped(bench: Bench) -> None:
+def test_scene_that_is_not_shipped(bench):
     record(bench, GOOD)
     done = bench.run(*COMMANDS["screenshot"], "--scene", "nope")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert "nope" in done.stderr
 
 
-def test_no_preset_fits(bench: Bench) -> None:
+def test_no_preset_fits(bench):
     record(bench, GOOD)
     done = bench.run("open", "REC", "--screenshot", "PNG")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -392,9 +383,7 @@ def test_no_preset_fits(bench: Bench) -> None:
     assert "punyo_oval_d405 (640×480)" in done.stderr
 
 
-def test_a_frame_that_is_damaged_leaves_nothing_behind(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_frame_that_is_damaged_leaves_nothing_behind(bench, monkeypatch):
     """The failure comes when files are open already."""
     with RecordingWriter(bench.folder / "rec.mcap") as writer:
         for k, depth in enumerate(GOOD):
@@ -402,7 +391,7 @@ def test_a_frame_that_is_damaged_leaves_nothing_behind(
     bench.recording = bench.folder / "rec.mcap"
     whole = Recording.__getitem__
 
-    def damaged(self: Recording, index: int) -> Frame:
+    def damaged(self, index):
         if index == 2:
             assert list(self.path.parent.glob(".result*")), "nothing was open: proves nothing"
             raise MemoryError

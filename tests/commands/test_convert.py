@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +10,10 @@ from click.testing import CliRunner
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+import bubbleviz as bv
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import estimate_recording
-from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.frames.recording import Recording
 from tests.colour.colour_bag import add_colour, add_compressed, add_pose, encoded, picture
 from tests.frames.bagmaker import PERIOD, START, BagMaker, fill
@@ -24,7 +23,7 @@ from tests.small_press import HEIGHTS, small_source, write_small_sensor
 CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
 
 
-def converted(*arguments: object) -> str:
+def converted(*arguments):
     """What the command says; its one line of an error where it fails."""
     done = CliRunner().invoke(main, ["convert", *map(str, arguments)])
     assert done.exit_code in (0, 2), done.output
@@ -32,14 +31,14 @@ def converted(*arguments: object) -> str:
     return done.stdout if done.exit_code == 0 else done.stderr
 
 
-def depths(count: int = 3) -> list[np.ndarray]:
+def depths(count=3):
     rng = np.random.default_rng(0)
     images = [np.rint(rng.uniform(80.0, 120.0, (24, 32))) * 1e-3 for _ in range(count)]
     images[1][3, 4] = 0.0
     return images
 
 
-def folder_of(path: Path, kind: str, names: list[str]) -> Path:
+def folder_of(path, kind, names):
     path.mkdir()
     for name, depth in zip(names, depths(len(names)), strict=True):
         file = path / f"{name}{kind}"
@@ -53,7 +52,7 @@ def folder_of(path: Path, kind: str, names: list[str]) -> Path:
 
 
 @pytest.mark.parametrize("kind", [".npy", ".png", ".tif"])
-def test_a_folder_with_what_was_measured(kind: str, tmp_path: Path) -> None:
+def test_a_folder_with_what_was_measured(kind, tmp_path):
     images = folder_of(tmp_path / "images", kind, ["d1", "d2", "d10"])
     (images / "intrinsics.json").write_text(json.dumps(CAMERA))
     (tmp_path / "gas.csv").write_text("time_s,pa\n0,100000\n0.1,101000\n")
@@ -73,7 +72,7 @@ def test_a_folder_with_what_was_measured(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ordered", [True, False])
-def test_a_folder_of_points(ordered: bool, tmp_path: Path) -> None:
+def test_a_folder_of_points(ordered, tmp_path):
     """(H, W, 3), or (n, 3) in any order, in the camera's optical frame."""
     images, rng = tmp_path / "images", np.random.default_rng(1)
     images.mkdir()
@@ -93,7 +92,7 @@ def test_a_folder_of_points(ordered: bool, tmp_path: Path) -> None:
             np.testing.assert_allclose(frame.depth_m, expected, rtol=1e-6)
 
 
-def test_names_that_are_times(tmp_path: Path) -> None:
+def test_names_that_are_times(tmp_path):
     names = [f"depth_{1_700_000_000_000_000_000 + k * 33_000_000}" for k in range(3)]
     out = tmp_path / "out.mcap"
     converted(folder_of(tmp_path / "images", ".png", names), out)
@@ -102,7 +101,7 @@ def test_names_that_are_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["db3 folder", "bag lz4"])
-def test_other_bags_say_the_same(kind: str, tmp_path: Path) -> None:
+def test_other_bags_say_the_same(kind, tmp_path):
     path = fill(BagMaker(kind)).write(tmp_path)
     out = tmp_path / "out.mcap"
     found = json.loads(converted(path, out, "--json"))
@@ -120,7 +119,7 @@ def test_other_bags_say_the_same(kind: str, tmp_path: Path) -> None:
     ("unit_m", "option"),
     [(1e-4, "Depth_Units"), (1e-3, "Depth_Units"), (2.5e-5, "Depth Units"), (None, "")],
 )
-def test_a_bag_of_the_realsense_viewer(unit_m: float | None, option: str, tmp_path: Path) -> None:
+def test_a_bag_of_the_realsense_viewer(unit_m, option, tmp_path):
     """Whatever the unit; infrared images of 16 bits beside the depth's are none."""
     out = tmp_path / "out.mcap"
     write_realsense_bag(tmp_path / "camera.bag", unit_m, option)
@@ -139,7 +138,7 @@ def test_a_bag_of_the_realsense_viewer(unit_m: float | None, option: str, tmp_pa
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "rgb8"])
-def test_colour_is_kept_as_it_was_recorded(kind: str, tmp_path: Path) -> None:
+def test_colour_is_kept_as_it_was_recorded(kind, tmp_path):
     """The same bytes, camera and moments; every second frame has an image."""
     bag = fill(BagMaker("bag lz4"))
     turned = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_quat()
@@ -165,13 +164,11 @@ def test_colour_is_kept_as_it_was_recorded(kind: str, tmp_path: Path) -> None:
             assert new.stamp_ns == old.stamp_ns
             assert new.camera.intrinsics == old.camera.intrinsics
             np.testing.assert_allclose(new.camera.T_D_C, old.camera.T_D_C, atol=1e-12)
-        assert before[0].colour.camera.T_D_C[2, 3] == pytest.approx(0.03)  # type: ignore[union-attr]
+        assert before[0].colour.camera.T_D_C[2, 3] == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_colour_images_in_a_folder_are_those_of_the_same_numbers(
-    told: bool, tmp_path: Path
-) -> None:
+def test_colour_images_in_a_folder_are_those_of_the_same_numbers(told, tmp_path):
     """Byte for byte; the second depth image has none. What is not known of the camera is said."""
     images = folder_of(tmp_path / "images", ".png", ["d1", "d2", "d10"])
     (images / "rgb").mkdir()
@@ -188,7 +185,7 @@ def test_colour_images_in_a_folder_are_those_of_the_same_numbers(
         camera, found = recording.colour.camera, [frame.colour for frame in recording]
     assert found[1] is None and camera.intrinsics is not None
     with Recording(out) as recording:
-        read = [recording[k].colour.read() for k in (0, 2)]  # type: ignore[union-attr]
+        read = [recording[k].colour.read() for k in (0, 2)]
     assert [(each.encoding, each.data) for each in read] == [("jpeg", files[1]), ("png", files[10])]
     assert camera.intrinsics.fx == (45.0 if told else 30.0)
     assert ("that of the depth camera counts" in camera.remark) is not told
@@ -202,9 +199,7 @@ def test_colour_images_in_a_folder_are_those_of_the_same_numbers(
         (["c_1.png", "d_01.jpg"], "has the number of c_1.png; leave one"),
     ],
 )
-def test_colour_images_that_do_not_fit_are_refused(
-    names: list[str], says: str, tmp_path: Path
-) -> None:
+def test_colour_images_that_do_not_fit_are_refused(names, says, tmp_path):
     images = folder_of(tmp_path / "images", ".png", ["d1", "d2", "d10"])
     (images / "color").mkdir()
     for name in names:
@@ -213,7 +208,7 @@ def test_colour_images_that_do_not_fit_are_refused(
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_path: Path) -> None:
+def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_path):
     """Neither its pose nor its intrinsics were recorded."""
     bag = fill(BagMaker("mcap file"))
     header = bag.header(START)
@@ -227,7 +222,7 @@ def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_pa
         assert after.colour.camera.remark == before.colour.camera.remark
 
 
-def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
+def test_the_force_is_that_of_the_original(tmp_path):
     sensor = write_small_sensor(tmp_path / "small.toml")
     write_simulation(small_source(sensor, HEIGHTS[1:2]), tmp_path / "press.mcap")
     (tmp_path / "images").mkdir()
@@ -236,9 +231,8 @@ def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
         (tmp_path / "gas.csv").write_text(f"0,{recording[0].gas_pressure_pa}\n")
     beside = ("--rate", 30, "--intrinsics", sensor, "--pressure", tmp_path / "gas.csv")
     converted(tmp_path / "images", tmp_path / "out.mcap", *beside)
-    for name in ("press", "out"):
-        estimate_recording(tmp_path / f"{name}.mcap", sensor, tmp_path / f"{name}.npz")
-    before, after = (np.load(tmp_path / f"{name}.npz")["force_n"] for name in ("press", "out"))
+    names = ("press", "out")
+    before, after = (bv.estimate(bv.open(tmp_path / f"{k}.mcap"), sensor).force_n for k in names)
     assert np.linalg.norm(before) > 0.5
     np.testing.assert_allclose(after, before, rtol=1e-6)
 
@@ -256,7 +250,7 @@ def test_the_force_is_that_of_the_original(tmp_path: Path) -> None:
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(spoil, words: str, tmp_path: Path) -> None:
+def test_what_cannot_be_is_one_sentence(spoil, words, tmp_path):
     images = folder_of(tmp_path / "images", ".npy", ["1", "2", "3"])
     spoil(images)
     rate = () if "time" in words else ("--rate", 30)

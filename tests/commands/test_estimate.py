@@ -10,9 +10,7 @@ import subprocess
 import sys
 import tomllib
 import tracemalloc
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,14 +18,13 @@ from click.testing import CliRunner
 
 import bubbleviz
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import parse_frames
 from bubbleviz.files.result_writer import COLUMNS, ResultWriter, summary_row
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.result import Estimate, Patch, Result
-from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 PRESET = "pico_flexx_75mm"
 HEIGHTS = (0.060, 0.042, 0.038, 0.038)
@@ -36,19 +33,19 @@ HEIGHTS = (0.060, 0.042, 0.038, 0.038)
 Arrays = dict[str, np.ndarray]
 
 
-def run(*words: str | Path) -> str:
+def run(*words):
     done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.stdout
 
 
-def arrays(path: Path) -> Arrays:
+def arrays(path):
     with np.load(path) as file:  # no pickles: RESULT.npz is readable without trust
         return {key: file[key] for key in file.files}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A simulated press with its truth, and the estimate of it."""
     folder = tmp_path_factory.mktemp("press")
     lines = [f"{0.1 * k},0.01,0.005,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
@@ -67,22 +64,22 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(folder: Path) -> Arrays:
+def result(folder):
     return arrays(folder / "result.npz")
 
 
 @pytest.fixture(scope="module")
-def truth(folder: Path) -> Arrays:
+def truth(folder):
     return arrays(folder / "truth.npz")
 
 
-def test_auto_is_the_preset_with_a_camera_of_the_image_size(folder: Path, tmp_path: Path) -> None:
+def test_auto_is_the_preset_with_a_camera_of_the_image_size(folder, tmp_path):
     out = tmp_path / "auto.npz"
     run("estimate", folder / "rec.mcap", "--sensor", "auto", "--frames", "1:2", "--out", out)
     assert tomllib.loads(str(arrays(out)["sensor_toml"]))["name"] == load_sensor(PRESET).name
 
 
-def test_every_key_of_the_contract(result: Arrays) -> None:
+def test_every_key_of_the_contract(result):
     frames, (height, width) = len(HEIGHTS), (171, 224)
     nodes, triangles = len(result["nodes_m"]), len(result["triangles"])
     shapes = {
@@ -109,17 +106,17 @@ def test_every_key_of_the_contract(result: Arrays) -> None:
     assert {key for key, kind in kinds.items() if kind == "f"} == set(kinds) - texts - flags - whole
 
 
-def test_it_says_what_made_it(result: Arrays) -> None:
+def test_it_says_what_made_it(result):
     assert tomllib.loads(str(result["sensor_toml"]))["name"] == load_sensor(PRESET).name
     assert str(result["version"]) == bubbleviz.__version__
 
 
-def test_contact_is_found_where_it_is(result: Arrays, truth: Arrays) -> None:
+def test_contact_is_found_where_it_is(result, truth):
     assert result["status"].tolist() == truth["status"].tolist() == ["no_contact", *["ok"] * 3]
     np.testing.assert_allclose(result["time_s"], truth["time_s"], atol=1e-6)
 
 
-def test_force_and_centre_are_those_of_the_simulation(result: Arrays, truth: Arrays) -> None:
+def test_force_and_centre_are_those_of_the_simulation(result, truth):
     size = np.linalg.norm(truth["force_n"], axis=1)
     assert size[2] > 5.0  # else a few per cent mean nothing
     miss = np.linalg.norm(result["force_n"] - truth["force_n"], axis=1)
@@ -128,7 +125,7 @@ def test_force_and_centre_are_those_of_the_simulation(result: Arrays, truth: Arr
     assert np.all(away[1:] < 2e-3)
 
 
-def test_no_contact_is_no_force_and_no_patch(result: Arrays) -> None:
+def test_no_contact_is_no_force_and_no_patch(result):
     assert not result["force_n"][0].any()
     assert not result["contact_pressure_pa"][0].any()
     assert not result["patch_mask"][0].any()
@@ -136,13 +133,13 @@ def test_no_contact_is_no_force_and_no_patch(result: Arrays) -> None:
     assert np.isnan(result["center_of_pressure_m"][0]).all()
 
 
-def test_patch_covers_the_true_one(result: Arrays, truth: Arrays) -> None:
+def test_patch_covers_the_true_one(result, truth):
     for found, true in zip(result["patch_mask"][1:], truth["patch_mask"][1:], strict=True):
         assert true.sum() > 100
         assert (found & true).sum() / (found | true).sum() > 0.45
 
 
-def test_columns_agree_with_the_nodal_fields(result: Arrays) -> None:
+def test_columns_agree_with_the_nodal_fields(result):
     """Force, centre and their definitions, from nothing but the file."""
     nodes, triangles = result["nodes_m"], result["triangles"]
     a, b, c = (nodes[triangles[:, k]] for k in range(3))
@@ -159,7 +156,7 @@ def test_columns_agree_with_the_nodal_fields(result: Arrays) -> None:
     np.testing.assert_allclose(result["center_of_pressure_m"][2], load @ moved / load.sum())
 
 
-def test_csv_has_the_same_numbers(folder: Path, result: Arrays) -> None:
+def test_csv_has_the_same_numbers(folder, result):
     with (folder / "result.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["status"] for row in rows] == result["status"].tolist()
@@ -173,7 +170,7 @@ def test_csv_has_the_same_numbers(folder: Path, result: Arrays) -> None:
     assert {(row["kappa"], row["sensor"]) for row in rows} == {("", name)}  # automatic
 
 
-def test_json_leaves_the_first_frame_out_of_the_times(folder: Path, result: Arrays) -> None:
+def test_json_leaves_the_first_frame_out_of_the_times(folder, result):
     told = json.loads((folder / "told.json").read_text())
     assert told["frames"] == len(HEIGHTS)
     assert told["status"] == {"no_contact": 1, "ok": 3}
@@ -185,7 +182,7 @@ def test_json_leaves_the_first_frame_out_of_the_times(folder: Path, result: Arra
     assert np.all(result["solve_ms"] <= result["total_ms"])
 
 
-def test_frames_are_chosen_as_a_slice(folder: Path, tmp_path: Path, result: Arrays) -> None:
+def test_frames_are_chosen_as_a_slice(folder, tmp_path, result):
     out = tmp_path / "part.npz"
     run(
         "estimate", folder / "rec.mcap", "--sensor", PRESET, "--frames", "0:4:2", "--out", out
@@ -197,25 +194,7 @@ def test_frames_are_chosen_as_a_slice(folder: Path, tmp_path: Path, result: Arra
     np.testing.assert_allclose(part["force_n"][1], result["force_n"][2], rtol=0.02, atol=0.05)
 
 
-@pytest.mark.parametrize(
-    ("text", "frames"),
-    [
-        (None, range(10)),
-        ("0:10", range(10)),
-        (":", range(10)),
-        ("3:", range(3, 10)),
-        (":4", range(4)),
-        ("1:9:4", range(1, 9, 4)),
-        ("::5", range(0, 10, 5)),
-    ],
-)
-def test_parse_frames(text: str | None, frames: range) -> None:
-    assert parse_frames(text, 10, "rec") == frames
-
-
-def test_kappa_moves_the_patch_and_nothing_else(
-    folder: Path, tmp_path: Path, result: Arrays
-) -> None:
+def test_kappa_moves_the_patch_and_nothing_else(folder, tmp_path, result):
     words = ("estimate", folder / "rec.mcap", "--sensor", PRESET, "--out")
     run(*words, tmp_path / "low.npz", "--kappa", "1")
     run(*words, tmp_path / "high.npz", "--kappa", "20")
@@ -226,7 +205,7 @@ def test_kappa_moves_the_patch_and_nothing_else(
     np.testing.assert_allclose(high["threshold_pa"][2] / low["threshold_pa"][2], 20.0)
 
 
-def copied(source: Path, path: Path, change: dict[int, float]) -> Path:
+def copied(source, path, change):
     """Recording whose frames named in `change` see one depth everywhere; NaN for nothing."""
     with Recording(source) as old, RecordingWriter(path) as new:
         for k in range(len(old)):
@@ -237,7 +216,7 @@ def copied(source: Path, path: Path, change: dict[int, float]) -> Path:
     return path
 
 
-def test_a_frame_without_data_in_the_middle(folder: Path, tmp_path: Path, result: Arrays) -> None:
+def test_a_frame_without_data_in_the_middle(folder, tmp_path, result):
     recording = copied(folder / "rec.mcap", tmp_path / "hole.mcap", {2: np.nan})
     out = tmp_path / "r.npz"
     told = json.loads(run("estimate", recording, "--sensor", PRESET, "--out", out, "--json"))
@@ -254,7 +233,7 @@ def test_a_frame_without_data_in_the_middle(folder: Path, tmp_path: Path, result
     np.testing.assert_allclose(found["force_n"][3], result["force_n"][3], rtol=0.02, atol=0.05)
 
 
-def test_the_recordings_camera_info_wins(folder: Path, tmp_path: Path, result: Arrays) -> None:
+def test_the_recordings_camera_info_wins(folder, tmp_path, result):
     sensor = load_sensor(PRESET)
     camera = sensor.camera.model_copy(update={"fx": 1.2 * sensor.camera.fx})
     wrong = tmp_path / "wrong.toml"
@@ -263,7 +242,7 @@ def test_the_recordings_camera_info_wins(folder: Path, tmp_path: Path, result: A
     np.testing.assert_allclose(arrays(tmp_path / "r.npz")["force_n"], result["force_n"])
 
 
-def test_nothing_of_a_window_is_imported(folder: Path, tmp_path: Path) -> None:
+def test_nothing_of_a_window_is_imported(folder, tmp_path):
     code = (
         "import sys; from bubbleviz.cli.command_line import main\n"
         "main(sys.argv[1:], standalone_mode=False); "
@@ -284,13 +263,13 @@ def test_nothing_of_a_window_is_imported(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def small() -> Sensor:
+def small():
     sensor = load_sensor(PRESET)
     membrane = sensor.membrane.model_copy(update={"nodes": 60})
     return sensor.model_copy(update={"membrane": membrane})
 
 
-def fake_results(frames: int, nodes: int, shape: tuple[int, int]) -> Iterator[Result]:
+def fake_results(frames, nodes, shape):
     for k in range(frames):
         mask = np.zeros(shape, bool)
         mask[k % shape[0]] = True
@@ -299,7 +278,7 @@ def fake_results(frames: int, nodes: int, shape: tuple[int, int]) -> Iterator[Re
         yield Result(Frame(k, k / 30.0, np.ones(shape)), estimate, patch, times_ms={"total": 1.0})
 
 
-def test_masks_of_a_long_recording_are_streamed(small: Sensor, tmp_path: Path) -> None:
+def test_masks_of_a_long_recording_are_streamed(small, tmp_path):
     """61 MB of masks with little memory, and every one where it belongs."""
     mesh, frames, shape, path = build_mesh(small), 200, (480, 640), tmp_path / "r.npz"
     tracemalloc.start()
@@ -322,7 +301,7 @@ def test_masks_of_a_long_recording_are_streamed(small: Sensor, tmp_path: Path) -
     np.testing.assert_array_equal(displacement[:, 5], -1e-3 * rows)
 
 
-def test_a_result_that_is_not_what_was_announced(small: Sensor, tmp_path: Path) -> None:
+def test_a_result_that_is_not_what_was_announced(small, tmp_path):
     mesh, shape = build_mesh(small), (4, 5)
     one, two = fake_results(2, len(mesh.nodes), shape)
     with ResultWriter(tmp_path / "a.npz", mesh, 1, shape) as writer:
@@ -337,7 +316,7 @@ def test_a_result_that_is_not_what_was_announced(small: Sensor, tmp_path: Path) 
         writer.finish()
 
 
-def test_a_frame_without_data_has_no_numbers() -> None:
+def test_a_frame_without_data_has_no_numbers():
     (result,) = fake_results(1, 3, (4, 5))
     assert result.estimate is not None
     row = summary_row(replace(result, estimate=replace(result.estimate, status="no_data")))
@@ -362,14 +341,14 @@ EVERY = 1 if "TEST_ALL" in os.environ else 6
 
 
 @pytest.fixture(scope="module")
-def press(punyo_press: Path, tmp_path_factory: pytest.TempPathFactory) -> Arrays:
+def press(punyo_press, tmp_path_factory):
     out = tmp_path_factory.mktemp("punyo") / "result.npz"
     words = ["--sensor", "punyo_oval_d405", "--frames", f"0:90:{EVERY}"]
     run("estimate", punyo_press, *words, "--out", out)
     return arrays(out)
 
 
-def test_real_contact_free_frames_have_no_patch_and_no_force(press: Arrays) -> None:
+def test_real_contact_free_frames_have_no_patch_and_no_force(press):
     free = press["frame"] < 60
     assert free.sum() == 60 // EVERY
     force = np.linalg.norm(press["force_n"][free], axis=1)
@@ -378,7 +357,7 @@ def test_real_contact_free_frames_have_no_patch_and_no_force(press: Arrays) -> N
     assert not press["patch_area_m2"][free].any()
 
 
-def test_real_press_is_found_where_the_poker_is(press: Arrays) -> None:
+def test_real_press_is_found_where_the_poker_is(press):
     held = press["frame"] >= 72
     assert held.sum() == 18 // EVERY
     assert set(press["status"][held]) == {"ok"}
@@ -390,6 +369,6 @@ def test_real_press_is_found_where_the_poker_is(press: Arrays) -> None:
     assert press["patch_mask"][held].any(axis=(1, 2)).all()
 
 
-def test_real_press_has_the_force_of_the_physics(press: Arrays) -> None:
+def test_real_press_has_the_force_of_the_physics(press):
     force = np.linalg.norm(press["force_n"][press["frame"] >= 72], axis=1)
     assert np.all((force >= 2.5) & (force <= 5.0)), f"{force.min():.2f} … {force.max():.2f} N"

@@ -20,8 +20,8 @@ from small_press import small_source, write_press, write_small_sensor
 from benchmarks.__main__ import benchmarks
 from benchmarks.window.__main__ import bench
 from benchmarks.window.live_soak import free_port
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from tests.frames.bagmaker import BagMaker, fill
 

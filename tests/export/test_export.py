@@ -9,7 +9,6 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,16 +16,15 @@ import open3d
 import pyarrow.parquet
 import pytest
 import pyvista
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from PIL import Image
 
+import bubbleviz as bv
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.estimate import estimate_recording
-from bubbleviz.commands.export import export_recording
 from bubbleviz.errors import InputError
-from bubbleviz.export.export_plan import ExportPlan
 from bubbleviz.frames.recording import Recording
 from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.output.export_plan import ExportPlan
 from bubbleviz.progress import Cancelled
 
 Arrays = dict[str, np.ndarray]
@@ -36,12 +34,12 @@ ALL = f"table,parquet,plots,{SERIES}"
 PRESSED = 2
 
 
-def export(*words: str | Path) -> Result:
+def export(*words):
     return CliRunner().invoke(main, ["export", *map(str, words)], prog_name="bubbleviz")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, press: Path, sensor: Path) -> Path:
+def folder(tmp_path_factory, press, sensor):
     """Everything at once."""
     out = tmp_path_factory.mktemp("out") / "all.of it"
     done = export(press, "--sensor", sensor, "--out", out, "--what", ALL)
@@ -49,19 +47,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory, press: Path, sensor: Path) 
     return out
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
+def rows_of(path):
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
-def columns_of(rows: list[dict[str, str]], *names: str) -> np.ndarray:
+def columns_of(rows, *names):
     return np.array([[float(row[name]) for name in names] for row in rows])
 
 
 # -- tables ------------------------------------------------------------------------------------
 
 
-def test_csv_says_what_the_estimate_says(folder: Path, estimated: Arrays) -> None:
+def test_csv_says_what_the_estimate_says(folder, estimated):
     rows = rows_of(folder / "all.of it.csv")
     assert [row["status"] for row in rows] == estimated["status"].tolist()
     assert "ok" in estimated["status"].tolist()
@@ -75,7 +73,7 @@ def test_csv_says_what_the_estimate_says(folder: Path, estimated: Arrays) -> Non
     assert {row["kappa"] for row in rows} == {""} and len({row["sensor"] for row in rows}) == 1
 
 
-def test_measured_force_is_beside_the_estimate(tmp_path: Path, press: Path, sensor: Path) -> None:
+def test_measured_force_is_beside_the_estimate(tmp_path, press, sensor):
     """A wrench in other axes, with a bias, as a robot has it."""
     recording, bias = tmp_path / "wrench.mcap", np.array([-0.4, -0.6, -0.5, 0, 0, 0])
     pushes = [0.0, 5.0, 6.0, 6.0, 0.0]
@@ -86,8 +84,8 @@ def test_measured_force_is_beside_the_estimate(tmp_path: Path, press: Path, sens
     exported, archive, table = (tmp_path / name for name in ("table.csv", "r.npz", "r.csv"))
     done = export(recording, "--sensor", sensor, "--out", exported)
     assert done.exit_code == 0, done.output
-    summary = estimate_recording(recording, sensor, archive, table)
-    assert "6 N median in contact by the wrench" in summary.to_text()
+    run = bv.estimate(bv.open(recording), sensor, out=archive, csv=table)
+    assert "6 N median in contact by the wrench" in run.to_text()
     for path in (exported, table):
         measured = columns_of(rows_of(path), "measured_force_n")[:, 0]
         np.testing.assert_allclose(measured, pushes, atol=1e-9)
@@ -95,7 +93,7 @@ def test_measured_force_is_beside_the_estimate(tmp_path: Path, press: Path, sens
         np.testing.assert_allclose(result["measured_force_n"], pushes, atol=1e-9)
 
 
-def test_parquet_has_the_columns_of_the_csv(folder: Path) -> None:
+def test_parquet_has_the_columns_of_the_csv(folder):
     table = pyarrow.parquet.read_table(folder / "all.of it.parquet")
     rows = rows_of(folder / "all.of it.csv")
     assert table.column_names == list(rows[0])
@@ -109,9 +107,7 @@ def test_parquet_has_the_columns_of_the_csv(folder: Path) -> None:
         assert ["" if v is None else str(v) for v in told] == [row[name] for row in rows]
 
 
-def test_a_range_of_frames_and_a_name_with_a_suffix(
-    tmp_path: Path, press: Path, sensor: Path
-) -> None:
+def test_a_range_of_frames_and_a_name_with_a_suffix(tmp_path, press, sensor):
     out = tmp_path / "my numbers.csv"
     words = ("--sensor", sensor, "--out", out, "--frames", "1:4:2", "--kappa", "2.5", "--json")
     done = export(press, *words)
@@ -120,7 +116,7 @@ def test_a_range_of_frames_and_a_name_with_a_suffix(
     assert [(row["frame"], row["kappa"]) for row in rows_of(out)] == [("1", "2.5"), ("3", "2.5")]
 
 
-def test_poses_are_joined_by_frame(tmp_path: Path, press: Path, sensor: Path) -> None:
+def test_poses_are_joined_by_frame(tmp_path, press, sensor):
     poses = tmp_path / "poses.csv"
     poses.write_text(
         "frame,time_s,status,x_m,y_m,z_m,qx,qy,qz,qw,fitness,rmse_m,stage1_rmse_m,total_ms\n"
@@ -134,7 +130,7 @@ def test_poses_are_joined_by_frame(tmp_path: Path, press: Path, sensor: Path) ->
     assert (before["pose_status"], before["pose_z_m"]) == ("", "nan")
 
 
-def test_plots_leave_standard_error_empty(tmp_path: Path, press: Path, sensor: Path) -> None:
+def test_plots_leave_standard_error_empty(tmp_path, press, sensor):
     """Matplotlib, too, would say something: it cannot make its folder, and has no font cache."""
     (tmp_path / "file").touch()
     out = tmp_path / "plots.svg"
@@ -149,7 +145,7 @@ def test_plots_leave_standard_error_empty(tmp_path: Path, press: Path, sensor: P
     assert done.stderr == "" and out.exists()
 
 
-def test_plots_by_suffix(tmp_path: Path, folder: Path, press: Path, sensor: Path) -> None:
+def test_plots_by_suffix(tmp_path, folder, press, sensor):
     with Image.open(folder / "all.of it.png") as picture:
         assert np.asarray(picture).std() > 5.0
     out = tmp_path / "plots.svg"
@@ -160,7 +156,7 @@ def test_plots_by_suffix(tmp_path: Path, folder: Path, press: Path, sensor: Path
 # -- series ------------------------------------------------------------------------------------
 
 
-def test_paraview_series(folder: Path, estimated: Arrays) -> None:
+def test_paraview_series(folder, estimated):
     reader = pyvista.PVDReader(folder / "all.of it.pvd")
     np.testing.assert_array_equal(reader.time_values, estimated["time_s"])
     for k in range(len(estimated["frame"])):
@@ -179,14 +175,14 @@ def test_paraview_series(folder: Path, estimated: Arrays) -> None:
         assert mesh.field_data["TimeValue"][0] == estimated["time_s"][k]
 
 
-def test_the_other_index_names_the_same_files(folder: Path) -> None:
+def test_the_other_index_names_the_same_files(folder):
     listed = json.loads((folder / "all.of it.vtp.series").read_text())["files"]
     root = ElementTree.parse(folder / "all.of it.pvd").getroot()
     assert [each["name"] for each in listed] == [each.get("file") for each in root.iter("DataSet")]
     assert all((folder / each["name"]).is_file() for each in listed)
 
 
-def test_ply_of_the_membrane(folder: Path, estimated: Arrays) -> None:
+def test_ply_of_the_membrane(folder, estimated):
     path = folder / f"all.of it_membrane_{PRESSED:06d}.ply"
     mesh = open3d.t.io.read_triangle_mesh(str(path))
     u = estimated["displacement_m"][PRESSED]
@@ -199,9 +195,7 @@ def test_ply_of_the_membrane(folder: Path, estimated: Arrays) -> None:
     np.testing.assert_array_equal(vertices[:, 3:], np.stack([u, pressure], axis=1))
 
 
-def test_patch_clouds_are_the_measured_points_in_the_patch(
-    folder: Path, press: Path, estimated: Arrays
-) -> None:
+def test_patch_clouds_are_the_measured_points_in_the_patch(folder, press, estimated):
     cloud = open3d.t.io.read_point_cloud(str(folder / f"all.of it_patch_{PRESSED:06d}.ply"))
     points = cloud.point.positions.numpy()
     with Recording(press) as recording:
@@ -217,7 +211,7 @@ def test_patch_clouds_are_the_measured_points_in_the_patch(
     assert b"element vertex 0\n" in nothing
 
 
-def test_pictures(folder: Path, press: Path, estimated: Arrays) -> None:
+def test_pictures(folder, press, estimated):
     depth = np.asarray(Image.open(folder / f"all.of it_depth_{PRESSED:06d}.png"))
     pressure = np.asarray(Image.open(folder / f"all.of it_pressure_{PRESSED:06d}.png"))
     assert depth.shape == pressure.shape == (43, 56, 3)
@@ -233,7 +227,7 @@ def test_pictures(folder: Path, press: Path, estimated: Arrays) -> None:
     assert said["darkest"] < np.nanmedian(frame) < said["brightest"]
 
 
-def test_every_frame_has_its_files(folder: Path) -> None:
+def test_every_frame_has_its_files(folder):
     for kind in ("", "_membrane", "_patch", "_depth", "_pressure"):
         numbers = [path.stem[-6:] for path in sorted(folder.glob(f"all.of it{kind}_[0-9]*.*"))]
         assert numbers == [f"{k:06d}" for k in range(5)]
@@ -253,9 +247,7 @@ def test_every_frame_has_its_files(folder: Path) -> None:
         ("depth,table", {"estimate", "fine_contact", "patch"}),
     ],
 )
-def test_only_the_stages_needed_run(
-    what: str, stages: set[str], tmp_path: Path, press: Path, sensor: Path
-) -> None:
+def test_only_the_stages_needed_run(what, stages, tmp_path, press, sensor):
     words = ["--out", tmp_path / "x", "--what", what, "--frames", "2:4", "--json"]
     done = export(press, "--sensor", sensor, *words)
     ran = json.loads(done.stdout)["stages"]
@@ -263,7 +255,7 @@ def test_only_the_stages_needed_run(
     assert set(ran.values()) == {2}
 
 
-def test_depth_pictures_load_no_solver(tmp_path: Path, press: Path, sensor: Path) -> None:
+def test_depth_pictures_load_no_solver(tmp_path, press, sensor):
     words = [str(press), "--sensor", str(sensor), "--out", str(tmp_path / "d"), "--what", "depth"]
     code = (
         "import sys; from bubbleviz.cli.command_line import main\n"
@@ -278,21 +270,18 @@ def test_depth_pictures_load_no_solver(tmp_path: Path, press: Path, sensor: Path
 # -- whole or not at all -----------------------------------------------------------------------
 
 
-def test_nothing_is_left_of_a_cancelled_export(tmp_path: Path, press: Path, sensor: Path) -> None:
-    def stop(step: str, done: float) -> None:
+def test_nothing_is_left_of_a_cancelled_export(tmp_path, press, sensor):
+    def stop(step, done):
         if done > 0.5:
             assert list(tmp_path.iterdir())  # there was something to leave
             raise Cancelled
 
-    plan = ExportPlan.of(tmp_path / "x", ["vtk", "table"])
     with pytest.raises(Cancelled):
-        export_recording(press, sensor, plan, progress=stop)
+        bv.export(bv.open(press), tmp_path / "x", sensor, what="vtk,table", progress=stop)
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_is_left_when_a_frame_cannot_be_read(
-    tmp_path: Path, sensor: Path, press: Path
-) -> None:
+def test_nothing_is_left_when_a_frame_cannot_be_read(tmp_path, sensor, press):
     cut = tmp_path / "cut.mcap"
     raw = bytearray(press.read_bytes())
     middle = len(raw) // 2
@@ -322,9 +311,7 @@ def test_nothing_is_left_when_a_frame_cannot_be_read(
         ("no/x.csv", [], "does not exist"),
     ],
 )
-def test_wrong_words_are_one_line_and_exit_code_2(
-    out: str, more: list[str], words: str, tmp_path: Path, press: Path, sensor: Path
-) -> None:
+def test_wrong_words_are_one_line_and_exit_code_2(out, more, words, tmp_path, press, sensor):
     (tmp_path / "there").mkdir()
     done = export(press, "--sensor", sensor, "--out", tmp_path / out, *more)
     assert done.exit_code == 2, done.output
@@ -333,15 +320,13 @@ def test_wrong_words_are_one_line_and_exit_code_2(
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
-def test_parquet_without_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parquet_without_its_library(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # what a missing module looks like
     with pytest.raises(InputError, match=r"pip install .*\[parquet\]"):
         ExportPlan.of(tmp_path / "x.parquet")
 
 
-def test_what_is_missing_of_a_recording_is_said_by_every_command(
-    press: Path, sensor: Path, tmp_path: Path
-) -> None:
+def test_what_is_missing_of_a_recording_is_said_by_every_command(press, sensor, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(press.read_bytes()[:-40])
     given = (str(cut), "--sensor", str(sensor), "--frames", "2:3", "--json")

@@ -5,16 +5,14 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bubbleviz.commands.estimate import parse_frames
+from bubbleviz.api.frames import parse_frames
 from bubbleviz.errors import InputError
 
 bound = st.none() | st.integers(0, 40)
 
 
 @given(bound, bound, st.none() | st.integers(0, 9), st.integers(1, 30), st.booleans())
-def test_as_a_slice_or_one_sentence(
-    start: int | None, stop: int | None, step: int | None, count: int, spaced: bool
-) -> None:
+def test_as_a_slice_or_one_sentence(start, stop, step, count, spaced):
     space = " " if spaced else ""
     parts = ["" if part is None else str(part) for part in (start, stop)]
     parts += [] if step is None else [str(step)]
@@ -32,7 +30,7 @@ def test_as_a_slice_or_one_sentence(
 
 
 @given(st.text(max_size=12), st.integers(1, 30))
-def test_any_text_is_frames_of_the_recording_or_one_sentence(text: str, count: int) -> None:
+def test_any_text_is_frames_of_the_recording_or_one_sentence(text, count):
     try:
         chosen = parse_frames(text, count, "rec")
     except InputError:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz.output.mp4_writer import open_mp4
 
 
-def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
+def pictures(count, height, width):
     """Grey pictures with a bright bar that moves down."""
     for k in range(count):
         picture = np.full((height, width, 3), 60, np.uint8)
@@ -23,14 +22,14 @@ def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
         yield picture
 
 
-def write(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
+def write(path, pictures, fps):
     with open_mp4(path, fps) as writer:
         for picture in pictures:
             writer.add(picture)
 
 
 @pytest.mark.parametrize("size", [(64, 96), (65, 97)])
-def test_frames_come_back(size: tuple[int, int], tmp_path: Path) -> None:
+def test_frames_come_back(size, tmp_path):
     path = tmp_path / "view.mp4"
     write(path, pictures(8, *size), fps=12.5)
     reader = imageio_ffmpeg.read_frames(str(path))
@@ -48,7 +47,7 @@ def test_frames_come_back(size: tuple[int, int], tmp_path: Path) -> None:
         assert red[8 * k + 4] == pytest.approx(220, abs=20)
 
 
-def test_nothing_is_left_without_an_end(tmp_path: Path) -> None:
+def test_nothing_is_left_without_an_end(tmp_path):
     with pytest.raises(KeyboardInterrupt), open_mp4(tmp_path / "a.mp4", 30.0) as writer:
         for picture in pictures(3, 64, 64):
             writer.add(picture)
@@ -60,7 +59,7 @@ def test_nothing_is_left_without_an_end(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_refusals_before_the_work(tmp_path: Path) -> None:
+def test_refusals_before_the_work(tmp_path):
     there = tmp_path / "there.mp4"
     there.write_text("mine")
     never: Iterator[np.ndarray] = iter(())
@@ -73,21 +72,21 @@ def test_refusals_before_the_work(tmp_path: Path) -> None:
     assert there.read_text() == "mine"
 
 
-def test_what_the_encoder_refuses_is_told_in_its_words(tmp_path: Path) -> None:
+def test_what_the_encoder_refuses_is_told_in_its_words(tmp_path):
     said = r"cannot write it \(invalid width x height \(20000x2\)\); choose"
     with pytest.raises(InputError, match=said):
         write(tmp_path / "a.mp4", [np.zeros((2, 20_000, 3), np.uint8)] * 30, 30.0)
     assert not list(tmp_path.iterdir())
 
 
-def test_no_python_runs_between_fork_and_ffmpeg(tmp_path: Path) -> None:
+def test_no_python_runs_between_fork_and_ffmpeg(tmp_path):
     """A factorisation of another thread prints a traceback there."""
     words = f"""
 import threading
 import numpy as np
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
-from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz.output.mp4_writer import open_mp4
 made, over = threading.Event(), threading.Event()
 def factor():
     kept = splu(eye_array(9, format="csc"))

@@ -16,14 +16,14 @@ from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 
 
 def refusal(path: Path) -> str:
     with pytest.raises(InputError) as caught:
-        recording_info(path)
+        info(path)
     message = str(caught.value)
     assert "\n" not in message
     assert path.name in message
@@ -31,7 +31,7 @@ def refusal(path: Path) -> str:
 
 
 def read_all(path: Path) -> None:
-    recording_info(path)
+    info(path)
     with Recording(path) as recording:
         for k in range(len(recording)):
             recording[k]

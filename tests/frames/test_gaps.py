@@ -11,7 +11,7 @@ from bagmaker import HEIGHT, PERIOD, START, WIDTH, BagMaker, depth_image, fill, 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.frames.gaps import find_gaps
 
 
@@ -49,7 +49,7 @@ def test_facts_of_a_recording(tmp_path: Path) -> None:
     for k in (9, 10):  # frames 6, 7 and 8 are missing
         bag.image(START + k * PERIOD, depth_image(k))
     path = bag.write(tmp_path)
-    facts = recording_info(path)
+    facts = info(path)
     assert (facts.frames, facts.gaps) == (8, 3)
     assert [(g.after_frame, g.missing) for g in facts.gap_positions] == [(5, 3)]
     assert facts.rate_hz == pytest.approx(1e9 / PERIOD)
@@ -70,7 +70,7 @@ def test_facts_of_a_recording(tmp_path: Path) -> None:
 
 
 def test_json_and_text_say_the_same(press: Path) -> None:
-    facts = recording_info(press)
+    facts = info(press)
     data = json.loads(facts.to_json())
     assert data["frames"] == 6
     assert data["gaps"] == 0
@@ -83,6 +83,6 @@ def test_json_and_text_say_the_same(press: Path) -> None:
 
 def test_real_recording_has_no_gaps(punyo_press: Path) -> None:
     """Its camera is late by up to half a period, yet its frame numbers are complete."""
-    facts = recording_info(punyo_press)
+    facts = info(punyo_press)
     assert (facts.frames, facts.gaps) == (90, 0)
     assert facts.rate_hz == pytest.approx(30.0, rel=0.02)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from bubbleviz.api.estimating import patch_options
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.commands.estimate import patch_options
 from bubbleviz.files.preset_files import preset_names
 from bubbleviz.frames.frame import Frame
 from bubbleviz.inverse.contact_refiner import mesh_limits

@@ -22,9 +22,9 @@ from wire import NOW, PERIOD, depth
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port, sequences, soak
+from bubbleviz.api.frames import info
 from bubbleviz.cli.command_line import main
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.commands.info import recording_info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.depth_topics import IMAGE
 from bubbleviz.frames.frame import Frame
@@ -62,7 +62,7 @@ def write_plain(path: Path, frames: int) -> None:
 def has_frames(path: Path) -> bool:
     """Whether a recording in the making opens, with some frames."""
     try:
-        return path.exists() and recording_info(path).frames > 0
+        return path.exists() and info(path).frames > 0
     except InputError:
         return False
 
@@ -74,10 +74,10 @@ def test_record_for_a_while(tmp_path: Path, small_sensor_file: Path) -> None:
     done = run("record", "--source", source, *words)
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
-    info = recording_info(out)
-    assert info.frames == facts["frames"] > 20
-    assert info.gaps == 0
-    assert info.note == ""
+    told = info(out)
+    assert told.frames == facts["frames"] > 20
+    assert told.gaps == 0
+    assert told.note == ""
     assert facts["size_bytes"] == out.stat().st_size
     again = tmp_path / "again"
     assert "wrote" in run("record", "--source", f"replay:{out}?speed=9", "--out", str(again)).output
@@ -184,15 +184,15 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     assert facts["frames"] > 10
     assert facts["status"].keys() <= {"ok", "no_contact"}
     assert facts["pressure_offset_pa"] is None or abs(facts["pressure_offset_pa"]) < 50.0
-    info = recording_info(out)
-    topics = {topic.name: topic.count for topic in info.topics}
+    told = info(out)
+    topics = {topic.name: topic.count for topic in told.topics}
     assert topics["/bubbleviz/contact_patch"] == facts["frames"]
     assert topics["/bubbleviz/contact_wrench"] == facts["frames"]
     assert topics["/diagnostics"] >= 1
     assert 0 < topics["/bubbleviz/object_pose"] <= facts["status"]["ok"]
-    assert info.frames >= facts["frames"]
-    assert info.wrench is False  # ours is no measurement
-    assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= info.frames
+    assert told.frames >= facts["frames"]
+    assert told.wrench is False  # ours is no measurement
+    assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= told.frames
 
 
 def untouched_recording(path: Path, sensor_file: Path, frames: int, off_pa: float) -> Path:
@@ -329,7 +329,7 @@ def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
         source = f"zenoh:{endpoint}?ca={ca}&login={login}"
         done = run("record", "--source", source, "--out", str(out), "--duration", "0.3")
         assert done.exit_code == 0, done.output
-        assert recording_info(out).frames > 0
+        assert info(out).frames > 0
         monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 2.0)
         auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
         for options, why in (

@@ -30,7 +30,7 @@ from wire import (
     number_of,
 )
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
 from bubbleviz.frames.bags.mcap_file import McapFile
 from bubbleviz.frames.depth_topics import MARKERS
@@ -176,7 +176,7 @@ def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path: Path) ->
     assert found[-1] == 30
     assert len(set(found)) == 6
     path.write_bytes(whole[: size - 1])
-    lost = float(recording_info(path).note.split("whole chunk; ")[1].split()[0]) * 1e3
+    lost = float(info(path).note.split("whole chunk; ")[1].split()[0]) * 1e3
     assert 0.0 < lost < 10_000.0  # the index, no images
 
 
@@ -222,7 +222,7 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(
         assert killed_ns - recording.stamps_ns[-1] < 1_000_000_000
         assert recording.bag.note
         assert recording[5].gas_pressure_pa == 1e5 + 5
-    assert "note" in recording_info(path).to_text()
+    assert "note" in info(path).to_text()
     file = path if path.is_file() else path / "folder.mcap"
     with file.open("rb") as stream:  # mcap's own, for streams without an end
         images = 0

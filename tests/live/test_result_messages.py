@@ -12,9 +12,9 @@ import pytest
 from streams import over_zenoh
 from wire import CLOUD, STORE, WRENCH
 
+import bubbleviz as bv
+from bubbleviz.api.watching import PRODUCTS, Watcher
 from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero
-from bubbleviz.commands.estimate import estimate_recording
-from bubbleviz.commands.watch import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_encoding import FrameMessages
@@ -258,11 +258,11 @@ def test_a_recording_is_zeroed_unless_told_not_to(
             assert frame.gas_pressure_pa is not None
             writer.write(replace(frame, gas_pressure_pa=frame.gas_pressure_pa - 800.0))
     with pytest.raises(InputError, match="no frame asked for looks like"):
-        estimate_recording(path, small_sensor_file, tmp_path / "plain.npz", zero_gas=False)
-    summary = estimate_recording(path, small_sensor_file, tmp_path / "zeroed.npz", frames="18:")
-    assert summary.status == {"no_contact": 2, "ok": 10}
-    assert summary.gas_zero == "gas pressure zero: -800 Pa from 15 contact-free frames"
-    assert summary.gas_zero in summary.to_text()
+        bv.estimate(bv.open(path), small_sensor_file, zero_gas=False)
+    run = bv.estimate(bv.open(path, "18:"), small_sensor_file, out=tmp_path / "zeroed.npz")
+    assert run.facts()["status"] == {"no_contact": 2, "ok": 10}
+    assert run.said["gas_zero"] == "gas pressure zero: -800 Pa from 15 contact-free frames"
+    assert run.said["gas_zero"] in run.to_text()
     with np.load(tmp_path / "zeroed.npz") as arrays:
         assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
 
@@ -286,8 +286,9 @@ def test_what_is_said_where_there_is_no_zero(
             for k in frames:
                 frame = source[k]
                 writer.write(frame if measured else replace(frame, gas_pressure_pa=None))
-        summary = estimate_recording(path, small_sensor_file, tmp_path / f"{name}.npz")
-        assert summary.gas_zero is None if says is None else says in summary.gas_zero
+        run = bv.estimate(bv.open(path), small_sensor_file, out=tmp_path / f"{name}.npz")
+        zero = run.said["gas_zero"]
+        assert zero is None if says is None else says in zero
         with np.load(tmp_path / f"{name}.npz") as arrays:
             assert "gas_pressure_offset_pa" not in arrays
 

@@ -12,10 +12,10 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
+from bubbleviz.api.watching import Watcher
 from bubbleviz.calibration.rest.contact_free import LAG
 from bubbleviz.cli.command_line import main
 from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.commands.watch import Watcher
 from bubbleviz.diagnostics.shear_tally import ShearTally, shear_line
 from bubbleviz.frames.frame import Frame
 from bubbleviz.frames.message_encoding import FrameMessages
@@ -71,7 +71,7 @@ def watched(*frames: Frame) -> Iterator[tuple[Watcher, Result]]:
     with LiveStream(source) as stream:
         stream.follow_colour()
         source.hand(frames[0])
-        watcher = Watcher.on(stream, "handed", sensor(), zero=False, shear=True)
+        watcher = Watcher.on(stream, "handed", sensor(), zero_gas=False, shear=True)
         for k, frame in enumerate(frames):
             if k:
                 source.hand(frame)

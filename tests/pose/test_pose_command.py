@@ -9,11 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.pose import PoseSummary
-from bubbleviz.export.pose_columns import read_poses
 from bubbleviz.files.pose_reader import read_path
 from bubbleviz.files.pose_writer import PoseRow, write_poses
 from bubbleviz.frames.frame import Frame
+from bubbleviz.output.pose_columns import read_poses
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import load_sensor
@@ -82,8 +81,8 @@ def test_the_area_of_the_patch_by_the_object_is_a_column_when_asked_for(folder):
     assert summary["median_object_patch_area_m2"] == pytest.approx(median)
     columns = read_poses(folder / "areas.csv")
     assert columns[3]["pose_object_patch_area_m2"] == float(pressed[-1]["object_patch_area_m2"])
-    shown = PoseSummary(**summary).to_text()
-    assert f"{1e6 * median:.0f} mm² by the object" in shown
+    again = command(folder, "areas.csv", *more[:-1], "--overwrite")
+    assert f"{1e6 * median:.0f} mm² by the object" in again.stdout
 
 
 def test_bad_input_is_one_line(folder, tmp_path):

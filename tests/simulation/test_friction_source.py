@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bubbleviz.api.simulating import simulate, write_simulation
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.simulate import simulated_press, write_simulation
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 from bubbleviz.membrane.reference_mesh import build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
-from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.press_path import press_path, touching_height
 from bubbleviz.simulation.synthetic_source import SyntheticSource
 from bubbleviz.simulation.truth import Truth
@@ -36,9 +35,7 @@ def sensor():
 
 
 def source(sensor, friction, **moved):
-    return simulated_press(
-        sensor, "sphere", POSE, DepthNoise(), frames=FRAMES, friction=friction, **moved
-    )
+    return simulate(sensor, "sphere", POSE, frames=FRAMES, friction=friction, **moved).source
 
 
 @pytest.fixture(scope="module")
@@ -156,4 +153,4 @@ def test_what_cannot_be_simulated_is_told_in_one_line(sensor, tmp_path, argument
 
 def test_drag_along_a_path_is_refused(sensor, tmp_path):
     with pytest.raises(InputError, match="one pose"):
-        simulated_press(sensor, "sphere", np.eye(4)[None], DepthNoise(), frames=20, drag_m=0.001)
+        simulate(sensor, "sphere", np.eye(4)[None], frames=20, drag_m=0.001)

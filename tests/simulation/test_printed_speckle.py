@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.camera.depth_camera import DepthCamera
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.errors import InputError
 from bubbleviz.files.pose_reader import parse_pose
 from bubbleviz.frames.recording import Recording

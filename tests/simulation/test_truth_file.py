@@ -6,7 +6,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from bubbleviz.commands.simulate import write_simulation
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.errors import InputError
 from bubbleviz.frames.recording import Recording
 from bubbleviz.rigid_object import load_object

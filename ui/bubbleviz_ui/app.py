@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.live.session_preset import SessionPreset
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.scene_presets import ScenePreset
@@ -94,6 +94,8 @@ def screenshot(
     scene: ScenePreset | None = None,
     size: tuple[int, int] = (1280, 800),
     truth: Path | None = None,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a picture of the whole window at one frame.
 
@@ -103,8 +105,7 @@ def screenshot(
         There is nothing to draw on, the recording cannot be opened, has no such frame, or the
         picture exists or cannot be written.
     """
-    if out.exists():
-        raise InputError(f"{out}: exists already; choose another name or remove it")
+    refuse_existing(out, overwrite=overwrite)
     with (
         screen_for_pictures(*size),
         window_session(sensor, recording, frame, scene, truth=truth) as session,

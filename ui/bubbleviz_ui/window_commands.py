@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from bubbleviz.cli.shared_options import colour_delay_option
+from bubbleviz.cli.shared_options import colour_delay_option, overwrite_option
 from bubbleviz.files.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
 from bubbleviz.files.preset_files import preset_names
 
@@ -39,6 +39,7 @@ def window(fresh: bool) -> int:
 @colour_delay_option
 @click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
+@overwrite_option
 @_fresh
 def open_recording(
     recording: Path | None,
@@ -50,6 +51,7 @@ def open_recording(
     colour_delay_s: float | None,
     frame: int | None,
     screenshot: Path | None,
+    overwrite: bool,
     fresh: bool,
 ) -> int:
     """Show a recording, a saved session or a live source in the window."""
@@ -75,7 +77,7 @@ def open_recording(
     if screenshot is not None:
         from bubbleviz.files.output_files import refuse_existing
 
-        refuse_existing(screenshot)
+        refuse_existing(screenshot, overwrite=overwrite)
     preset = None if scene is None else load_scene(scene)
     name, chosen = checked_sensor(recording, sensor)
     chosen = with_colour_delay(chosen, colour_delay_s)
@@ -85,7 +87,8 @@ def open_recording(
 
     if screenshot is None:
         return app.run_window(chosen, recording, frame, preset, fresh=fresh, truth=truth)
-    app.screenshot(chosen, recording, frame or 0, screenshot, preset, truth=truth)
+    where = chosen, recording, frame or 0, screenshot, preset
+    app.screenshot(*where, truth=truth, overwrite=overwrite)
     click.echo(f"wrote {screenshot}")
     return 0
 

@@ -13,8 +13,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 from window_driver import Drive, Driver, run_bubbleviz
 
+from bubbleviz.api.simulating import write_simulation
 from bubbleviz.cli.command_line import main
-from bubbleviz.commands.simulate import write_simulation
 from bubbleviz.frames.message_encoding import FrameMessages
 from bubbleviz.live.raw_message import RawMessage
 from bubbleviz.live.sinks.recorder import Recorder

@@ -9,7 +9,7 @@ from PySide6.QtCore import QUrl
 from small_press import write_press
 from window_driver import Drive, copied
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.source_openers import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
@@ -31,7 +31,7 @@ def test_information_is_that_of_the_command_and_names_the_sensor(
     dialog = opened()
     driver.click(dialog.copy)
     first, rest = copied().split("\n", 1)
-    assert sensor.name in first and rest == recording_info(path).to_text()
+    assert sensor.name in first and rest == info(path).to_text()
     dialog.close()
     driver.opens("dent", DentSource, sensor, playing=False)  # of what is no file
     driver.wait(lambda: driver.state.facts.title == "dent")

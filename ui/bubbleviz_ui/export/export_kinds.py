@@ -17,7 +17,7 @@ class Kind:
     suffixes : dict of str to str
         What the name of its file may end in, by title; empty: a folder of files.
     what : str
-        Of `bubbleviz.export.export_plan.KINDS`, for a folder.
+        Of `bubbleviz.output.export_plan.KINDS`, for a folder.
     """
 
     title: str

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.export.pose_columns import pose_columns
+from bubbleviz.output.pose_columns import pose_columns
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.jobs import Done, Job, Jobs
 from bubbleviz_ui.engine.requests import Failed, FrameRequest

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bubbleviz.commands.export import export_frames
-from bubbleviz.export.export_plan import ExportPlan
+from bubbleviz.api.exporting import export_frames
+from bubbleviz.api.frames import Frames
 from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.output.export_plan import ExportPlan
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.wording import count_of
 
@@ -38,11 +39,11 @@ def export_to_files(
     frames : range
     out : Path
     what : str
-        Of `bubbleviz.export.export_plan.KINDS` for a folder; empty: the suffix of `out` says it.
+        Of `bubbleviz.output.export_plan.KINDS` for a folder; empty: the suffix of `out` says it.
     options : FrameOptions
     estimator : EstimatorOptions
     poses : dict
-        Pose columns by frame, see `bubbleviz.export.pose_columns`.
+        Pose columns by frame, see `bubbleviz.output.pose_columns`.
     progress : Progress
 
     Returns
@@ -62,7 +63,7 @@ def export_to_files(
     source = open_source(sensor)
     try:
         pipeline = Pipeline.of(sensor, source[frames[0]].intrinsics, estimator)
-        done = export_frames(source, frames, pipeline, options, plan, progress)
+        done = export_frames(Frames(source, frames), pipeline, options, plan, progress)
     finally:
         source.close()
     files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
-from bubbleviz.export.mp4_writer import open_mp4
+from bubbleviz.output.mp4_writer import open_mp4
 from bubbleviz.wording import count_of
 from bubbleviz_ui.view3d.scene_text import text_at
 from bubbleviz_ui.view3d.tools.still_picture import still

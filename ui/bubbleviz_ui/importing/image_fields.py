@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout
 
-from bubbleviz.commands.convert import Beside
 from bubbleviz_ui.importing.file_field import FileField
 from bubbleviz_ui.panels.binding import options
 
@@ -76,17 +76,17 @@ class ImageFields:
                 field.valueChanged.connect(lambda _: changed())
 
     @property
-    def beside(self) -> Beside:
-        """What is chosen."""
+    def beside(self) -> dict[str, Any]:
+        """What is chosen, by the options of `bubbleviz.convert`."""
         timing = self.timing.currentText()
-        return Beside(
-            intrinsics=self.intrinsics.path,
-            times=self.times.path if timing == TABLE else None,
-            gas_pressure=self.gas_pressure.path,
-            wrench=self.wrench.path,
-            rate_hz=self.rate.value() if timing == RATE else None,
-            metres_per_unit=self.unit.currentData(),
-        )
+        return {
+            "intrinsics": self.intrinsics.path,
+            "times": self.times.path if timing == TABLE else None,
+            "gas_pressure": self.gas_pressure.path,
+            "wrench": self.wrench.path,
+            "rate_hz": self.rate.value() if timing == RATE else None,
+            "metres_per_unit": self.unit.currentData(),
+        }
 
     def show(self, shown: bool, *, enabled: bool = True) -> None:
         """Show the rows that apply, or none."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
@@ -19,7 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.commands.convert import Beside, ConvertSummary, convert
+from bubbleviz.api.converting import ConvertSummary, convert
 from bubbleviz.files.output_files import free_name
 from bubbleviz.frames.image_folder import is_image_folder
 from bubbleviz.progress import Progress
@@ -162,7 +163,7 @@ class ImportDialog(QDialog):
         if path is None:
             return
         self._tell(None, "")
-        beside = self.images.beside if is_image_folder(path) else Beside()
+        beside = self.images.beside if is_image_folder(path) else {}
         self._jobs.run(partial(_imported, path, self.out_path, beside), self._on_done, _discard)
         self._on_progress("opening", 0.0)
         self._show()
@@ -196,9 +197,9 @@ class ImportDialog(QDialog):
             self.accept()
 
 
-def _imported(path: Path, out: Path, beside: Beside, progress: Progress) -> ConvertSummary:
+def _imported(path: Path, out: Path, beside: dict[str, Any], progress: Progress) -> ConvertSummary:
     make_room(out)
-    return convert(path, out, beside, progress)
+    return convert(path, out, progress=progress, **beside)
 
 
 def _discard(summary: ConvertSummary | None) -> None:

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.commands.info import recording_info
+from bubbleviz.api.frames import info
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
@@ -91,7 +91,7 @@ class InformationDialog(TextDialog):
         if isinstance(opener, RecordingOpener):
             path = opener.path
             self.text.setPlaceholderText("Reading the recording…")
-            jobs.replace(lambda _: recording_info(path).to_text(), self._on_read)
+            jobs.replace(lambda _: info(path).to_text(), self._on_read)
             self.finished.connect(jobs.cancel)
         elif facts is not None and facts.nothing:
             self._write("Nothing is open.")

@@ -1,11 +1,11 @@
-"""The work of `bubbleviz convert`: any recording, or a folder of depth images, as MCAP."""
+"""Other recordings, and folders of depth images, as recordings."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from bubbleviz.commands.summary import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files.output_files import refuse_existing
 from bubbleviz.frames.frame_source import FrameSource
@@ -27,16 +27,7 @@ from bubbleviz.wording import count_of
 
 @dataclass(frozen=True)
 class ConvertSummary(Summary):
-    """Summary of a conversion.
-
-    Attributes
-    ----------
-    out : str
-    frames : int
-    duration_s : float
-    width, height : int
-    has_intrinsics, has_gas_pressure, has_wrench, has_colour : bool
-    """
+    """Summary of a conversion."""
 
     out: str
     frames: int
@@ -63,88 +54,98 @@ class ConvertSummary(Summary):
         )
 
 
-@dataclass(frozen=True)
-class Beside:
-    """What belongs to a folder of images; each may be missing.
-
-    Attributes
-    ----------
-    intrinsics, times, gas_pressure, wrench : Path or None
-        Files; see `bubbleviz.frames.image_folder`. Intrinsics and times are looked for in the
-        folder, too, as `intrinsics.toml`, `intrinsics.json` and `times.csv`.
-    rate_hz : float or None
-        Of the images, where they have no times.
-    metres_per_unit : float or None
-    """
-
-    intrinsics: Path | None = None
-    times: Path | None = None
-    gas_pressure: Path | None = None
-    wrench: Path | None = None
-    rate_hz: float | None = None
-    metres_per_unit: float | None = None
-
-    def images_of(self, folder: Path) -> ImageFolder:
-        """The images of a folder with what belongs to them."""
-        camera = self.intrinsics or _there(folder, *INTRINSICS)
-        times = self.times or (None if self.rate_hz else _there(folder, "times.csv"))
-        pressure, wrench = self.gas_pressure, self.wrench
-        return ImageFolder(
-            folder,
-            intrinsics=None if camera is None else read_intrinsics(camera),
-            times_s=None if times is None else read_times(times),
-            rate_hz=self.rate_hz,
-            metres_per_unit=self.metres_per_unit,
-            gas_pressure=None if pressure is None else read_gas_pressure(pressure),
-            wrench=None if wrench is None else read_wrench(wrench),
-        )
-
-    @property
-    def anything(self) -> bool:
-        """Whether anything is given."""
-        return self != Beside()
-
-
 def convert(
-    source: str | Path, out: str | Path, beside: Beside | None = None, progress: Progress = quiet
+    source: str | Path,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress = quiet,
+    **beside: str | Path | float | None,
 ) -> ConvertSummary:
     """Write the frames of a recording or of a folder of depth images as a recording.
 
     Parameters
     ----------
-    source : path-like
-        A folder of images, or whatever `Recording` opens.
-    out : path-like
+    source : path
+        A folder of images, or whatever `open` opens.
+    out : path
         `X.mcap`, or a new folder for a rosbag2.
-    beside : Beside, optional
-        For a folder of images.
+    overwrite : bool
+        Replace what exists.
     progress : Progress
+    **beside
+        Of a folder of images, see `images_of`: `intrinsics`, `times`, `gas_pressure`, `wrench`,
+        `rate_hz`, `metres_per_unit`.
 
     Raises
     ------
     InputError
         Something cannot be read or does not fit together, or `out` exists; nothing is written.
     """
-    refuse_existing(out)
-    source, beside = Path(source), beside or Beside()
+    refuse_existing(out, overwrite=overwrite)
+    source = Path(source)
+    beside = {name: value for name, value in beside.items() if value is not None}
     progress("opening", 0.0)
     if is_image_folder(source):
-        images = beside.images_of(source)
-        return _written(images, out, progress, whole_millimetres=images.whole_millimetres)
-    if beside.anything:
+        images = images_of(source, **beside)  # type: ignore[arg-type]
+        return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
+    if beside:
         raise InputError(
             f"{source}: is no folder of images; intrinsics, times and measured values are its own"
         )
     with Recording(source) as recording:
-        return _written(recording, out, progress, recording.encoding == "16UC1")
+        whole_millimetres = recording.encoding == "16UC1"
+        return _written(recording, out, progress, whole_millimetres, overwrite=overwrite)
+
+
+def images_of(
+    folder: Path,
+    *,
+    intrinsics: Path | None = None,
+    times: Path | None = None,
+    gas_pressure: Path | None = None,
+    wrench: Path | None = None,
+    rate_hz: float | None = None,
+    metres_per_unit: float | None = None,
+) -> ImageFolder:
+    """The depth images of a folder with what belongs to them.
+
+    Parameters
+    ----------
+    folder : Path
+    intrinsics, times, gas_pressure, wrench : Path, optional
+        Files; see `bubbleviz.frames.image_folder`. Intrinsics and times are looked for in the
+        folder, too, as `intrinsics.toml`, `intrinsics.json` and `times.csv`.
+    rate_hz : float, optional
+        Of the images, where they have no times.
+    metres_per_unit : float, optional
+    """
+    if rate_hz is not None and times is not None:
+        raise InputError(f"{folder}: give either a rate of the images or their times")
+    camera = intrinsics or _there(folder, *INTRINSICS)
+    times = times or (None if rate_hz else _there(folder, "times.csv"))
+    return ImageFolder(
+        folder,
+        intrinsics=None if camera is None else read_intrinsics(camera),
+        times_s=None if times is None else read_times(times),
+        rate_hz=rate_hz,
+        metres_per_unit=metres_per_unit,
+        gas_pressure=None if gas_pressure is None else read_gas_pressure(gas_pressure),
+        wrench=None if wrench is None else read_wrench(wrench),
+    )
 
 
 def _written(
-    source: FrameSource, out: str | Path, progress: Progress, whole_millimetres: bool
+    source: FrameSource,
+    out: str | Path,
+    progress: Progress,
+    whole_millimetres: bool,
+    *,
+    overwrite: bool,
 ) -> ConvertSummary:
-    encoding: Encoding = "16UC1" if whole_millimetres else "32FC1"
     pressure = wrench = colour = False
-    with RecordingWriter(out, encoding=encoding) as writer:
+    encoding: Encoding = "16UC1" if whole_millimetres else "32FC1"
+    with RecordingWriter(out, encoding=encoding, overwrite=overwrite) as writer:
         for index in range(len(source)):
             progress("converting", index / len(source))
             frame = source[index]

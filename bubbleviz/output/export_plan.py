@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.exporter import Exporter
-from bubbleviz.export.plot_files import write_plots
-from bubbleviz.export.ply_export import MembranePlyExporter, PatchPlyExporter
-from bubbleviz.export.png_export import DepthPngExporter, PressurePngExporter
-from bubbleviz.export.table_export import TableExporter, require_parquet, write_csv, write_parquet
-from bubbleviz.export.vtk_export import VtkExporter
 from bubbleviz.files.output_files import refuse_existing
+from bubbleviz.output.exporter import Exporter
+from bubbleviz.output.plot_files import write_plots
+from bubbleviz.output.series import SERIES
+from bubbleviz.output.table_export import TableExporter, require_parquet, write_csv, write_parquet
 from bubbleviz.pipeline import Pipeline
 
 _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
@@ -29,9 +27,8 @@ _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
 _IN_A_FOLDER = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
 """Suffix of the file of such a kind in a folder with others."""
 
-_SERIES = ("vtk", "ply", "patch", "depth", "pressure")
 _SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
-KINDS = ("table", "parquet", "plots", *_SERIES)
+KINDS = ("table", "parquet", "plots", *SERIES)
 _SEVERAL = {"png": ("depth", "pressure")}
 
 
@@ -47,13 +44,16 @@ class ExportPlan:
         Of `KINDS`.
     is_folder : bool
     poses : dict
-        Pose columns for the table by frame index, see `bubbleviz.export.pose_columns`.
+        Pose columns for the table by frame index, see `bubbleviz.output.pose_columns`.
+    overwrite : bool
+        Replace what is at `out`.
     """
 
     out: Path
     kinds: tuple[str, ...]
     is_folder: bool
     poses: dict[int, dict[str, Any]] = field(default_factory=dict)
+    overwrite: bool = False
 
     @classmethod
     def of(
@@ -61,6 +61,8 @@ class ExportPlan:
         out: str | Path,
         what: Sequence[str] = (),
         poses: dict[int, dict[str, Any]] | None = None,
+        *,
+        overwrite: bool = False,
     ) -> ExportPlan:
         """Plan for an output path; a suffix of one file says what it holds.
 
@@ -70,8 +72,8 @@ class ExportPlan:
             Unknown kinds, kinds that the suffix cannot hold, or `out` cannot be made.
         """
         out, kinds = Path(out), _kinds(what)
-        refuse_existing(out)
-        plan = cls(out, kinds, True, poses or {})
+        refuse_existing(out, overwrite=overwrite)
+        plan = cls(out, kinds, True, poses or {}, overwrite)
         if out.suffix.lower() in _FILES:
             kind = _FILES[out.suffix.lower()][0]
             if kinds not in ((), (kind,)):
@@ -79,7 +81,7 @@ class ExportPlan:
                     f"{out}: a {out.suffix} file holds {kind}, not {', '.join(kinds)}; give a "
                     "name without suffix for a folder"
                 )
-            plan = cls(out, (kind,), False, poses or {})
+            plan = replace(plan, kinds=(kind,), is_folder=False)
         elif out.suffix.lower() == ".mp4":
             raise InputError(f"{out}: a video of the view is written by the window; open it there")
         elif out.suffix.lower() in _SERIES_SUFFIXES:
@@ -111,27 +113,12 @@ class ExportPlan:
             if kind in _IN_A_FOLDER:
                 made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}", pipeline))
             else:
-                made.append(_series(kind, at, name, pipeline))
+                made.append(SERIES[kind](at, name, pipeline.model))
         return made
 
     def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
         write, sensor = _FILES[path.suffix.lower()][1], pipeline.model.sensor.name
         return TableExporter(path, write, sensor, self.poses or None)
-
-
-def _series(kind: str, folder: Path, name: str, pipeline: Pipeline) -> Exporter:
-    mesh = pipeline.mesh
-    if kind == "vtk":
-        return VtkExporter(folder, name, mesh)
-    if kind == "ply":
-        return MembranePlyExporter(folder, name, mesh)
-    if kind == "depth":
-        return DepthPngExporter(folder, name, pipeline.camera, mesh)
-    model = pipeline.model
-    if kind == "patch":
-        return PatchPlyExporter(folder, name, model.view)
-    gauge_pressure_pa = model.sensor.pneumatics.gauge_pressure_pa
-    return PressurePngExporter(folder, name, model.view, gauge_pressure_pa)
 
 
 def _kinds(what: Sequence[str]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bubbleviz.export.table_export import Table
+from bubbleviz.output.table_export import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

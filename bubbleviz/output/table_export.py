@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.export.exporter import estimate_of
 from bubbleviz.files.result_writer import add_measured_force, csv_row, summary_row
 from bubbleviz.files.tables import write_rows
+from bubbleviz.output.exporter import estimate_of
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz.wording import how_to_install
@@ -36,11 +36,11 @@ class TableExporter:
     ----------
     path : Path
     write : callable
-        `write_csv`, `write_parquet` or `bubbleviz.export.plot_files.write_plots`.
+        `write_csv`, `write_parquet` or `bubbleviz.output.plot_files.write_plots`.
     sensor : str
         Its name.
     poses : mapping, optional
-        Pose columns by frame index, as `bubbleviz.export.pose_columns.read_poses` gives them.
+        Pose columns by frame index, as `bubbleviz.output.pose_columns.read_poses` gives them.
     """
 
     products: frozenset[Product] = frozenset({"estimate", "patch"})

@@ -1,4 +1,4 @@
-"""Jobs on a Dask cluster, whose workers see the same files under the same paths.
+"""Calls on a Dask cluster, whose workers see the same files under the same paths.
 
 `distributed` is an optional extra, imported only when a scheduler is named.
 """
@@ -7,20 +7,24 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
-from bubbleviz.batch.batch_job import Job, run_job
-from bubbleviz.batch.summary_row import Row
 from bubbleviz.errors import InputError
 from bubbleviz.wording import how_to_install
 
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
 TIMEOUT_S = 5.0  # s, to reach the scheduler; chosen
 
 
-def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Row]:
-    """Rows of jobs as they end, in any order; closing the iterator cancels those not begun.
+def run_on_cluster(
+    function: Callable[[Item], Answer], items: Sequence[Item], address: str
+) -> Generator[tuple[Item, Answer | None, str]]:
+    """Items with their answers, or why there is none, as calls end, in any order.
+
+    Closing the iterator cancels those not begun.
 
     Raises
     ------
@@ -30,13 +34,18 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Row]:
     with _client(address) as client:
         from distributed import CancelledError, as_completed
 
-        futures = client.map(run_job, jobs, pure=False)
-        by_key = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+        futures = client.map(function, items, pure=False)
+        by_key = {future.key: item for future, item in zip(futures, items, strict=True)}
         try:
             for future in as_completed(futures, loop=client.loop):
                 if client.status != "running" or future.status == "cancelled":
                     raise _lost(address)
-                yield _row(future, by_key[future.key])
+                item, error = by_key[future.key], future.exception()
+                if error is None:
+                    yield item, future.result(), ""
+                else:
+                    reason = " ".join(str(error).split())[:300]
+                    yield item, None, f"{type(error).__name__}: {reason}"
         except (CancelledError, OSError) as error:
             raise _lost(address) from error
         finally:
@@ -48,14 +57,6 @@ def check_cluster(address: str) -> None:
     """Raise InputError unless a scheduler with workers answers; ask before long work."""
     with _client(address):
         pass
-
-
-def _row(future: Any, job: Job) -> Row:
-    if future.status == "finished":
-        return future.result()
-    error = future.exception()
-    reason = " ".join(str(error).split())[:300]
-    return Row(job.name, "failed", error=f"{job.recording}: {type(error).__name__}: {reason}")
 
 
 @contextmanager

@@ -1,0 +1,471 @@
+"""Many recordings to results and one table, in processes here or on a Dask cluster."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import shutil
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import asdict, dataclass, fields, replace
+from hashlib import sha256
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+import bubbleviz
+from bubbleviz.api.estimating import estimate
+from bubbleviz.api.frames import open
+from bubbleviz.api.results import statistics
+from bubbleviz.api.summary import Summary
+from bubbleviz.calibration.sensor_writer import file_hash
+from bubbleviz.errors import InputError, SolveError
+from bubbleviz.files.output_files import cannot_write, refuse_existing, whole_file
+from bubbleviz.files.result_writer import UNKNOWN
+from bubbleviz.files.tables import table, to_json, write_rows
+from bubbleviz.frames.sensor_matching import AUTO, checked_sensor
+from bubbleviz.processes.dask_cluster import check_cluster, run_on_cluster
+from bubbleviz.processes.worker_process import WorkerProcess
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.result import TRUSTED
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+
+RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
+"""Files in the folder of a recording's result."""
+SUFFIXES = (".mcap", ".db3", ".bag")
+_COMPARED, _LOCK = "summary.csv", ".batch.lock"
+_NAN = float("nan")
+_HEADER = (
+    *("recording", "frames", "contact", "max N", "mean N", "wrench N", "residual mm", "ms/frame"),
+    *("look at frame", "outcome"),
+)
+
+Outcome = Literal["done", "kept", "bad_input", "failed"]
+"""`done` now, `kept` from before; `bad_input` the recording's or the sensor's fault, `failed` any
+other."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One recording in the summary table; NaN and -1 for what is not known."""
+
+    recording: str  # path below the batch's folder
+    outcome: Outcome
+    frames: int = 0
+    contact_frames: int = 0  # with a contact patch
+    untrusted_frames: int = 0  # neither `ok` nor `no_contact`
+    max_force_n: float = _NAN  # over the frames about which something is known
+    mean_contact_force_n: float = _NAN  # over those of them with a patch
+    mean_contact_measured_force_n: float = _NAN  # by the wrench, less its contact-free bias
+    median_residual_rms_m: float = _NAN
+    median_ms: float = _NAN  # depth image in → patch out, first frame left out
+    worst_frame: int = -1  # the first not to be trusted, else that of the largest residual
+    worst_status: str = ""
+    worst_residual_rms_m: float = _NAN
+    sensor: str = ""
+    error: str = ""  # one sentence; empty when there is a result
+    note: str = ""  # what is missing of the recording, or does not fit the sensor file
+    kappa: float | None = None  # None where the rule of the patch is automatic
+
+    @property
+    def has_result(self) -> bool:
+        """Whether there is a RESULT.npz."""
+        return self.outcome in ("done", "kept")
+
+    @classmethod
+    def of(cls, recording: str, rows: list[dict[str, Any]], said: dict[str, Any]) -> Row:
+        """Row of the frames of a `Run`, at least one of which is known, and what it says."""
+        told = statistics(rows)
+        trusted = [row["status"] in TRUSTED for row in rows]
+        known = [row for row in rows if row["status"] not in UNKNOWN]
+        touching = [row for row in known if row["patch_area_m2"] > 0.0]
+        residuals = [row["residual_rms_m"] for row in rows]
+        worst = rows[int(np.nanargmax(residuals)) if all(trusted) else trusted.index(False)]
+        measured = np.array([row["measured_force_n"] for row in touching])
+        median_ms = told["median_total_ms"]
+        return cls(
+            recording,
+            "done",
+            frames=len(rows),
+            contact_frames=len(touching),
+            untrusted_frames=len(rows) - sum(trusted),
+            max_force_n=told["max_force_n"],
+            mean_contact_force_n=_mean([np.linalg.norm(row["force_n"]) for row in touching]),
+            mean_contact_measured_force_n=_mean(measured[np.isfinite(measured)]),
+            median_residual_rms_m=told["median_residual_rms_m"],
+            median_ms=_NAN if median_ms is None else median_ms,
+            worst_frame=worst["frame"],
+            worst_status=worst["status"],
+            worst_residual_rms_m=float(worst["residual_rms_m"]),
+            sensor=said["sensor"],
+            note=said["warning"] or "",
+            kappa=said["kappa"],
+        )
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Row:
+        """Row from its JSON object; TypeError where that is another's."""
+        if set(values) != {field.name for field in fields(cls)}:
+            raise TypeError("not the fields of a row")
+        known: dict[str, Any] = {
+            k: _NAN if v is None and k != "kappa" else v for k, v in values.items()
+        }
+        return cls(**known)
+
+    def cells(self) -> list[str]:
+        """Texts for the terminal."""
+        if not self.has_result:
+            return [self.recording, *["–"] * (len(_HEADER) - 2), self.outcome]
+        trust = self.worst_status in TRUSTED
+        why = _number(1e3 * self.worst_residual_rms_m, " mm") if trust else self.worst_status
+        return [
+            self.recording,
+            str(self.frames),
+            str(self.contact_frames),
+            _number(self.max_force_n),
+            _number(self.mean_contact_force_n),
+            _number(self.mean_contact_measured_force_n),
+            _number(1e3 * self.median_residual_rms_m),
+            _number(self.median_ms),
+            f"{self.worst_frame} ({why})",
+            self.outcome,
+        ]
+
+
+@dataclass(frozen=True)
+class BatchSummary(Summary):
+    """Summary of a batch."""
+
+    table: str  # path of the CSV file
+    rows: list[Row]  # in the order of the recordings' paths
+
+    def to_json(self) -> str:
+        """JSON object with the attributes as keys, SI units but for ms; null for NaN."""
+        return to_json(asdict(self))
+
+    def to_text(self) -> str:
+        """Aligned table with units, what went wrong, and where the table is."""
+        kept = sum(row.outcome == "kept" for row in self.rows)
+        have = sum(row.has_result for row in self.rows)
+        was = f", {kept} of them kept from before" if kept else ""
+        return "\n".join(
+            [
+                table(_HEADER, [row.cells() for row in self.rows]),
+                *(row.error for row in self.rows if not row.has_result),
+                *(f"{row.recording}: {row.note}" for row in self.rows if row.note),
+                f"wrote {self.table}: {have} of {len(self.rows)} recordings have a result{was}",
+            ]
+        )
+
+    def raise_failures(self) -> None:
+        """Raise when a recording has no result.
+
+        Raises
+        ------
+        InputError
+            The recordings that failed are bad input.
+        SolveError
+            One of them failed for another reason.
+        """
+        failed = [row for row in self.rows if not row.has_result]
+        if not failed:
+            return
+        others = [row for row in failed if row.outcome == "failed"]
+        first = (others or failed)[0]
+        count = f"{len(failed)} of {len(self.rows)} recordings have no result, see {self.table}"
+        raise (SolveError if others else InputError)(f"{count}: {first.error}")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording to estimate."""
+
+    name: str  # path below the batch's folder
+    recording: str  # where it is
+    out: str  # folder of its result
+    sensor: str  # file, preset or `auto`
+    options: dict[str, Any]  # of `estimate`, and `frames` of `open`
+    keep: bool = True  # a result of the same recording and settings counts
+
+
+def batch(
+    folder: str | Path,
+    out: str | Path,
+    sensor: str | Path = AUTO,
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = quiet,
+    **options: Any,
+) -> BatchSummary:
+    """Estimate every recording below a folder in parallel, and write OUT/summary.csv.
+
+    The result of FOLDER/a/b.mcap is in OUT/a/b.mcap/. Stopped at any moment, OUT holds whole
+    results only, or nothing but hidden temporary files that `resume` removes.
+
+    Parameters
+    ----------
+    folder : path
+    out : path
+        New folder, or one of an earlier batch.
+    sensor : str or path
+        File or preset; `auto` for the preset that fits each recording.
+    jobs : int, optional
+        Processes; by default as many as this process may use processors.
+    scheduler : str, optional
+        Address of a Dask scheduler in place of processes here.
+    resume : bool
+        Keep the results made of the same recordings with the same settings.
+    overwrite : bool
+        Replace the results in `out`.
+    progress : callable
+        Told each recording that is done, and the share of them; may raise to stop.
+    **options
+        `kappa`, `solver`, `friction` and others of `estimate`, `frames` of `open`.
+
+    Raises
+    ------
+    InputError
+        No recordings, a sensor or cluster that is not there, or `out` cannot be used. What is
+        wrong with single recordings is in their rows.
+    """
+    if jobs is not None and scheduler is not None:
+        raise InputError("--jobs is for processes here; the cluster has its own")
+    found, out = find_recordings(folder), Path(out)
+    if str(sensor) != AUTO:
+        load_sensor(sensor)  # else every recording would fail for the same reason
+    if scheduler is not None:
+        check_cluster(scheduler)
+    if not ((resume or overwrite) and out.is_dir()):
+        refuse_existing(out)
+    todo = _jobs(found, Path(folder), out, str(sensor), options, keep=not overwrite or resume)
+    rows: dict[str, Row] = {}
+    with _owned(out, todo, scheduler is None):
+        running = (
+            run_in_processes(todo, min(jobs or _processors(), len(todo)))
+            if scheduler is None
+            else _run_on_cluster(todo, scheduler)
+        )
+        with closing(running):
+            for row in running:
+                rows[row.recording] = row
+                progress(row.recording, len(rows) / len(todo))
+        summary = BatchSummary(str(out / _COMPARED), [rows[job.name] for job in todo])
+        with whole_file(out / _COMPARED, overwrite=True) as temporary:
+            write_rows(temporary, [asdict(row) for row in summary.rows])
+    return summary
+
+
+def find_recordings(folder: str | Path) -> list[Path]:
+    """Everything below a folder that `Recording` would open, by path.
+
+    A folder with metadata.yaml is one recording (a rosbag2); elsewhere every .mcap, .db3 and .bag
+    file is one. Names that begin with a dot are left out: they are files being written.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, or no recording in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: not a folder; give the folder that holds the recordings")
+    found: list[Path] = []
+    seen: set[str] = set()
+    for where, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(where)
+        if real in seen:  # a link back, or to what was found already
+            folders.clear()
+            continue
+        seen.add(real)
+        if "metadata.yaml" in files:
+            found.append(Path(where))
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        shown = (name for name in files if not name.startswith("."))
+        found += [Path(where, name) for name in shown if name.endswith(SUFFIXES)]
+    if not found:
+        raise InputError(
+            f"{folder}: no recording in it or below; it needs rosbag2 folders, .mcap, .db3 or "
+            ".bag files"
+        )
+    return sorted(found)
+
+
+def run_job(job: Job) -> Row:
+    """Estimate a recording unless a result of the same recording and settings is there.
+
+    Never raises because of the recording: its row says what is wrong.
+    """
+    try:
+        return _run(job)
+    except InputError as error:
+        return Row(job.name, "bad_input", error=_sentence(error))
+    except SolveError as error:
+        return Row(job.name, "failed", error=_sentence(error))
+    except Exception as error:  # the others of the batch do not depend on it
+        return Row(job.name, "failed", error=f"{type(error).__name__}: {_sentence(error)}")
+
+
+def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Row]:
+    """Rows of jobs as they end, in any order; closing the iterator ends the processes.
+
+    A process that dies costs its own job only. Not by a pool of the standard library, for the
+    reasons that `worker_process` gives.
+    """
+    left = list(reversed(jobs))
+    busy: dict[Any, tuple[WorkerProcess, Job]] = {}
+    with ExitStack() as stack:
+        idle = [stack.enter_context(WorkerProcess()) for _ in range(min(processes, len(left)))]
+        while left or busy:
+            while left and idle:
+                worker, job = idle.pop(), left.pop()
+                worker.send(run_job, job)
+                busy[worker.pipe] = worker, job
+            for pipe in wait(list(busy)):
+                worker, job = busy.pop(pipe)
+                outcome = worker.outcome()
+                yield outcome.value if outcome.kind == "returned" else _lost(job, outcome.detail)
+                idle.append(worker)
+
+
+def _run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Row]:
+    with closing(run_on_cluster(run_job, jobs, scheduler)) as running:
+        for job, row, why in running:
+            yield _lost(job, why) if row is None else row
+
+
+def _lost(job: Job, why: str) -> Row:
+    return Row(job.name, "failed", error=f"{job.recording}: {why}")
+
+
+def _run(job: Job) -> Row:
+    out = Path(job.out)
+    sensor_name, sensor = checked_sensor(job.recording, job.sensor)
+    named = [sensor.membrane.mesh_file, sensor.calibration and sensor.calibration.pixels_file]
+    files = [Path(job.recording), *(sensor.resolve(file) for file in named if file)]
+    depends = {**job.options, "sensor": sensor_to_toml(sensor), "version": bubbleviz.__version__}
+    parts = [*map(file_hash, files), json.dumps(depends, sort_keys=True)]
+    key = sha256("\n".join(parts).encode()).hexdigest()
+    kept = _finished(out, key) if job.keep else None
+    if kept is not None:
+        return kept
+    try:
+        return _estimated(job, sensor_name, key)
+    except InputError:
+        kept = _finished(out, key)  # a worker that was thought to be lost was faster
+        if kept is None:
+            raise
+        return kept
+
+
+def _finished(out: Path, key: str) -> Row | None:
+    """Row of the result in a folder, where it was made of the same recording and settings."""
+    if not (out / RESULT).is_file():
+        return None
+    try:
+        said = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        row = Row.from_dict(said["row"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return replace(row, outcome="kept") if said.get("key") == key else None
+
+
+def _estimated(job: Job, sensor_name: str, key: str) -> Row:
+    out = Path(job.out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.is_dir() and {path.name for path in out.iterdir()} <= {RESULT, TABLE, SUMMARY}:
+        shutil.rmtree(out)  # of other settings; anything else there is not ours to remove
+    how = {name: value for name, value in job.options.items() if name != "frames"}
+    with (
+        whole_file(out) as folder,
+        open(job.recording, job.options.get("frames")) as frames,
+    ):
+        folder.mkdir()
+        run = estimate(frames, sensor_name, out=folder / RESULT, csv=folder / TABLE, **how)
+        row = Row.of(job.name, run.rows(), run.said)
+        said = {"key": key, "row": asdict(row)}
+        (folder / SUMMARY).write_text(to_json(said) + "\n", encoding="utf-8")
+    return row
+
+
+def _jobs(
+    found: list[Path], folder: Path, out: Path, sensor: str, options: dict[str, Any], *, keep: bool
+) -> list[Job]:
+    """A job for each recording, with absolute paths: workers may start elsewhere."""
+    sensor = str(Path(sensor).absolute()) if Path(sensor).exists() else sensor
+    made = []
+    for path in found:
+        name = path.relative_to(folder)
+        name = Path(path.absolute().name) if name == Path() else name  # FOLDER is the recording
+        where = str(path.absolute()), str((out / name).absolute())
+        made.append(Job(str(name), *where, sensor, options, keep))
+    return made
+
+
+@contextmanager
+def _owned(out: Path, todo: list[Job], local: bool) -> Iterator[None]:
+    """The output folder for this batch alone, without temporary files of unfinished results.
+
+    Stopped, workers of a cluster finish what they have begun; local ones are dead.
+    """
+    try:
+        out.mkdir(exist_ok=True)
+        with (out / _LOCK).open("w") as lock:
+            _lock(lock.fileno(), out)
+            _discard_unfinished(todo)
+            try:
+                yield
+            except BaseException:
+                if local:
+                    _discard_unfinished(todo)
+                raise
+            _discard_unfinished(todo)  # of workers that died on the way
+    except PermissionError as error:
+        raise cannot_write(out, error) from error
+
+
+def _lock(descriptor: int, out: Path) -> None:
+    try:
+        import fcntl  # not on Windows
+    except ImportError:
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(
+            f"{out}: another batch writes there; wait for it, or choose another folder"
+        ) from None
+
+
+def _discard_unfinished(todo: list[Job]) -> None:
+    """Remove what `whole_file` left of results when their process was killed."""
+    for path in {Path(job.out) for job in todo}:
+        ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{8}}{re.escape(path.suffix)}")
+        if path.parent.is_dir():
+            for each in path.parent.iterdir():
+                if ours.fullmatch(each.name) and each.is_dir():
+                    shutil.rmtree(each, ignore_errors=True)
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _mean(values: Sequence[Any] | np.ndarray) -> float:
+    return float(np.mean(values)) if len(values) else _NAN
+
+
+def _number(value: float, unit: str = "") -> str:
+    return f"{value:.3g}{unit}" if math.isfinite(value) else "–"
+
+
+def _sentence(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,472 @@
+"""Estimating contact and following objects, in a frame, in frames, and live."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
+
+import numpy as np
+
+import bubbleviz
+from bubbleviz.api.blas_threads import OneBlasThread
+from bubbleviz.api.frames import Frames, HeldFrames
+from bubbleviz.api.results import FrameResult, Run, TrackedRun
+from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing
+from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.files.result_writer import UNKNOWN
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame_source import shown_name
+from bubbleviz.frames.message_decoding import has_returns
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import AUTO, fitting_sensor, gas_warning, preset_of_size
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.live.source_status import STOPPED_AFTER_S
+from bubbleviz.pipeline import OF_OBJECT, SHEAR, FrameOptions, Pipeline, Product
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.result import PoseStatus, Result
+from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
+
+if TYPE_CHECKING:
+    from bubbleviz.api.connecting import Stream
+
+SensorName = str | Path | Sensor
+_PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
+"""Pixels of the patch are found when they are asked for, or written to a file."""
+
+
+class Solving(TypedDict, total=False):
+    """Options that `estimate` and `track` have, which both document."""
+
+    solver: str | None
+    friction: float | None
+    zero_gas: bool
+    out: str | Path | None
+    overwrite: bool
+    timeout_s: float | None
+    progress: Progress
+
+
+class Estimating(Solving, total=False):
+    """Options of `estimate`."""
+
+    kappa: float | None
+    shear: bool
+    colour_delay_s: float | None
+    csv: str | Path | None
+
+
+class Tracking(Solving, total=False):
+    """Options of `track`."""
+
+    init: str | np.ndarray | None
+    unit: Literal["m", "mm"] | None
+    object_patch: bool
+
+
+@overload
+def estimate(
+    frames: Frame, sensor: SensorName = AUTO, **options: Unpack[Estimating]
+) -> FrameResult: ...
+@overload
+def estimate(
+    frames: Sequence[Frame], sensor: SensorName = AUTO, **options: Unpack[Estimating]
+) -> Run: ...
+@overload
+def estimate(
+    frames: Stream, sensor: SensorName = AUTO, **options: Unpack[Estimating]
+) -> Iterator[FrameResult]: ...
+def estimate(
+    frames: Frame | Sequence[Frame] | Stream,
+    sensor: SensorName = AUTO,
+    *,
+    kappa: float | None = None,
+    solver: str | None = None,
+    friction: float | None = None,
+    zero_gas: bool = True,
+    shear: bool = False,
+    colour_delay_s: float | None = None,
+    out: str | Path | None = None,
+    csv: str | Path | None = None,
+    overwrite: bool = False,
+    timeout_s: float | None = STOPPED_AFTER_S,
+    progress: Progress = quiet,
+) -> FrameResult | Run | Iterator[FrameResult]:
+    """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
+
+    Every frame is started where the last one ended.
+
+    Parameters
+    ----------
+    frames : Frame, sequence of Frame or Stream
+        What `open`, `simulate` or `connect` gave, or a part of it.
+    sensor : str, path or Sensor
+        Sensor file or preset; `auto` is the preset with the images' size, or the stream's sensor.
+    kappa : float, optional
+        Patch threshold over the mean contact pressure (V-C), in place of the physical one.
+    solver : str, optional
+        `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear` and
+        `paper` (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
+    friction : float, optional
+        Coefficient of friction to expect of contacts with the exact membrane, 1 by default; 0 for
+        contacts without friction. With `shear` it also bounds the traction along the membrane over
+        that across it.
+    zero_gas : bool
+        Shift the measured gas pressure so that at a rest it is the sensor file's; without a rest
+        it is known within the weather's ±2 kPa, which the force's interval holds. If not, it is
+        believed as it is.
+    shear : bool
+        Traction with friction and slip, too, from the colour images.
+    colour_delay_s : float, optional
+        Stamp of a colour image minus that of the depth image of the same moment, s: negative where
+        colour leads depth. By default the sensor file's.
+    out, csv : path, optional
+        RESULT.npz, and RESULT.csv beside it, written as frames are found; these are not kept in
+        memory then.
+    overwrite : bool
+        Replace files that exist.
+    timeout_s : float, optional
+        How long a frame of a stream may take, s; None waits for ever.
+    progress : Progress
+
+    Returns
+    -------
+    FrameResult, Run or iterator of FrameResult
+        Of a frame, of frames, and of a stream: its newest frame each time.
+
+    Raises
+    ------
+    InputError
+        Sensor and frames do not fit together, no frame has data, or a file exists (in one line that
+        says what to do).
+    StreamStoppedError
+        No frame of a stream came in `timeout_s` (an `InputError`, too).
+
+    Examples
+    --------
+    >>> run = bv.estimate(bv.open("press.mcap")[60:90])
+    >>> run.force_n.shape
+    (30, 3)
+    """
+    options = patch_options(kappa)
+    if not isinstance(frames, Frame | Sequence):
+        from bubbleviz.api.watching import Watcher  # opens networks and cameras
+
+        _refuse_files(out, csv)
+        own = with_colour_delay(frames.sensor_or(sensor), colour_delay_s)
+        how: dict[str, Any] = {
+            "solver": solver,
+            "friction": friction,
+            "zero_gas": zero_gas,
+            "shear": shear,
+        }
+        return Watcher.on(frames.live, frames.uri, own, options, **how).results(timeout_s)
+    if csv is not None and out is None:
+        raise InputError(f"{csv}: is written beside RESULT.npz; give out, too")
+    _check_outputs(out, csv, overwrite=overwrite)
+    chosen = as_frames(frames)
+    with OneBlasThread():
+        name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
+        texture, products = None, _PRODUCTS
+        if shear:
+            texture, products = _texture(chosen, pipeline, friction), products | SHEAR
+        zero = zero_of(chosen.source, pipeline) if zero_gas else None
+        made_by = _made_by(pipeline, solver, zero)
+        said = {
+            "recording": shown_name(chosen.source),
+            "sensor": name,
+            "out": None if out is None else str(out),
+            "solver": made_by["solver"],
+            "kappa": kappa,
+            "texture": texture,
+            "gas_zero": None if zero is None else zero.words,
+        }
+        run = Run(pipeline.model, said, made_by)
+        seen, first_pa = False, None
+        with ExitStack() as stack:
+            write: Callable[[Result], object] = lambda _: None  # noqa: E731
+            if out is not None:
+                products |= {"pixel_mask"}
+                files = run.files(out, csv, overwrite=overwrite, frames=len(chosen))
+                write = stack.enter_context(files)
+            for result in solved(chosen, pipeline, products, options, zero, progress):
+                seen = seen or has_returns(result.frame.depth_m)
+                first_pa = first_pa or result.frame.gas_pressure_pa
+                write(result)
+                run.add(result, keep=out is None)
+            _check_any_data(run, seen)
+        said["warning"] = _warning(chosen, pipeline, zero, first_pa)
+    return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
+
+
+def register(
+    frame: Frame,
+    object: str | Path | RigidObject,
+    sensor: SensorName = AUTO,
+    **options: Unpack[Tracking],
+) -> FrameResult:
+    """Find where a known object is in one frame, by dual-stage registration.
+
+    Parameters
+    ----------
+    frame : Frame
+    object, sensor
+        As of `track`.
+    **options
+        `init`, `unit`, `solver`, `friction` and `object_patch` of `track`. `init` need be right to
+        about 5 mm and 10°; it is searched for by default.
+
+    Returns
+    -------
+    FrameResult
+        Its `T_B_O` (4, 4), and `pose` with covariance and what contact does not determine.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together, or there is no pose.
+    """
+    return track([frame], object, sensor, **options)[0]
+
+
+@overload
+def track(
+    frames: Sequence[Frame],
+    object: str | Path | RigidObject,
+    sensor: SensorName = AUTO,
+    **options: Unpack[Tracking],
+) -> TrackedRun: ...
+@overload
+def track(
+    frames: Stream,
+    object: str | Path | RigidObject,
+    sensor: SensorName = AUTO,
+    **options: Unpack[Tracking],
+) -> Iterator[FrameResult]: ...
+def track(
+    frames: Sequence[Frame] | Stream,
+    object: str | Path | RigidObject,
+    sensor: SensorName = AUTO,
+    *,
+    init: str | np.ndarray | None = None,
+    unit: Literal["m", "mm"] | None = None,
+    solver: str | None = None,
+    friction: float | None = None,
+    zero_gas: bool = True,
+    object_patch: bool = False,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    timeout_s: float | None = STOPPED_AFTER_S,
+    progress: Progress = quiet,
+) -> TrackedRun | Iterator[FrameResult]:
+    """Follow a known object through frames, as `bubbleviz pose` does.
+
+    Parameters
+    ----------
+    frames : sequence of Frame or Stream
+    object : str, path or RigidObject
+        Mesh file or preset.
+    sensor, solver, friction, zero_gas, timeout_s, progress
+        As of `estimate`.
+    init : str or (4, 4) array, optional
+        T_B_O in the first frame, or "x y z qx qy qz qw"; searched for by default.
+    unit : {"m", "mm"}, optional
+        Of the object's file; by default millimetres where its name ends in `_mm`.
+    object_patch : bool
+        Find the patch by the object's surface, too; its area and that of the patch become columns.
+    out : path, optional
+        POSES.csv; what else was found is not kept in memory then.
+    overwrite : bool
+        Replace it where it exists.
+
+    Returns
+    -------
+    TrackedRun or iterator of FrameResult
+        With `T_B_O` and columns `pose_…`; a pose that is `lost` is the last good one.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together, or no frame has a pose.
+    """
+    start = parse_pose(init) if isinstance(init, str) else init
+    obj = load_object(object, unit)
+    if not isinstance(frames, Sequence):
+        from bubbleviz.api.watching import Watcher  # opens networks and cameras
+
+        _refuse_files(out)
+        own = frames.sensor_or(sensor)
+        how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+        watcher = Watcher.on(frames.live, frames.uri, own, obj=obj, start=start, **how)
+        return watcher.results(timeout_s)
+    _check_outputs(out, overwrite=overwrite)
+    chosen = as_frames(frames)
+    with OneBlasThread():
+        name, pipeline = pipeline_for(chosen, sensor, solver, friction)
+        pipeline.follow(obj, start)
+        zero = zero_of(chosen.source, pipeline) if zero_gas else None
+        said = {
+            "recording": shown_name(chosen.source),
+            "sensor": name,
+            "object": obj.name if isinstance(object, RigidObject) else str(object),
+            "out": None if out is None else str(out),
+            "texture": None,
+            "warning": _note(chosen) or None,
+        }
+        run = TrackedRun(pipeline.model, said, _made_by(pipeline, solver, zero))
+        products: frozenset[Product] = OF_OBJECT if object_patch else frozenset({"pose"})
+        for result in solved(chosen, pipeline, products, zero=zero, progress=progress):
+            run.add(result, keep=out is None)
+        _check_any_pose(run)
+    if out is not None:
+        run.save_poses(out, overwrite=overwrite)
+    return run
+
+
+def as_frames(frames: Frame | Sequence[Frame]) -> Frames:
+    """Frames of a source; InputError where there are none."""
+    held = [frames] if isinstance(frames, Frame) else frames
+    if not len(held):
+        raise InputError("no frames were given; choose some")
+    return held if isinstance(held, Frames) else Frames(HeldFrames(held))
+
+
+def pipeline_for(
+    frames: Frames,
+    sensor: SensorName,
+    solver: str | None,
+    friction: float | None,
+    colour_delay_s: float | None = None,
+) -> tuple[str, Pipeline]:
+    """Name of the sensor that fits some frames, and a pipeline for them alone."""
+    options = EstimatorOptions.named(solver, friction)
+    source = frames.source
+    if isinstance(source, Recording):
+        name, own = fitting_sensor(source, sensor)
+        intrinsics = source.intrinsics
+    else:
+        first = frames[0]
+        if str(sensor) == AUTO:
+            height, width = first.depth_m.shape
+            sensor = preset_of_size((width, height), frames.name)
+        own, intrinsics = load_sensor(sensor), first.intrinsics
+        name = own.name if isinstance(sensor, Sensor) else str(sensor)
+    return name, Pipeline.of(with_colour_delay(own, colour_delay_s), intrinsics, options)
+
+
+def patch_options(kappa: float | None) -> FrameOptions:
+    """Options with a patch threshold; InputError where it is no number of 0 or more."""
+    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
+        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+    return FrameOptions(kappa, fine_contact=kappa is None)
+
+
+def solved(
+    frames: Frames,
+    pipeline: Pipeline,
+    products: frozenset[Product],
+    options: FrameOptions | None = None,
+    zero: PressureZero | None = None,
+    progress: Progress = quiet,
+) -> Iterator[Result]:
+    """Results of frames, each started where the last one ended.
+
+    A zero is taken from the measured gas pressures; InputError where a frame cannot be read.
+    """
+    pipeline.prepare(products)  # set-up is not part of the first frame's time
+    for done, index in enumerate(frames.chosen, 1):
+        frame = frames.source[index]
+        yield pipeline.process(frame if zero is None else zero.applied(frame), products, options)
+        progress("solving", done / len(frames))
+
+
+def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
+    given = [Path(path) for path in paths if path is not None]
+    for path in given:
+        refuse_existing(path, overwrite=overwrite)
+    if len({path.absolute() for path in given}) < len(given):
+        raise InputError(f"{given[0]}: given for both --out and --csv; choose two names")
+
+
+def _refuse_files(*paths: str | Path | None) -> None:
+    for path in filter(None, paths):
+        raise InputError(f"{path}: results of a stream are written by watch(source, out=…)")
+
+
+def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
+    from bubbleviz.shear.recorded_texture import watch_recorded_texture  # needs OpenCV
+
+    if not isinstance(frames.source, Recording):
+        raise InputError(f"{frames.name}: shear needs the colour images of a recording; save it")
+    return watch_recorded_texture(pipeline, frames.source, friction)
+
+
+def _made_by(pipeline: Pipeline, solver: str | None, zero: PressureZero | None) -> dict[str, str]:
+    made_by = {
+        "sensor_toml": sensor_to_toml(pipeline.model.sensor),
+        "version": bubbleviz.__version__,
+        "solver": solver or pipeline.estimator.solver_name,
+    }
+    if zero is not None and zero.offset_pa is not None:
+        made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
+    return made_by
+
+
+def _note(frames: Frames) -> str:
+    """What is missing of the recording, if it is one."""
+    return frames.source.bag.note if isinstance(frames.source, Recording) else ""
+
+
+def _warning(
+    frames: Frames, pipeline: Pipeline, zero: PressureZero | None, first_pa: float | None
+) -> str | None:
+    known_pa = pipeline.model.gas.P0
+    if zero is None or zero.rest_pa is None:
+        gas = gas_warning(first_pa, known_pa)
+    else:
+        gas = gas_warning(zero.rest_pa, known_pa, "without contact in the recording")
+    return "; ".join(filter(None, (_note(frames), gas))) or None
+
+
+def _check_any_data(run: Run, seen: bool) -> None:
+    """Refuse frames of which none has an estimate; `seen`: some have returns."""
+    statuses, name = set(run.status.tolist()), run.said["recording"]
+    if statuses - set(UNKNOWN):
+        return
+    if "implausible" in statuses:
+        raise InputError(
+            f"{name}: no frame asked for looks like this sensor's membrane; choose its own sensor "
+            "file, and check that depths are in metres (32FC1) or millimetres (16UC1)"
+        )
+    if "not_converged" in statuses:
+        raise InputError(
+            f"{name}: no frame asked for could be solved; compare with --solver linear, and check "
+            "the sensor file's tension and prestretch"
+        )
+    if not seen:
+        raise InputError(f"{name}: no depth in any frame asked for; uncover or check the camera")
+    raise InputError(
+        f"{name}: no measured pixel lies on the membrane in any frame asked for; "
+        "choose the sensor file of this recording"
+    )
+
+
+_REASONS: dict[PoseStatus, str] = {
+    "no_contact": "nothing touches the membrane; choose frames with contact",
+    "few_points": "the contact patch has fewer points than a pose needs; press deeper",
+    "no_data": "no estimate of the membrane to trust; try bubbleviz estimate first",
+    "lost": "the object does not fit the contact; check the object, its unit and --init",
+}
+
+
+def _check_any_pose(run: TrackedRun) -> None:
+    statuses: Counter[Any] = Counter(row.status for row in run.poses)
+    if "ok" not in statuses:
+        why = _REASONS[statuses.most_common(1)[0][0]]
+        raise InputError(f"{run.said['recording']}: no pose in any frame asked for: {why}")

@@ -1,0 +1,119 @@
+"""Frames as files for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bubbleviz.api.blas_threads import OneBlasThread
+from bubbleviz.api.estimating import SensorName, as_frames, patch_options, pipeline_for, solved
+from bubbleviz.api.frames import Frames
+from bubbleviz.api.summary import Summary
+from bubbleviz.calibration.pressure_zero import zero_of
+from bubbleviz.files.output_files import whole_file
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.recording import Recording
+from bubbleviz.frames.sensor_matching import AUTO
+from bubbleviz.output.export_plan import ExportPlan
+from bubbleviz.output.pose_columns import read_poses
+from bubbleviz.pipeline import FrameOptions, Pipeline, stages
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.wording import count_of
+
+
+@dataclass(frozen=True)
+class ExportSummary(Summary):
+    """Summary of an export."""
+
+    out: str
+    kinds: tuple[str, ...]
+    frames: int
+    files: int
+    stages: Mapping[str, int]  # how often each stage ran; one that no kind needs is not there
+    warning: str | None = None  # what is missing of the recording
+
+    def to_text(self) -> str:
+        """Text for the terminal."""
+        ran = ", ".join(name for name in self.stages if name != "total") or "none"
+        return (
+            f"wrote   {self.out}: {', '.join(self.kinds)} of {count_of(self.frames, 'frame')}, "
+            f"{count_of(self.files, 'file')}\nstages  {ran}"
+        )
+
+
+def export(
+    frames: Sequence[Frame],
+    out: str | Path,
+    sensor: SensorName = AUTO,
+    *,
+    what: str | Sequence[str] = (),
+    poses: str | Path | None = None,
+    kappa: float | None = None,
+    solver: str | None = None,
+    friction: float | None = None,
+    overwrite: bool = False,
+    progress: Progress = quiet,
+) -> ExportSummary:
+    """Write frames as tables, plots, ParaView and PLY series, patch clouds and pictures.
+
+    Only what the chosen files need is computed: depth pictures solve nothing.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+    out : path
+        TABLE.csv, TABLE.parquet, PLOTS.png (or .svg, .pdf), or a new folder for `what`.
+    sensor, kappa, solver, friction, progress
+        As of `estimate`.
+    what : str or sequence of str
+        Into a folder: table, parquet, plots, vtk (ParaView), ply, patch (points with pressure),
+        depth, pressure (pictures; png for both); one text has commas between them.
+    poses : path, optional
+        POSES.csv to join to the table.
+    overwrite : bool
+        Replace a file, or a folder of such files.
+
+    Raises
+    ------
+    InputError
+        Something given does not exist or does not fit together, or `out` exists; nothing is left
+        then.
+    """
+    asked = [what] if isinstance(what, str) else what
+    kinds = [word.strip() for text in asked for word in text.split(",") if word.strip()]
+    joined = None if poses is None else read_poses(poses)
+    plan = ExportPlan.of(out, kinds, joined, overwrite=overwrite)
+    options, chosen = patch_options(kappa), as_frames(frames)
+    with OneBlasThread():
+        _, pipeline = pipeline_for(chosen, sensor, solver, friction)
+        summary = export_frames(chosen, pipeline, options, plan, progress)
+    note = chosen.source.bag.note if isinstance(chosen.source, Recording) else ""
+    return replace(summary, warning=note or None)
+
+
+def export_frames(
+    frames: Frames,
+    pipeline: Pipeline,
+    options: FrameOptions,
+    plan: ExportPlan,
+    progress: Progress = quiet,
+) -> ExportSummary:
+    """Run the stages that the plan's kinds need on some frames, and write the files.
+
+    The pipeline is for this export alone: it warm-starts from frame to frame. Nothing is left
+    behind where an InputError or `Cancelled` ends it.
+    """
+    with whole_file(plan.out, overwrite=plan.overwrite) as temporary:
+        if plan.is_folder:
+            temporary.mkdir()
+        exporters = plan.exporters(pipeline, temporary)
+        products = frozenset().union(*(each.products for each in exporters))
+        zero = zero_of(frames.source, pipeline) if "estimate" in stages(products) else None
+        for result in solved(frames, pipeline, products, options, zero, progress):
+            for each in exporters:
+                each.add(result)
+        for each in exporters:
+            each.finish()
+        files = len(list(temporary.iterdir())) if plan.is_folder else 1
+    return ExportSummary(str(plan.out), plan.kinds, len(frames), files, dict(pipeline.counts))

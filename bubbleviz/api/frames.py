@@ -1,0 +1,360 @@
+"""Frames of a source, chosen as from a list, and the facts of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Self, overload
+
+import numpy as np
+
+from bubbleviz.api.summary import Summary
+from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.frames.bags import Topic
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.frames.gaps import Gap, find_gaps, usual_step
+from bubbleviz.frames.recording import Recording
+from bubbleviz.wording import count_of
+
+if TYPE_CHECKING:
+    from bubbleviz.colour.temporal_lag import TemporalLag
+
+
+class Frames(Sequence[Frame]):
+    """Frames of a recording or a simulation, like a list: `frames[3]`, `frames[-1]`, `frames[::2]`.
+
+    A frame is read when it is asked for, and not kept. Slices share the open file.
+
+    Parameters
+    ----------
+    source : FrameSource
+    chosen : range, optional
+        Indices of the frames in the source; all by default.
+
+    Attributes
+    ----------
+    source : FrameSource
+    chosen : range
+    name : str
+        Of the source.
+    path : Path or None
+        Of the source, where it is a file.
+    """
+
+    def __init__(self, source: FrameSource, chosen: range | None = None) -> None:
+        self.source = source
+        self.chosen = range(len(source)) if chosen is None else chosen
+        self.name = source.name
+        self.path: Path | None = getattr(source, "path", None)
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self.chosen)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+    def __getitem__(self, index: int | slice) -> Frame | Self:
+        """One frame, or some of them.
+
+        Raises
+        ------
+        IndexError
+            There is no such frame.
+        InputError
+            It cannot be read.
+        """
+        if isinstance(index, slice):
+            return type(self)(self.source, self.chosen[index])
+        try:
+            chosen = self.chosen[index]
+        except IndexError:
+            raise IndexError(f"frame {index} of {len(self)} of {self.name}") from None
+        return self.source[chosen]
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of each frame from the start of the source, s, (F,)."""
+        return self.source.times_s[self.chosen]
+
+    def close(self) -> None:
+        """Let go of the file, which all slices share."""
+        self.source.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{count_of(len(self), 'frame')} of {self.name}>"
+
+
+class HeldFrames:
+    """A source of frames that are in memory."""
+
+    def __init__(self, frames: Sequence[Frame]) -> None:
+        self._frames = frames
+        self.name = f"frame {frames[0].index}" if len(frames) == 1 else f"{len(frames)} frames"
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of each frame, s, (F,)."""
+        return np.array([frame.time_s for frame in self._frames])
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self._frames[index]
+
+    def close(self) -> None:
+        """Frames in memory need no closing."""
+
+
+def open(
+    path: str | Path,
+    frames: str | None = None,
+    *,
+    depth_topic: str | None = None,
+    info_topic: str | None = None,
+    pressure_topic: str | None = None,
+    wrench_topic: str | None = None,
+) -> Frames:
+    """Open a recording.
+
+    Parameters
+    ----------
+    path : path
+        rosbag2 (folder, `.mcap`, `.db3`) or ROS 1 `.bag` with a depth image (`16UC1` in mm, `32FC1`
+        in m) or a point cloud and, where there are, camera info, gas pressure and wrench.
+    frames : str, optional
+        `A:B` or `A:B:STEP`, B left out; all by default.
+    depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
+        Topics to use; without them the first depth images, and of the others the nearest by name.
+
+    Returns
+    -------
+    Frames
+        With `depth_m` (H, W) in m, `gas_pressure_pa` (absolute), `wrench` (6,) in N and N·m.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or truncated, has no depth images, or not these frames.
+
+    Examples
+    --------
+    >>> press = bv.open("press.mcap")
+    >>> press[-1].depth_m.shape
+    (171, 224)
+    """
+    recording = Recording(
+        path,
+        depth_topic=depth_topic,
+        info_topic=info_topic,
+        pressure_topic=pressure_topic,
+        wrench_topic=wrench_topic,
+    )
+    try:
+        return Frames(recording, parse_frames(frames, len(recording), str(recording.path)))
+    except InputError:
+        recording.close()
+        raise
+
+
+def parse_frames(text: str | None, count: int, name: str, option: str = "--frames") -> range:
+    """Frames of `A:B` or `A:B:STEP` with B left out, of so many; all when None.
+
+    A, B or both may be empty: the first, and the last, frame. Errors name recording and option.
+    """
+    if text is None:
+        return range(count)
+    asked, parts = f'{option} "{text}"', [part.strip() for part in text.split(":")]
+    if len(parts) not in (2, 3) or not all(p.isascii() and p.isdigit() for p in parts if p):
+        raise InputError(f"{asked}: give A:B or A:B:STEP, such as 0:60 for 0 … 59")
+    start, stop, step = (
+        int(part) if part else default
+        for part, default in zip([*parts, ""][:3], (0, count, 1), strict=True)
+    )
+    if step < 1:
+        raise InputError(f"{asked}: the step must be 1 or more")
+    if stop > count or start >= count:
+        there = count_of(count, "frame")
+        raise InputError(f"{name}: {asked} is outside its {there}; choose within 0:{count}")
+    if start >= stop:
+        raise InputError(f"{asked}: holds no frame; choose A below B")
+    return range(start, stop, step)
+
+
+@dataclass(frozen=True)
+class ColourInfo:
+    """Facts of the colour images of a recording."""
+
+    topic: str
+    encoding: str
+    images: int
+    rate_hz: float | None  # one over the median period; None for fewer than two
+    width: int
+    height: int
+    intrinsics: Intrinsics | None
+    T_D_C: list[list[float]]  # pose of the colour camera in the depth camera, (4, 4)
+    remark: str  # what of its camera was not recorded and is taken for granted
+    lag: TemporalLag | None = None  # delay of the images, where it was asked for and is seen
+    no_lag: str = ""  # why it is not seen, where it was asked for
+
+    @classmethod
+    def of(cls, recording: Recording, *, lag: bool) -> ColourInfo | None:
+        """Facts of the colour images of an open recording; None where it has none."""
+        colour, seen, unseen = recording.colour, None, ""
+        if colour is None:
+            return None
+        if lag:
+            from bubbleviz.colour.temporal_lag import temporal_lag  # reads and compares images
+
+            try:
+                seen = temporal_lag(recording)
+            except InputError as error:  # a recording that does not show it is none the worse
+                unseen = str(error).removeprefix(f"{recording.path}: ")
+        camera = colour.camera
+        return cls(
+            colour.topic.name,
+            colour.encoding,
+            len(colour),
+            colour.rate_hz,
+            *colour.size,
+            camera.intrinsics,
+            camera.T_D_C.tolist(),
+            camera.remark,
+            seen,
+            unseen,
+        )
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        rate = f", {self.rate_hz:.2f} Hz" if self.rate_hz else ""
+        parts = (
+            f"{self.width} × {self.height} pixels, {self.encoding}, {self.topic}",
+            f"{count_of(self.images, 'image')}{rate}",
+            self.lag.to_text() if self.lag else "",
+            f"no colour delay seen: {self.no_lag}" if self.no_lag else "",
+            self.remark,
+        )
+        return "; ".join(filter(None, parts))
+
+
+@dataclass(frozen=True)
+class RecordingInfo(Summary):
+    """Facts of a recording."""
+
+    path: str
+    topics: tuple[Topic, ...]
+    depth_topic: str  # of the depth images, as `encoding` and `frames`
+    encoding: str
+    frames: int
+    duration_s: float  # from the first to the last frame
+    rate_hz: float | None  # one over the median period; None for fewer than two frames
+    size_bytes: int
+    width: int
+    height: int
+    gaps: int  # missing frames
+    gap_positions: tuple[Gap, ...]  # where they are missing
+    intrinsics: Intrinsics | None
+    gas_pressure_pa: tuple[float, float] | None  # lowest and highest, absolute
+    wrench: bool
+    colour: ColourInfo | None
+    note: str = ""  # what is missing of the recording, in words; empty when it is whole
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        rate = "–" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
+        facts = {
+            "recording": self.path,
+            "frames": f"{self.frames} in {self.duration_s:.3f} s, {rate}",
+            "gaps": self._gaps_text(),
+            "image": f"{self.width} × {self.height} pixels, {self.encoding}, {self.depth_topic}",
+            "intrinsics": _intrinsics_text(self.intrinsics),
+            "gas pressure": _pressure_text(self.gas_pressure_pa),
+            "wrench": "recorded" if self.wrench else "not recorded",
+            "colour": "not recorded" if self.colour is None else self.colour.to_text(),
+            "size": f"{self.size_bytes / 1e6:.1f} MB",
+            **({"note": self.note} if self.note else {}),
+        }
+        width = max(len(topic.name) for topic in self.topics)
+        lines = [f"{label:<13} {text}" for label, text in facts.items()]
+        lines += ["topics", *(f"  {t.name:<{width}}  {t.count:>8}  {t.type}" for t in self.topics)]
+        return "\n".join(lines)
+
+    def _gaps_text(self) -> str:
+        if not self.gaps:
+            return "no missing frames"
+        places = [f"{g.missing} after frame {g.after_frame}" for g in self.gap_positions[:10]]
+        more = len(self.gap_positions) - len(places)
+        return f"{self.gaps} missing: {', '.join(places)}" + (f" and {more} more" if more else "")
+
+
+def info(recording: str | Path | Frames | Recording, *, lag: bool = False) -> RecordingInfo:
+    """Facts of a recording: topics, frames, rate, duration, size, gaps.
+
+    Parameters
+    ----------
+    recording : path, Frames or Recording
+        All of it counts, whichever frames are chosen.
+    lag : bool
+        Look for the delay of its colour images, which reads the images of the first contact.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read.
+    """
+    if isinstance(recording, str | Path):
+        with Recording(recording) as opened:
+            return info(opened, lag=lag)
+    source = recording.source if isinstance(recording, Frames) else recording
+    if not isinstance(source, Recording):
+        raise InputError(f"{source.name}: is no recording; save it first")
+    times = source.times_s
+    gaps, period = find_gaps(times), usual_step(np.diff(times))
+    pressures = source.gas_pressures_pa()
+    extremes = (float(pressures.min()), float(pressures.max())) if len(pressures) else None
+    return RecordingInfo(
+        path=str(source.path),
+        topics=source.bag.topics,
+        depth_topic=source.depth_topic.name,
+        encoding=source.encoding,
+        frames=len(source),
+        duration_s=float(times[-1] - times[0]),
+        rate_hz=None if period is None else 1.0 / period,
+        size_bytes=source.bag.size_bytes,
+        width=source.size[0],
+        height=source.size[1],
+        gaps=sum(gap.missing for gap in gaps),
+        gap_positions=gaps,
+        intrinsics=source.intrinsics,
+        gas_pressure_pa=extremes,
+        wrench=source.has_wrench,
+        colour=ColourInfo.of(source, lag=lag),
+        note=source.bag.note,
+    )
+
+
+def _intrinsics_text(camera: Intrinsics | None) -> str:
+    if camera is None:
+        return "not recorded"
+    return (
+        f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} "
+        f"pixels, distortion {camera.distortion_model}"
+    )
+
+
+def _pressure_text(extremes_pa: tuple[float, float] | None) -> str:
+    if extremes_pa is None:
+        return "not recorded"
+    low, high = extremes_pa
+    return f"{low / 1e3:.3f} … {high / 1e3:.3f} kPa absolute"

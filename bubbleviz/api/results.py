@@ -1,0 +1,607 @@
+"""What was found in a frame and in many: arrays, tables, plots, pictures and files."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, overload
+
+import numpy as np
+
+from bubbleviz.api.summary import Summary, counted
+from bubbleviz.errors import InputError
+from bubbleviz.files.output_files import refuse_existing, whole_file
+from bubbleviz.files.pose_writer import PoseRow, write_poses
+from bubbleviz.files.result_writer import (
+    COLUMNS,
+    NODAL_FIELDS,
+    UNKNOWN,
+    ResultWriter,
+    add_measured_force,
+    csv_row,
+    nodal_fields,
+    result_arrays,
+    summary_row,
+)
+from bubbleviz.files.tables import write_rows
+from bubbleviz.output.exporter import Shape
+from bubbleviz.output.plot_files import DPI, SIZE_IN, draw_plots
+from bubbleviz.output.pose_columns import pose_columns
+from bubbleviz.output.table_export import Table, more_columns, table_of
+from bubbleviz.result import Estimate, Patch, Pose, Result
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.wording import count_of, how_to_install
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+_ARROW = 0.5  # of the membrane's width, the length of the force's arrow
+_PRESSURE = "contact pressure, kPa"
+_NO_IMAGE = np.empty((0, 0), np.float32)
+"""In place of the depth images of a `Run`, which would fill the memory."""
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What was found in one frame; NaN wherever `status` says that there is no number to trust.
+
+    Units are SI, positions in the bubble frame B: origin at the centre of the rim plane, z outward.
+
+    Attributes
+    ----------
+    result : Result
+        With its `estimate`, `patch`, `pose` and `times_ms`.
+    model : SensorModel
+        The sensor it was made with, with its `mesh` of n nodes.
+    """
+
+    result: Result
+    model: SensorModel
+
+    @property
+    def index(self) -> int:
+        """Index in the recording, or count since a live source started."""
+        return self.result.frame.index
+
+    @property
+    def time_s(self) -> float:
+        """Seconds from the start of the recording."""
+        return self.result.frame.time_s
+
+    @property
+    def status(self) -> str:
+        """`ok`, `no_contact`, or why there is no number to trust (`Status`)."""
+        return self.estimate.status
+
+    @property
+    def force_n(self) -> np.ndarray:
+        """Resultant of the contact pressure on the membrane in B, (3,), N."""
+        return self._numbers("force_n")
+
+    @property
+    def force_sigma_n(self) -> np.ndarray:
+        """Standard deviation of the force, (3,), N; NaN where the linear model was solved."""
+        return self._numbers("force_sigma_n")
+
+    @property
+    def center_of_pressure_m(self) -> np.ndarray:
+        """Pressure-weighted centre of the patch, (3,), m; NaN without contact."""
+        return self._numbers("center_of_pressure_m")
+
+    @property
+    def patch_area_m2(self) -> float:
+        """Area of the contact patch on the reference surface, m²; 0 without contact."""
+        return float(self._numbers("patch_area_m2"))
+
+    @property
+    def patch_area_interval_m2(self) -> np.ndarray:
+        """Areas within the inner and outer line of the band that holds the true edge, (2,), m²."""
+        return self._numbers("patch_area_interval_m2")
+
+    @property
+    def contact_pressure_pa(self) -> np.ndarray:
+        """Contact pressure p_c ≥ 0 of the nodes (Eq. 23), (n,), Pa."""
+        return self._nodal("contact_pressure_pa")
+
+    @property
+    def displacement_m(self) -> np.ndarray:
+        """Displacement u of the nodes along the rest normals (Eq. 1), (n,), m."""
+        return self._nodal("displacement_m")
+
+    @property
+    def nodes_m(self) -> np.ndarray:
+        """Nodes of the membrane where they are now, (n, 3), m."""
+        return self.model.mesh.nodes + self._nodal("displacement_3d_m")
+
+    @property
+    def pixel_mask(self) -> np.ndarray:
+        """Pixels that see the contact patch, (H, W) bool; found when asked for."""
+        return self.model.view.patch_pixels(self.estimate, self.patch)
+
+    @property
+    def pose(self) -> Pose | None:
+        """Pose of the object with its covariance, where one was looked for."""
+        return self.result.pose
+
+    @property
+    def T_B_O(self) -> np.ndarray:
+        """Pose of the object, (4, 4), m; NaN where there is none."""
+        pose = self.result.pose
+        return np.full((4, 4), np.nan) if pose is None else pose.T_B_O
+
+    @property
+    def estimate(self) -> Estimate:
+        """Solution of the inverse problem."""
+        assert self.result.estimate is not None  # every result has one
+        return self.result.estimate
+
+    @property
+    def patch(self) -> Patch:
+        """The contact patch."""
+        assert self.result.patch is not None  # every result has one
+        return self.result.patch
+
+    def plot(self, screenshot: str | Path | None = None, *, overwrite: bool = False) -> Any:
+        """Show the membrane with its contact pressure, the patch's outline and the force.
+
+        Parameters
+        ----------
+        screenshot : path, optional
+            Write this PNG instead, without a screen.
+        overwrite : bool
+            Replace it where it exists.
+
+        Returns
+        -------
+        object
+            What `pyvista.Plotter.show` returns: in a notebook the picture.
+
+        Raises
+        ------
+        InputError
+            pyvista, of the extra `window`, is not installed, or the file exists.
+        """
+        try:
+            import pyvista  # an extra
+        except ImportError as error:
+            raise _missing("pyvista", "window") from error
+        if screenshot is not None:
+            refuse_existing(screenshot, overwrite=overwrite)
+        with pyvista.vtk_verbosity("error"):  # without an X server VTK warns, and draws
+            plotter = pyvista.Plotter(off_screen=screenshot is not None)
+            _draw(plotter, pyvista, self)
+            backend = "static" if plotter.notebook else None  # needs neither a screen nor trame
+            if screenshot is None:
+                return plotter.show(jupyter_backend=backend)
+            with whole_file(screenshot, overwrite=overwrite) as temporary:
+                return plotter.show(jupyter_backend=backend, screenshot=str(temporary))
+
+    def _numbers(self, name: str) -> np.ndarray:
+        return np.asarray(summary_row(self.result)[name])
+
+    def _nodal(self, name: str) -> np.ndarray:
+        return nodal_fields(self.result, self.model.mesh)[name]
+
+    def __repr__(self) -> str:
+        force = float(np.linalg.norm(self.force_n))
+        return f"<frame {self.index}: {self.status}, {force:.3g} N>"
+
+
+class Run(Sequence[FrameResult], Summary):
+    """What was found in the frames of a recording, like a list; depth images are not kept.
+
+    Of frames that were written to a file as they were found, only the numbers are kept: table, plot
+    and summary, and no `run[k]`.
+
+    Parameters
+    ----------
+    model : SensorModel
+    said : dict
+        Facts of the summary that are not of the frames: recording, sensor, solver, warning, ….
+    made_by : dict
+        What RESULT.npz keeps of how it was made.
+    """
+
+    def __init__(self, model: SensorModel, said: dict[str, Any], made_by: dict[str, str]) -> None:
+        self.model, self.said, self.made_by = model, said, made_by
+        self._rows: list[dict[str, Any]] = []
+        self._more: list[dict[str, Any]] = []
+        self._results: list[FrameResult] = []
+
+    def add(self, result: Result, *, keep: bool) -> None:
+        """Take the next frame."""
+        row = summary_row(result)
+        pose = {} if result.pose is None else pose_columns(asdict(PoseRow.of(result)))
+        self._rows.append(row)
+        self._more.append(more_columns(result, row) | pose)
+        if keep:
+            light = replace(result, frame=replace(result.frame, depth_m=_NO_IMAGE))
+            self._results.append(FrameResult(light, self.model))
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self._rows)
+
+    @overload
+    def __getitem__(self, index: int) -> FrameResult: ...
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+    def __getitem__(self, index: int | slice) -> FrameResult | Self:
+        """What was found in one frame, or in some of them.
+
+        Raises
+        ------
+        InputError
+            It was written to a file and not kept.
+        """
+        if self._rows and not self._results:
+            raise InputError(f"{self.said['out']}: has the frames; load it, or estimate without it")
+        if not isinstance(index, slice):
+            return self._results[index]
+        part = type(self)(self.model, self.said, self.made_by)
+        for each in self._results[index]:
+            part.add(each.result, keep=True)
+        return part
+
+    @property
+    def warning(self) -> str | None:
+        """What is missing or does not fit together, but was solved all the same."""
+        return self.said["warning"]
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of each frame from the start of the recording, s, (F,)."""
+        return self._numbers("time_s")
+
+    @property
+    def status(self) -> np.ndarray:
+        """Status of each frame, (F,) texts."""
+        return self._numbers("status")
+
+    @property
+    def force_n(self) -> np.ndarray:
+        """Force on the membrane in B, (F, 3), N; NaN where it is not to be trusted."""
+        return self._numbers("force_n")
+
+    @property
+    def T_B_O(self) -> np.ndarray:
+        """Pose of the object in each frame, (F, 4, 4), m; NaN where there is none."""
+        return np.array([each.T_B_O for each in self])
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Numbers of each frame by column, (F,) each, units in the names, times in ms."""
+        table = self._table()
+        table["kappa"] = [np.nan if kappa is None else kappa for kappa in table["kappa"]]
+        return {name: np.array(values) for name, values in table.items()}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Numbers of each frame by key of RESULT.npz."""
+        add_measured_force(self._rows)
+        return self._rows
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every array of RESULT.npz but the masks, by the same names: frames, nodes and mesh."""
+        return result_arrays([each.result for each in self], self.model.mesh)
+
+    def table(self) -> pandas.DataFrame:
+        """Table of the numbers of each frame, the frame's index as index.
+
+        Raises
+        ------
+        InputError
+            pandas, of the extra `notebook`, is not installed.
+        """
+        try:
+            import pandas  # an extra
+        except ImportError as error:
+            raise _missing("pandas") from error
+        return pandas.DataFrame(self.columns()).set_index("frame")
+
+    def dataset(self) -> xarray.Dataset:
+        """Fields of all frames with named dimensions.
+
+        They are `frame`, `node`, `axis`, `bound` of an interval, `triangle` and `corner`.
+
+        Raises
+        ------
+        InputError
+            xarray, of the extra `notebook`, is not installed.
+        """
+        try:
+            import xarray  # an extra
+        except ImportError as error:
+            raise _missing("xarray") from error
+        arrays = self.arrays()
+        frame, time = arrays.pop("frame"), arrays.pop("time_s")
+        dimensions = _dimensions()
+        data = {name: (dimensions[name], array) for name, array in arrays.items()}
+        return xarray.Dataset(data, {"frame": frame, "time_s": ("frame", time)})
+
+    def plot(self, path: str | Path | None = None, *, overwrite: bool = False) -> Figure:
+        """Plot force, gas pressure, patch, residual and time over the frames; contact is shaded.
+
+        Parameters
+        ----------
+        path : path, optional
+            Write this PNG, SVG or PDF, too.
+        overwrite : bool
+            Replace it where it exists.
+
+        Returns
+        -------
+        Figure
+            Notebooks show it; without a path it is of pyplot, so that scripts can by
+            `matplotlib.pyplot.show()`.
+
+        Raises
+        ------
+        InputError
+            The file exists.
+        """
+        figure = _new_figure(shown=path is None or "ipykernel" in sys.modules)
+        draw_plots(self._table(), figure)
+        if path is not None:
+            with whole_file(path, overwrite=overwrite) as temporary:
+                figure.savefig(temporary, dpi=DPI)
+        return figure
+
+    def save(
+        self, out: str | Path, csv: str | Path | None = None, *, overwrite: bool = False
+    ) -> None:
+        """Write RESULT.npz, and RESULT.csv where it is asked for, both or neither.
+
+        Raises
+        ------
+        InputError
+            A file exists or cannot be written.
+        """
+        with self.files(out, csv, overwrite=overwrite) as write:
+            for each in self:
+                patch = replace(each.patch, pixel_mask=each.pixel_mask)
+                write(replace(each.result, patch=patch))
+
+    @contextmanager
+    def files(
+        self, out: str | Path, csv: str | Path | None, *, overwrite: bool, frames: int | None = None
+    ) -> Iterator[Callable[[Result], object]]:
+        """Function to write so many frames with; the files are there when the block ends."""
+        with ExitStack() as stack:
+            archive = stack.enter_context(whole_file(out, overwrite=overwrite))
+            table = stack.enter_context(whole_file(csv, overwrite=overwrite)) if csv else None
+            count, shape = len(self) if frames is None else frames, self.model.view.shape
+            shear = self.said["texture"] is not None
+            writer = ResultWriter(archive, self.model.mesh, count, shape, shear=shear)
+            yield stack.enter_context(writer).add
+            writer.finish(**self.made_by)
+            if table:
+                sensor = self.model.sensor.name
+                write_rows(table, [csv_row(row, sensor) for row in writer.rows])
+
+    def facts(self) -> dict[str, Any]:
+        """Summary of the run, with the statistics of its frames."""
+        return {**self.said, **statistics(self.rows())}
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        told = self.facts()
+        lines = _first_lines(told)
+        if told["median_contact_force_n"] is not None:
+            lines.append(
+                f"force   {told['median_contact_force_n']:.3g} N median in contact, "
+                f"{told['max_force_n']:.3g} N highest"
+            )
+        if told["median_contact_measured_force_n"] is not None:
+            lines.append(
+                f"        {told['median_contact_measured_force_n']:.3g} N median in contact by the "
+                "wrench, less its contact-free bias"
+            )
+        if told["gas_zero"] is not None:
+            lines.append(told["gas_zero"])
+        if told["traction_status"] is not None:
+            lines += [_shear_text(told), f"        {told['texture']}"]
+        if told["median_total_ms"] is not None:
+            lines.append(
+                "time    depth image in → patch out, first frame left out: "
+                f"{told['median_total_ms']:.1f} ms median, {told['p95_total_ms']:.1f} ms p95"
+            )
+        if told["median_contact_total_ms"] is not None:
+            lines.append(f"        {told['median_contact_total_ms']:.1f} ms median in contact")
+        return "\n".join(lines)
+
+    def _numbers(self, name: str) -> np.ndarray:
+        return np.array([row[name] for row in self._rows])
+
+    def _table(self) -> Table:
+        return table_of(self._rows, self._more, self.model.sensor.name)
+
+    def __repr__(self) -> str:
+        return f"<{count_of(len(self), 'frame')}: {counted(Counter(self.status.tolist()))}>"
+
+
+class TrackedRun(Run):
+    """Poses of an object, with what was found beside them."""
+
+    def __init__(self, model: SensorModel, said: dict[str, Any], made_by: dict[str, str]) -> None:
+        super().__init__(model, said, made_by)
+        self.poses: list[PoseRow] = []
+
+    def add(self, result: Result, *, keep: bool) -> None:
+        """Take the next frame."""
+        super().add(result, keep=keep)
+        self.poses.append(PoseRow.of(result))
+
+    def save_poses(self, out: str | Path, *, overwrite: bool = False) -> None:
+        """Write POSES.csv.
+
+        Raises
+        ------
+        InputError
+            The file exists or cannot be written.
+        """
+        write_poses(Path(out), self.poses, "csv", overwrite=overwrite)
+
+    def facts(self) -> dict[str, Any]:
+        """Summary of the poses; medians over the frames with one, times without the first."""
+        good = [row for row in self.poses if row.status == "ok"]
+        areas = [(row.patch_area_m2, row.object_patch_area_m2) for row in good]
+        both = [pair for pair in areas if np.isfinite(pair).all()]
+        patch, by_object = np.median(both, axis=0).tolist() if both else (None, None)
+        times = [row.total_ms for row in good[1:]]
+        return {
+            **{key: self.said[key] for key in ("recording", "sensor", "object", "out", "warning")},
+            "frames": len(self),
+            "status": dict(Counter(row.status for row in self.poses)),
+            "median_fitness": _known(np.median, [row.fitness for row in good]),
+            "median_rmse_m": _known(np.median, [row.rmse_m for row in good]),
+            "median_total_ms": _known(np.median, times),
+            "p95_total_ms": _known(_p95, times),
+            "median_patch_area_m2": patch,
+            "median_object_patch_area_m2": by_object,
+        }
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        told = self.facts()
+        lines = _first_lines(told)
+        if told["median_fitness"] is not None and told["median_rmse_m"] is not None:
+            lines.append(
+                f"fit     {100 * told['median_fitness']:.0f} % of the patch on the object, "
+                f"rmse {1e3 * told['median_rmse_m']:.2f} mm (medians)"
+            )
+        if told["median_total_ms"] is not None:
+            lines.append(
+                "time    depth image in → pose out while tracking: "
+                f"{told['median_total_ms']:.1f} ms median, {told['p95_total_ms']:.1f} ms p95"
+            )
+        if told["median_patch_area_m2"] is not None:
+            lines.append(
+                f"patch   {1e6 * told['median_patch_area_m2']:.0f} mm² by the contact pressure, "
+                f"{1e6 * told['median_object_patch_area_m2']:.0f} mm² by the object (medians)"
+            )
+        return "\n".join(lines)
+
+
+def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Statistics of frames: `status` counts them, what has no frames is None.
+
+    Times in ms are over all frames after the first, depth image in → patch out, `solve_ms` the
+    solver alone; `contact` is over frames with a contact patch, `measured_force_n` by the
+    recording's wrench less its contact-free bias, `traction` by colour, with half of its 95 %
+    interval.
+    """
+    known = [row for row in rows if row["status"] not in UNKNOWN]
+    touching = [row for row in known if row["patch_area_m2"] > 0.0]
+    warm = rows[1:]
+    sheared = [row for row in rows if row.get("traction_status") == "ok"]
+    traction = Counter(row["traction_status"] for row in rows if "traction_status" in row)
+    force = _over(known, "force_n")
+    return {
+        "frames": len(rows),
+        "status": dict(Counter(row["status"] for row in rows)),
+        "median_total_ms": _known(np.median, _over(warm, "total_ms")),
+        "p95_total_ms": _known(_p95, _over(warm, "total_ms")),
+        "median_contact_total_ms": _known(
+            np.median, [row["total_ms"] for row in warm if row["patch_area_m2"] > 0.0]
+        ),
+        "median_solve_ms": _known(np.median, _over(warm, "solve_ms")),
+        "rms_force_n": _known(lambda sizes: np.sqrt(np.mean(np.square(sizes))), force),
+        "median_contact_force_n": _known(np.median, _over(touching, "force_n")),
+        "max_force_n": _known(np.max, force),
+        "median_contact_measured_force_n": _known(np.median, _over(touching, "measured_force_n")),
+        "median_residual_rms_m": _known(np.median, _over(known, "residual_rms_m")),
+        "max_kkt_residual": _known(np.max, _over(known, "kkt_residual")),
+        "traction_status": dict(traction) or None,
+        "median_traction_force_n": _known(np.median, _over(sheared, "traction_force_n")),
+        "median_traction_half_width_n": _known(np.median, _over(sheared, "traction_half_width_n")),
+    }
+
+
+def _first_lines(told: dict[str, Any]) -> list[str]:
+    wrote = [] if told["out"] is None else [f"wrote   {told['out']}"]
+    return [*wrote, f"frames  {told['frames']}: {counted(told['status'])}"]
+
+
+def _shear_text(told: dict[str, Any]) -> str:
+    status = counted(told["traction_status"])
+    if told["median_traction_force_n"] is None:
+        return f"shear   {status}"
+    return (
+        f"shear   {told['median_traction_force_n']:.3g} ± "
+        f"{told['median_traction_half_width_n']:.2g} N (95 %) "
+        f"median with friction: {status}; its direction has not been verified"
+    )
+
+
+def _over(rows: Sequence[dict[str, Any]], key: str) -> list[float]:
+    """Numbers of some frames, sizes of vectors."""
+    return [float(np.linalg.norm(row[key])) if np.ndim(row[key]) else row[key] for row in rows]
+
+
+def _known(statistic: Callable[[list[float]], Any], values: list[float]) -> float | None:
+    """Statistic of finite values; None where there are none, as JSON has no NaN."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(statistic(finite)) if finite else None
+
+
+def _p95(values: list[float]) -> float:
+    return float(np.percentile(values, 95.0))
+
+
+def _draw(plotter: Any, pyvista: Any, found: FrameResult) -> None:
+    mesh, patch = found.model.mesh, found.result.patch
+    shape = Shape.of(mesh, found.result)
+    surface = pyvista.PolyData.from_regular_faces(shape.points_m, mesh.triangles)
+    surface[_PRESSURE] = 1e-3 * shape.contact_pressure_pa
+    plotter.add_mesh(surface, scalars=_PRESSURE, cmap="viridis")
+    force = ""
+    if patch is not None and patch.area_m2 > 0.0:
+        surface["level"] = patch.level
+        edge = surface.contour([0.0], scalars="level")
+        plotter.add_mesh(edge, color="white", line_width=4, render_lines_as_tubes=True)
+        size = float(np.linalg.norm(patch.force_n))
+        direction = patch.force_n / size
+        length = _ARROW * float(np.ptp(mesh.nodes[:, 0]))
+        tail = patch.center_of_pressure_m - length * direction
+        arrow = pyvista.Arrow(
+            start=tail, direction=direction, scale=length, shaft_radius=0.02, tip_radius=0.05
+        )
+        plotter.add_mesh(arrow, color="red")
+        force = f", {size:.3g} N"
+    plotter.add_text(f"frame {found.index}: {found.status}{force}", font_size=10)
+
+
+def _new_figure(shown: bool) -> Figure:
+    """Make an empty figure, of pyplot where it is shown."""
+    from matplotlib.figure import Figure  # 0.4 s
+
+    if not shown:
+        return Figure(figsize=SIZE_IN, layout="constrained")
+    from matplotlib import pyplot  # looks for a display
+
+    figure = pyplot.figure(figsize=SIZE_IN, layout="constrained")
+    if "inline" in pyplot.get_backend():
+        pyplot.close(figure)  # it is the cell's result; pyplot would show it once more
+    return figure
+
+
+def _dimensions() -> dict[str, tuple[str, ...]]:
+    """Dimensions of the arrays of RESULT.npz by name."""
+    second: dict[int, tuple[str, ...]] = {0: (), 2: ("bound",), 3: ("axis",)}
+    frames = {key: ("frame", *second[len(names)]) for key, names in COLUMNS.items()}
+    nodal = {
+        key: ("frame", "node", "axis") if more else ("frame", "node")
+        for key, more in NODAL_FIELDS.items()
+    }
+    nodes = {"nodes_m": ("node", "axis"), "normals": ("node", "axis"), "rim": ("node",)}
+    return {**frames, **nodal, **nodes, "triangles": ("triangle", "corner")}
+
+
+def _missing(library: str, extra: str = "notebook") -> InputError:
+    return InputError(f"{library} is not installed; run {how_to_install(extra)}")

@@ -1,0 +1,385 @@
+"""Live sources solved: frame by frame, or without a window until they end or ^C."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from tqdm import tqdm
+
+from bubbleviz.api.blas_threads import OneBlasThread
+from bubbleviz.api.connecting import offered, sensor_of
+from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
+from bubbleviz.api.results import FrameResult
+from bubbleviz.api.summary import Summary, counted
+from bubbleviz.calibration.pressure_zero import PressureZero, zeroed
+from bubbleviz.diagnostics.shear_tally import ShearSummary, ShearTally, shear_line
+from bubbleviz.errors import InputError
+from bubbleviz.frames.depth_topics import RESULTS
+from bubbleviz.frames.frame import Frame
+from bubbleviz.frames.message_encoding import Message
+from bubbleviz.frames.sensor_matching import AUTO, gas_warning
+from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.live.latency import LatencyMeter
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live.sinks.result_messages import ResultMessages
+from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+from bubbleviz.live.source_status import STOPPED_AFTER_S
+from bubbleviz.live.sources.open_stream import open_stream, patience_s
+from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
+from bubbleviz.result import Result
+from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.sensor import Sensor, with_colour_delay
+
+if TYPE_CHECKING:
+    from bubbleviz.shear.passing_texture import PassingTexture
+
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
+"""There is a pose only where the pipeline follows an object."""
+CAMERA_S = 0.5
+"""How long the first frames may come without camera info before the sensor file's counts."""
+_LOOK_S = 0.1  # s between looks at the stream; chosen
+_DIAGNOSTICS_S = 1.0  # s between diagnostics, ROS's usual 1 Hz
+
+
+class Watcher:
+    """Solves the newest frame of a started stream, over and over.
+
+    A `first` frame was taken from the stream already, and is solved where no newer one has come; a
+    `texture` of the pipeline adds traction with friction and slip.
+    """
+
+    def __init__(
+        self,
+        stream: LiveStream,
+        pipeline: Pipeline,
+        zero: PressureZero | None,
+        options: FrameOptions | None = None,
+        first: Frame | None = None,
+        texture: PassingTexture | None = None,
+    ) -> None:
+        self.stream, self.pipeline, self.zero = stream, pipeline, zero
+        self.texture = texture
+        self._products = PRODUCTS if texture is None else PRODUCTS | SHEAR
+        self._options = options
+        self._first = first
+        self._measured_pa: float | None = None
+        self.latency = LatencyMeter()
+        self.last: Result | None = None
+
+    @classmethod
+    def on(
+        cls,
+        stream: LiveStream,
+        source: str,
+        sensor: Sensor,
+        options: FrameOptions | None = None,
+        *,
+        solver: str | None = None,
+        friction: float | None = None,
+        obj: RigidObject | None = None,
+        start: np.ndarray | None = None,
+        zero_gas: bool = True,
+        shear: bool = False,
+        stop: threading.Event | None = None,
+    ) -> Watcher:
+        """Watcher of a started stream, once the first frame tells the camera.
+
+        Options as of `bubbleviz.estimate` and `track`, of which `obj` and `start` are the loaded
+        object and `init`; `stop` ends the waiting. InputError where no depth image came, or not of
+        the sensor's camera, or shear was asked for without the exact membrane.
+        """
+        if shear:
+            stream.follow_colour()
+        check = partial(stream.check_size, f"--source {source}", sensor.name)
+        first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
+        if first is None:
+            raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
+        pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver, friction))
+        pipeline.prepare(PRODUCTS)
+        pipeline.follow(obj, start)
+        known = PressureZero(pipeline.model.gas.P0) if zero_gas else None
+        texture = _texture(pipeline, friction) if shear else None
+        return cls(stream, pipeline, known, options, first, texture)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the source has no more frames."""
+        return self.stream.source.link() == "ended"
+
+    def step(self, timeout_s: float) -> Result | None:
+        """Solve the newest frame; None when none came in time."""
+        frame = self.stream.take(0.0 if self._first else timeout_s) or self._first
+        self._first = None
+        if frame is None:
+            return None
+        if self._measured_pa is None:
+            self._measured_pa = frame.gas_pressure_pa
+        if self.zero is not None:
+            frame = zeroed(frame, self.zero, self.pipeline)
+        self.last = self.pipeline.process(frame, self._products, self._options)
+        if self.texture is not None:
+            self.texture.take(self.last)
+        self.latency.add(frame, time.time_ns())
+        return self.last
+
+    def results(self, timeout_s: float | None) -> Iterator[FrameResult]:
+        """What was found in the newest frame, over and over, until the source ends."""
+        one_thread = OneBlasThread()
+
+        def step(wait_s: float) -> Result | None:
+            with one_thread:
+                return self.step(wait_s)
+
+        for result in self.stream.each(step, timeout_s):
+            yield FrameResult(result, self.pipeline.model)
+
+    def warning(self) -> str:
+        """What to say of a gas pressure that is not this sensor's; empty for nothing."""
+        known_pa = self.pipeline.model.gas.P0
+        if self.zero is None:
+            return gas_warning(self._measured_pa, known_pa, "in the source")
+        return gas_warning(self.zero.rest_pa, known_pa, "without contact")
+
+
+def _texture(pipeline: Pipeline, friction: float | None) -> PassingTexture:
+    from bubbleviz.shear.passing_texture import PassingTexture  # only for shear
+
+    texture = PassingTexture(pipeline, friction)
+    pipeline.prepare(SHEAR)
+    return texture
+
+
+def _first_frame(
+    stream: LiveStream, stop: threading.Event, patience: float, check: Callable[[], None]
+) -> Frame | None:
+    """The first frame with camera info, or the first at all if none arrives."""
+    began, frame = time.monotonic(), None
+    deadline: float | None = None
+    while not stop.is_set():
+        frame = stream.take(0.1) or frame
+        now, ended = time.monotonic(), stream.source.link() == "ended"
+        if frame is None:
+            check()
+            if ended or now - began > patience:
+                return None
+            continue
+        deadline = deadline or now + CAMERA_S
+        if frame.intrinsics is not None or ended or now > deadline:
+            return frame
+    return frame
+
+
+def _seen(stream: LiveStream) -> str:
+    return stream.source.problem() or stream.counters().problem or offered(stream)
+
+
+@dataclass(frozen=True)
+class WatchSummary(Summary):
+    """Summary of `watch`; None for what is not known, or not to be trusted."""
+
+    frames: int  # solved
+    status: dict[str, int]  # number of them by status
+    rate_hz: float
+    max_force_n: float | None
+    latency_median_s: float | None  # stamp, or arrival by another clock, to result
+    latency_p95_s: float | None
+    pressure_offset_pa: float | None  # taken from the measured gas pressure
+    shear: ShearSummary | None  # where it was asked for
+    counters: dict[str, Any]
+    warning: str | None  # what does not fit together, but was solved all the same
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        lines = [f"frames   {self.frames}: {counted(self.status)}; {self.rate_hz:.1f} Hz"]
+        if self.max_force_n is not None:
+            lines.append(f"force    {self.max_force_n:.3g} N highest")
+        if self.shear is not None:
+            lines.append(self.shear.to_text())
+        if self.latency_median_s is not None and self.latency_p95_s is not None:
+            lines.append(
+                f"latency  {1e3 * self.latency_median_s:.1f} ms median, "
+                f"{1e3 * self.latency_p95_s:.1f} ms p95"
+            )
+        if self.pressure_offset_pa is not None:
+            lines.append(f"zero     {self.pressure_offset_pa:+.1f} Pa taken from the gas pressure")
+        return "\n".join(lines)
+
+
+def watch(
+    source: str,
+    sensor: str | Path | Sensor = AUTO,
+    *,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    listen: str | None = None,
+    connect: str | None = None,
+    duration_s: float | None = None,
+    object: str | Path | RigidObject | None = None,
+    solver: str | None = None,
+    friction: float | None = None,
+    zero_gas: bool = True,
+    shear: bool = False,
+    colour_delay_s: float | None = None,
+    **credentials: str | None,
+) -> WatchSummary:
+    """Solve a live source until the duration is over, it ends, or ^C.
+
+    To get the results in Python: `connect`, then `estimate` or `track`.
+
+    Parameters
+    ----------
+    source, sensor
+        As of `connect`.
+    out : path, optional
+        Recording of what arrives and what comes out; `overwrite` replaces it where it exists.
+    listen, connect : str, optional
+        Publish results over Zenoh: subscribers connect to this endpoint, or through this router.
+    duration_s : float, optional
+        From the first frame, s.
+    object : str, path or RigidObject, optional
+        To track: a mesh file or preset.
+    solver, friction, zero_gas, shear, colour_delay_s
+        As of `estimate`; the gas pressure is zeroed, and shear measured, on the first contact-free
+        frames.
+    **credentials
+        `ca`, `cert`, `key` and `login`, files of the Zenoh session.
+
+    Raises
+    ------
+    InputError
+        The source, the file or the endpoint cannot be opened, or no depth image came.
+    """
+    place = None
+    if listen is not None or connect is not None:
+        place = zenoh_place(listen, connect, credentials)
+    own = with_colour_delay(sensor_of(source, sensor), colour_delay_s)
+    obj = None if object is None else load_object(object)
+    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    with ExitStack() as stack:
+        stop = stack.enter_context(stopped_by_signals())
+        stream = open_stream(source, own)
+        recorder = _recorder(stack, stream, out, overwrite=overwrite)
+        if shear:
+            stream.follow_colour()
+        publisher = None if place is None else stack.enter_context(ZenohPublisher(place))
+        stack.enter_context(stream)
+        watcher = Watcher.on(stream, source, own, obj=obj, stop=stop, shear=shear, **how)
+
+        def send(message: Message) -> None:
+            topic, kind, payload, stamp = message
+            if publisher is not None:
+                publisher.put(topic, kind, payload, stamp)
+            if recorder is not None:
+                recorder.push(RawMessage(topic, kind, payload, stamp, time.time_ns()))
+
+        return _watch(watcher, send, stop, duration_s)
+
+
+def _watch(
+    watcher: Watcher,
+    send: Callable[[Message], None],
+    stop: threading.Event,
+    duration_s: float | None,
+) -> WatchSummary:
+    messages = ResultMessages(watcher.pipeline.mesh, RESULTS)
+    statuses: Counter[str] = Counter()
+    forces: list[float] = []
+    shear = None if watcher.texture is None else ShearTally()
+    began = told = time.monotonic()
+    silent = False
+    with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
+        while not stop.is_set():
+            if duration_s is not None and time.monotonic() - began >= duration_s:
+                break
+            ended = watcher.ended  # looked at first: a frame may come before the end is seen
+            result = watcher.step(_LOOK_S)
+            if ended and result is None:
+                break
+            if result is not None and result.estimate is not None and result.patch is not None:
+                statuses[result.estimate.status] += 1
+                trusted = result.trusted_patch
+                if trusted is not None:
+                    forces.append(float(np.linalg.norm(trusted.force_n)))
+                if shear is not None:
+                    shear.add(result)
+                for message in messages.of(result):
+                    send(message)
+                bar.update()
+            silent = _tell_silence(watcher.stream, silent)
+            if time.monotonic() - told >= _DIAGNOSTICS_S:
+                told = time.monotonic()
+                status, counters = watcher.stream.status(), watcher.stream.counters()
+                send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
+                newest = (_force_text(watcher.last), *_shear_texts(watcher), status.text)
+                bar.set_postfix_str(", ".join(filter(None, newest)))
+    elapsed = time.monotonic() - began
+    latency, texture = watcher.latency.report(), watcher.texture
+    return WatchSummary(
+        frames=statuses.total(),
+        status=dict(statuses),
+        rate_hz=statuses.total() / elapsed,
+        max_force_n=max(forces, default=None),
+        latency_median_s=None if latency is None else latency.median_s,
+        latency_p95_s=None if latency is None else latency.p95_s,
+        pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,
+        shear=None if shear is None or texture is None else shear.summary(texture.words),
+        counters=watcher.stream.counters().as_dict(),
+        warning=watcher.warning() or None,
+    )
+
+
+def _tell_silence(stream: LiveStream, told: bool) -> bool:
+    """Say, once an outage, that no depth images come; whether they still do not."""
+    silent_s = stream.status().silent_s or 0.0
+    if silent_s < STOPPED_AFTER_S or stream.source.link() == "ended":
+        return False
+    if not told:
+        said = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"
+        tqdm.write(f"{said}; waiting for the next image", file=sys.stderr)
+    return True
+
+
+def _force_text(result: Result | None) -> str:
+    """Force of the newest frame, or why there is none."""
+    if result is None or result.estimate is None:
+        return ""
+    patch = result.trusted_patch
+    return result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
+
+
+def _shear_texts(watcher: Watcher) -> tuple[str, ...]:
+    """Shear of the newest frame, and what it is measured against while that is not there."""
+    if watcher.texture is None or watcher.last is None:
+        return ()
+    return (shear_line(watcher.last), watcher.texture.words)
+
+
+def _recorder(
+    stack: ExitStack, stream: LiveStream, out: str | Path | None, *, overwrite: bool
+) -> Recorder | None:
+    if out is None:
+        return None
+    stack.enter_context(room_for(out, overwrite=overwrite))
+    recorder = Recorder()
+    recorder.start(out)
+
+    def finish() -> None:
+        status = recorder.stop()
+        if status.problem:
+            raise InputError(status.problem)
+
+    stack.callback(finish)
+    recorder.listen_to(stream)
+    return recorder

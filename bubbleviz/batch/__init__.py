@@ -1,1 +1,0 @@
-"""Many recordings to results and one table, in processes here or on a Dask cluster."""

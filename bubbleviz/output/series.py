@@ -1,0 +1,226 @@
+"""A file for each frame: the membrane for ParaView and as PLY, the patch's points, pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.files.ply_writer import write_ply
+from bubbleviz.frames.frame import Frame
+from bubbleviz.output.exporter import Shape, estimate_of, is_known
+from bubbleviz.output.vtp_writer import write_pvd, write_series, write_vtp
+from bubbleviz.pipeline import Product
+from bubbleviz.result import Result
+from bubbleviz.sensor_model import SensorModel
+
+COLOURS, NOT_KNOWN = "viridis", "#28282c"
+"""Perceptually uniform (Smith and van der Walt, 2015), and dark where there is no number."""
+HIGHEST_PRESSURE = 4.0
+"""End of the colours in gauge pressures: what lies flat on the membrane carries about one, an edge
+some more."""
+
+
+class Series:
+    """Writes NAME_KIND_000012.SUFFIX into a folder for each frame of a sensor."""
+
+    kind = ""
+    products: frozenset[Product] = frozenset()
+
+    def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
+        self.folder, self.model = folder, model
+        self.name = f"{name}_{self.kind}" if self.kind else name
+
+    def path(self, result: Result, suffix: str) -> Path:
+        """Where the file of a frame is."""
+        return self.folder / f"{self.name}_{result.frame.index:06d}{suffix}"
+
+    def add(self, result: Result) -> None:
+        """Write the file of the next frame."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Write what needs all frames."""
+
+
+class VtkSeries(Series):
+    """The membrane as .vtp, and NAME.pvd and NAME.vtp.series that list the files.
+
+    Nodal fields: `displacement_m`, `displacement_vector_m` (from the reference surface),
+    `contact_pressure_pa`, and `patch`, 1 inside.
+    """
+
+    products: frozenset[Product] = frozenset({"estimate", "patch"})
+
+    def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
+        super().__init__(folder, name, model)
+        self._names: list[str] = []
+        self._times: list[float] = []
+
+    def add(self, result: Result) -> None:
+        """Write the membrane of the next frame."""
+        if result.patch is None:
+            raise ValueError("the product patch was not asked for")
+        mesh, path, time_s = self.model.mesh, self.path(result, ".vtp"), result.frame.time_s
+        shape = Shape.of(mesh, result)
+        fields = {
+            "displacement_m": shape.displacement_m,
+            "displacement_vector_m": shape.points_m - mesh.nodes,
+            "contact_pressure_pa": shape.contact_pressure_pa,
+            "patch": result.patch.node_mask.astype(np.uint8),
+        }
+        write_vtp(path, shape.points_m, mesh.triangles, fields, time_s)
+        self._names.append(path.name)
+        self._times.append(time_s)
+
+    def finish(self) -> None:
+        """Write the indices."""
+        write_pvd(self.folder / f"{self.name}.pvd", self._names, self._times)
+        write_series(self.folder / f"{self.name}.vtp.series", self._names, self._times)
+
+
+class MembranePly(Series):
+    """The membrane as .ply, with displacement and contact pressure."""
+
+    kind = "membrane"
+    products: frozenset[Product] = frozenset({"estimate"})
+
+    def add(self, result: Result) -> None:
+        """Write the membrane of the next frame."""
+        shape = Shape.of(self.model.mesh, result)
+        values = {
+            "displacement_m": shape.displacement_m,
+            "contact_pressure_pa": shape.contact_pressure_pa,
+        }
+        triangles, comment = self.model.mesh.triangles, _comment(result.frame)
+        write_ply(self.path(result, ".ply"), shape.points_m, values, triangles, comment)
+
+
+class PatchPly(Series):
+    """Measured points in the patch as .ply, with pressure.
+
+    A frame without a patch has a file without points, so that every frame has one.
+    """
+
+    kind = "patch"
+    products: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask", "cloud"})
+
+    def add(self, result: Result) -> None:
+        """Write the patch of the next frame."""
+        points, pressure = self._patch(result)
+        values = {"contact_pressure_pa": pressure}
+        write_ply(self.path(result, ".ply"), points, values, comment=_comment(result.frame))
+
+    def _patch(self, result: Result) -> tuple[np.ndarray, np.ndarray]:
+        estimate, patch = estimate_of(result), result.patch
+        cloud, pixels = result.cloud_m, result.cloud_pixels
+        if patch is None or patch.pixel_mask is None or cloud is None or pixels is None:
+            raise ValueError("the products pixel_mask and cloud were not asked for")
+        inside = patch.pixel_mask.ravel()[pixels]
+        if not is_known(estimate) or not inside.any():
+            return np.empty((0, 3)), np.empty(0)
+        field, chosen = estimate.contact_pressure_pa, pixels[inside]
+        return cloud[inside], nodal_at(self.model.view, estimate.motion_m, field, chosen)
+
+
+class DepthPictures(Series):
+    """The depth image as measured, as .png; nothing is solved.
+
+    The colours go from the depth of the membrane's nearest to its farthest reference node, so
+    that pictures of one sensor compare. NAME_depth.json says what they stand for.
+    """
+
+    kind = "depth"
+
+    def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
+        super().__init__(folder, name, model)
+        T = model.camera.T_B_C
+        depths = (model.mesh.nodes - T[:3, 3]) @ T[:3, 2]
+        self._range = float(depths.min()), float(depths.max())
+
+    def add(self, result: Result) -> None:
+        """Write the picture of the next frame."""
+        _write_png(self.path(result, ".png"), result.frame.depth_m, self._range)
+
+    def finish(self) -> None:
+        """Write what the colours stand for."""
+        _write_range(self.folder / f"{self.name}.json", "depth_m", self._range)
+
+
+class PressurePictures(Series):
+    """Contact pressure where each pixel looks, as .png.
+
+    The colours go from 0 to `HIGHEST_PRESSURE` times the gauge pressure. NAME_pressure.json says
+    what they stand for.
+    """
+
+    kind = "pressure"
+    products: frozenset[Product] = frozenset({"estimate"})
+
+    def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
+        super().__init__(folder, name, model)
+        self._range = (0.0, HIGHEST_PRESSURE * model.sensor.pneumatics.gauge_pressure_pa)
+        self._pixels = np.arange(model.view.shape[0] * model.view.shape[1])
+
+    def add(self, result: Result) -> None:
+        """Write the picture of the next frame."""
+        estimate, view = estimate_of(result), self.model.view
+        image = np.full(view.shape, np.nan)
+        if is_known(estimate):
+            u, pressure = estimate.motion_m, estimate.contact_pressure_pa
+            image = nodal_at(view, u, pressure, self._pixels).reshape(image.shape)
+        _write_png(self.path(result, ".png"), image, self._range)
+
+    def finish(self) -> None:
+        """Write what the colours stand for."""
+        _write_range(self.folder / f"{self.name}.json", "contact_pressure_pa", self._range)
+
+
+SERIES: dict[str, type[Series]] = {
+    "vtk": VtkSeries,
+    "ply": MembranePly,
+    "patch": PatchPly,
+    "depth": DepthPictures,
+    "pressure": PressurePictures,
+}
+"""By kind of export."""
+
+
+def nodal_at(
+    view: MembraneView, displacement_m: np.ndarray, field: np.ndarray, pixels: np.ndarray
+) -> np.ndarray:
+    """Nodal field (n,) where the rays of pixels meet the deformed membrane, (k,).
+
+    Interpolated linearly; NaN where a ray misses. `pixels` are flat indices, ascending.
+    """
+    hits = view.hits(displacement_m, pixels)
+    corners = field[view.mesh.triangles[hits.triangle]]
+    values = np.full(len(pixels), np.nan)
+    values[np.searchsorted(pixels, hits.ray)] = np.sum(hits.barycentric * corners, axis=1)
+    return values
+
+
+def _comment(frame: Frame) -> str:
+    return f"bubble frame B, metres; frame {frame.index}, {frame.time_s!r} s"
+
+
+def _write_png(path: Path, image: np.ndarray, limits: tuple[float, float]) -> None:
+    from matplotlib import colormaps  # only where pictures are written
+    from PIL import Image
+
+    low, high = limits
+    colours = colormaps[COLOURS].with_extremes(bad=NOT_KNOWN)((image - low) / (high - low))
+    Image.fromarray((255.0 * colours[..., :3]).astype(np.uint8)).save(path)
+
+
+def _write_range(path: Path, quantity: str, limits: tuple[float, float]) -> None:
+    said = {
+        "quantity": quantity,
+        "darkest": limits[0],
+        "brightest": limits[1],
+        "colours": COLOURS,
+        "not_known": NOT_KNOWN,
+    }
+    path.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,168 @@
+"""Options that commands share: former names, and writing over what is there."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from small_press import write_press, write_small_sensor
+
+import bubbleviz as bv
+from bubbleviz.cli.command_line import main
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory):
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def press(sensor):
+    return write_press(sensor.with_name("press.mcap"), sensor, (0.060, 0.043))
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def command(name):
+    found = main.get_command(click.Context(main), name)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "needed", "former", "present"),
+    [
+        ("estimate", "R --out o", "--no-zero", "--no-zero-gas"),
+        ("watch", "--source s", "--no-zero", "--no-zero-gas"),
+        ("watch", "--source s", "--zero", "--zero-gas"),
+        ("watch", "--source s", "--publish p", "--listen p"),
+        ("watch", "--source s", "--publish-to p", "--connect p"),
+        ("identify", "R --sensor s --out o", "--no-press", "--no-held-press"),
+        ("convert", "a b", "--pressure p", "--gas-pressure p"),
+    ],
+)
+def test_a_former_name_does_the_same_and_is_not_shown(name, needed, former, present):
+    def params(option):
+        return command(name).make_context(name, [*needed.split(), *option.split()]).params
+
+    assert params(former) == params(present)
+    assert "zero" in former or params(former) != params("")
+    shown = run(name, "--help").stdout
+    assert present.split()[0] in shown and f"{former.split()[0]} " not in shown
+
+
+def test_the_command_pose_has_the_name_of_the_function_too():
+    assert command("track") is command("pose")
+
+
+def test_millimetres_and_degrees_are_taken_as_before(sensor, tmp_path):
+    words = ("simulate", "--sensor", sensor, "--object", "sphere", "--pose", "0 0 0.045 0 0 0 1",
+             "--frames", 10)  # fmt: skip
+    paths = []
+    for k, moved in enumerate((("--drag", 3, "--twist", 90),
+                               ("--drag-m", 0.003, "--twist-rad", np.pi / 2))):  # fmt: skip
+        out, truth = tmp_path / f"{k}.mcap", tmp_path / f"{k}.npz"
+        done = run(*words, *moved, "--out", out, "--truth", truth)
+        assert done.exit_code == 0, done.output
+        with np.load(truth) as file:
+            paths.append(file["T_B_O"])
+    np.testing.assert_allclose(paths[0], paths[1])
+    assert paths[0][-1, 0, 3] == pytest.approx(0.003)
+    assert paths[0][-1, 1, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "out"),
+    [
+        ("simulate --sensor S --object sphere --pose POSE", "new.mcap"),
+        ("estimate REC --sensor S --csv CSV", "new.npz"),
+        ("pose REC --sensor S --object cylinder", "new.csv"),
+        ("export REC --sensor S", "new.csv"),
+        ("export REC --sensor S --what ply,depth", "folder"),
+        ("record --source replay:REC?speed=100", "new.mcap"),
+        ("record --source replay:REC?speed=100", "bag"),
+        ("watch --source replay:REC?speed=100 --sensor S", "new.mcap"),
+        ("convert REC OUT", "new.mcap"),
+        ("convert REC OUT", "bag"),
+        ("batch FOLDER --sensor S --jobs 1", "results"),
+    ],
+)
+def test_what_exists_is_replaced_only_when_that_is_asked_for(words, out, press, sensor, tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.mcap").write_bytes(press.read_bytes())
+    given = {"REC": press, "S": sensor, "CSV": tmp_path / "more.csv", "FOLDER": tmp_path / "in"}
+    given |= {"POSE": "0 0 0.045 0 0 0 1", "OUT": tmp_path / out}
+    line = [str(given.get(word, word)).replace("REC", str(press)) for word in words.split()]
+    line += [] if "OUT" in words else ["--out", str(tmp_path / out)]
+    assert run(*line).exit_code == 0
+    names = sorted(path.name for path in tmp_path.rglob("*"))
+    refused = run(*line)
+    assert refused.exit_code == 2 and "exists already" in refused.stderr
+    done = run(*line, "--overwrite")
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in tmp_path.rglob("*")) == names
+
+
+def test_a_failure_leaves_what_would_have_been_replaced(sensor, tmp_path):
+    for name in ("rec.mcap", "new.npz", "mine.toml"):
+        (tmp_path / name).write_text("precious")
+    for words in (
+        ("record", "--source", "replay:nowhere", "--out", tmp_path / "rec.mcap"),
+        ("estimate", "nowhere", "--sensor", sensor, "--out", tmp_path / "new.npz"),
+        ("identify", "nowhere", "--sensor", sensor, "--out", tmp_path / "mine.toml"),
+    ):
+        assert run(*words, "--overwrite").exit_code == 2
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"precious"}
+
+
+def test_a_folder_with_the_files_of_others_is_not_replaced(press, sensor, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    done = run("export", press, "--sensor", sensor, "--what", "ply", "--out", tmp_path,
+               "--overwrite")  # fmt: skip
+    assert done.exit_code == 2 and "thesis.tex" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_python_writes_over_what_is_there_too(press, sensor, tmp_path):
+    rest = bv.simulate(sensor, "cylinder", "0 0 0.08 0 0 0 1", frames=20, noise_relative=0.002)
+    out, report = tmp_path / "mine.toml", tmp_path / "report"
+    how = {"nodes": 200, "contact_free": "0:20", "report": report}
+    found = bv.identify(rest, sensor, out=out, **how)
+    assert found.to_text().endswith(f"wrote {out} and {report / 'report.html'}")
+    before = out.read_text()
+    with pytest.raises(bv.InputError, match="exists already"):
+        bv.identify(rest, sensor, out=out, **how)
+    out.write_text("other")
+    bv.identify(rest, sensor, out=out, overwrite=True, **how)
+    assert out.read_text().splitlines()[:3] == before.splitlines()[:3]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.npz", "mine.toml", "report"]
+    bv.save_sensor(bv.load_sensor(sensor), out, overwrite=True)
+    run_of = bv.estimate(bv.open(press), sensor)
+    for overwrite in (False, True):
+        run_of.save(tmp_path / "r.npz", tmp_path / "r.csv", overwrite=overwrite)
+    with np.load(tmp_path / "r.npz") as file:
+        assert file["patch_mask"][1].any()
+        np.testing.assert_array_equal(file["force_n"], run_of.force_n)
+
+
+def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path):
+    run_of = bv.estimate(bv.open(press), sensor, out=tmp_path / "r.npz")
+    kept = bv.estimate(bv.open(press), sensor)
+    np.testing.assert_array_equal(run_of.force_n, kept.force_n)
+    assert len(run_of) == 2 and "wrote" in run_of.to_text() and "wrote" not in kept.to_text()
+    with pytest.raises(bv.InputError, match=r"r\.npz: has the frames; load it"):
+        run_of[0]
+
+
+def test_files_that_would_not_be_written_are_refused(press, sensor, tmp_path):
+    with pytest.raises(bv.InputError, match=r"r\.csv: .* give out, too"):
+        bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
+    with bv.connect(f"replay:{press}", sensor) as stream:
+        for verb in (bv.estimate, partial(bv.track, object="sphere")):
+            with pytest.raises(bv.InputError, match="of a stream are written by watch"):
+                verb(stream, out=tmp_path / "r.npz")
