@@ -2,7 +2,7 @@
 # make run     the window on the built-in synthetic sensor; ARGS="open REC" passes arguments
 # make test    the quick tests in two processes; ARGS="-k recording" passes arguments
 # make test-all  the long ones too: studies, the real press, every command of the pages
-# make lint    ruff and mypy
+# make lint    ruff, mypy and the order of rooms (import-linter)
 # make docs    the pages into site/, warnings as errors
 # make pages   of make test-all, what tests the pages
 # make lock    pin again what pyproject.toml asks for (needs uv)
@@ -26,6 +26,7 @@ lint: setup
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+	PYTHONPATH=.:ui .venv/bin/lint-imports --no-cache
 
 docs: .venv/docs/installed
 	NO_MKDOCS_2_WARNING=1 .venv/docs/bin/mkdocs build

@@ -12,8 +12,7 @@ import click
 
 from bubbleviz.cli.command_line import OneLineErrors
 from bubbleviz.cli.study_commands import report_options, seed_option, sensor_option
-from bubbleviz.files.defaults import SYNTHETIC_SENSOR
-from bubbleviz.files.tables import to_json
+from bubbleviz.files import SYNTHETIC_SENSOR, to_json
 
 if TYPE_CHECKING:
     from bubbleviz.sensor import Sensor

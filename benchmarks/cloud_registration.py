@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose import ObjectModel
 
 SAMPLES = 20_000  # points of the object's surface that the libraries register to
 

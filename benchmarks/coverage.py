@@ -9,12 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bubbleviz.calibration.identification import identify, with_rubber
-from bubbleviz.calibration.rest.rest_frames import collect
-from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.simulation.inflated_rubber import ATMOSPHERE_PA, InflatedRubber
-from bubbleviz.simulation.inflated_sensor import InflatedSensor
+from bubbleviz.calibration import Quantity, Vented, collect, identify, with_rubber
+from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber, InflatedSensor
 from bubbleviz.study.harness import (
     Case,
     Column,

@@ -15,16 +15,13 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.plausibility import GAS_NOISE
-from bubbleviz.membrane.refine import refine
+from bubbleviz.inverse import GAS_NOISE
+from bubbleviz.membrane import refine
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose import ObjectModel
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import made
-from bubbleviz.simulation.rubber_truth import RubberPresses, RubberTruth
-from bubbleviz.simulation.truth_bank import TruthBank, noise_name
+from bubbleviz.simulation import DepthNoise, RubberPresses, RubberTruth, TruthBank, made, noise_name
 from bubbleviz.study.accuracy import LINEAR, RUBBER, Grid, Setup, specimen
 from bubbleviz.study.harness import Case, Column, Report, Study, Table
 

@@ -16,17 +16,21 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from benchmarks.edge_bound import PLACE, SHAPE, edge_bound
-from bubbleviz.diagnostics.overlap import iou
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.level_line import level_line
-from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.inverse import RubberEstimator, touching_share
+from bubbleviz.membrane import level_line
+from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import SMOOTH_OBJECTS, presses
-from bubbleviz.simulation.rubber_truth import TRUTH_NODES
-from bubbleviz.simulation.truth_bank import Sighting, TruthBank, noise_name
+from bubbleviz.simulation import (
+    SMOOTH_OBJECTS,
+    TRUTH_NODES,
+    DepthNoise,
+    Sighting,
+    TruthBank,
+    noise_name,
+    presses,
+)
 from bubbleviz.study import accuracy
 from bubbleviz.study.accuracy import Errors, at_nodes, errors_of
 from bubbleviz.study.harness import (

@@ -16,12 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.level_line import level_line
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.touching_share import touching_share
-from bubbleviz.simulation.truth_bank import Sighting
+from bubbleviz.inverse import RubberEstimator, touching_share
+from bubbleviz.membrane import MembraneMesh, TriangleScene, level_line
+from bubbleviz.simulation import Sighting
 from bubbleviz.study.accuracy import at_nodes
 
 PLACE, SHAPE = 1, 3  # degrees of the fields

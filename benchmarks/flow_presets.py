@@ -14,13 +14,12 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from benchmarks.shear import DEPTH_NOISE, ShearGrid, judged
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.colour.opencv import opencv
-from bubbleviz.colour.optical_flow import FlowField, FlowPreset, OpticalFlow
-from bubbleviz.frames.frame import Frame
+from bubbleviz.camera import MembraneView
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
+from bubbleviz.shear import FlowField, FlowPreset, OpticalFlow, opencv
+from bubbleviz.simulation import PrintedMembrane, Speckle
 from bubbleviz.study.harness import Case, Column, Report, Study, Table
 from tests.oracles.flow_sighting import FlowSighting, sighting
 from tests.oracles.stuck_press import ShearTruth, pressed, shear_sensor

@@ -10,15 +10,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 
-from bubbleviz.calibration.identification import identify, with_rubber
-from bubbleviz.calibration.rest.rest_frames import collect
-from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.calibration import collect, identify, with_rubber
+from bubbleviz.camera import DepthCamera
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.inflated_rubber import InflatedRubber
-from bubbleviz.simulation.rubber_truth import RubberPresses
-from bubbleviz.simulation.sensor_variants import with_noise
+from bubbleviz.simulation import DepthNoise, InflatedRubber, RubberPresses, with_noise
 from bubbleviz.study import accuracy
 from tests.oracles.round_sheet import resting, round_sheet, rubber_on
 

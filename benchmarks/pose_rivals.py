@@ -11,18 +11,22 @@ import numpy as np
 
 from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
 from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.pose.contact_points import ContactPoints, contact_points
-from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.registration import Prior, Registration
-from bubbleviz.pose.rigid_motion import moved
-from bubbleviz.pose.tracker import PoseTracker, precision_of
+from bubbleviz.pose import (
+    START_DEVIATION,
+    ContactPoints,
+    Motion,
+    ObjectModel,
+    PoseTracker,
+    Prior,
+    Registration,
+    contact_points,
+    moved,
+    precision_of,
+)
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import Press, made
-from bubbleviz.simulation.synthetic_source import SyntheticSource, simulation_mesh
+from bubbleviz.simulation import DepthNoise, Press, SyntheticSource, made, simulation_mesh
 from bubbleviz.simulation.truth_bank import TRUTH_NODES
 from bubbleviz.study.harness import (
     Case,
@@ -37,7 +41,7 @@ from bubbleviz.study.harness import (
     averages,
     summaries,
 )
-from bubbleviz.study.pose_errors import PoseJudge, TrueContact
+from bubbleviz.study.pose import PoseJudge, TrueContact
 
 SHALLOWEST_M, DEEPEST_M = 0.008, 0.015  # of the presses, as the paper's
 FARTHEST_M, FARTHEST_RAD = 5e-3, np.radians(10.0)  # of the starts

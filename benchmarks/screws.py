@@ -13,12 +13,10 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import made
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource, made
 from bubbleviz.study.harness import (
     Case,
     Column,

@@ -14,16 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.colour.optical_flow import FlowField
-from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
+from bubbleviz.membrane import Gas, MembraneMesh, TriangleScene, build_mesh, build_rubber
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result, Traction
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.shear import FlowField
+from bubbleviz.simulation import DepthNoise
 from bubbleviz.study.harness import (
     Case,
     Column,

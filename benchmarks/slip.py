@@ -13,12 +13,12 @@ from functools import partial
 import numpy as np
 
 from benchmarks.shear import DEPTH_NOISE, HEADING, ShearGrid
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.colour.optical_flow import FlowField, FlowPreset, OpticalFlow
-from bubbleviz.frames.frame import Frame
+from bubbleviz.camera import MembraneView
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
+from bubbleviz.shear import FlowField, FlowPreset, OpticalFlow
+from bubbleviz.simulation import PrintedMembrane, Speckle
 from bubbleviz.study.harness import Case, Column, Report, Study, Table, at_most
 from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, shear_sensor

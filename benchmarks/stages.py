@@ -17,24 +17,25 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.pixel_model import RangeLine
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
-from bubbleviz.membrane.stiffness import cotangent_laplacian
-from bubbleviz.membrane.symmetric_lu import symmetric_lu
-from bubbleviz.output.series import VtkSeries
+from bubbleviz.camera import RangeLine
+from bubbleviz.inverse import LINEAR, RUBBER, EstimatorOptions
+from bubbleviz.membrane import cotangent_laplacian, symmetric_lu
+from bubbleviz.output import VtkSeries
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.rubber_truth import rubber_sensor
-from bubbleviz.simulation.sensor_variants import with_nodes, with_pixels
-from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path, dome_size
+from bubbleviz.simulation import (
+    DepthNoise,
+    SyntheticSource,
+    default_path,
+    dome_size,
+    rubber_sensor,
+    with_nodes,
+    with_pixels,
+)
 from bubbleviz.study.harness import Case, Report, Study
 from bubbleviz.study.speed import ROUND
 

@@ -16,13 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bubbleviz.api.batching import batch
-    from bubbleviz.api.connecting import connect
-    from bubbleviz.api.converting import convert
+    from bubbleviz.api.connecting import connect, publish, record
     from bubbleviz.api.estimating import estimate, register, track
-    from bubbleviz.api.exporting import export
+    from bubbleviz.api.exporting import convert, export
     from bubbleviz.api.frames import info, open
     from bubbleviz.api.identifying import identify
-    from bubbleviz.api.recording import publish, record
     from bubbleviz.api.simulating import simulate
     from bubbleviz.api.watching import watch
     from bubbleviz.errors import InputError

@@ -13,30 +13,36 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.colour.seen_colour import SeenColour, Texture
+from bubbleviz.camera import DepthCamera, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.contact_refiner import ContactRefiner, mesh_limits
-from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
-from bubbleviz.membrane.reference_mesh import build_rubber, rest_stress, varied_rubber
-from bubbleviz.patch.components import without_small
-from bubbleviz.patch.patch_finder import PatchFinder
+from bubbleviz.inverse import (
+    LINEAR,
+    RUBBER,
+    ContactRefiner,
+    Estimator,
+    EstimatorOptions,
+    PatchFinder,
+    RubberEstimator,
+    mesh_limits,
+    without_small,
+)
+from bubbleviz.membrane import build_rubber, rest_stress, varied_rubber
+from bubbleviz.recordings import Frame, SeenColour, Texture
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.optical_flow import FlowField
-    from bubbleviz.pose.object_patch import ObjectPatchFinder
-    from bubbleviz.pose.tracker import PoseTracker
-    from bubbleviz.shear.slip import SlipFinder, SlipStart
-    from bubbleviz.shear.traction_estimator import TractionEstimator, TractionOptions
-    from bubbleviz.shear.traction_state import TractionStart
+    from bubbleviz.pose import ObjectPatchFinder, PoseTracker
+    from bubbleviz.shear import (
+        FlowField,
+        SlipFinder,
+        SlipStart,
+        TractionEstimator,
+        TractionOptions,
+        TractionStart,
+    )
 
 _T = TypeVar("_T")
 _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
@@ -206,7 +212,7 @@ class Pipeline:
         looks = products & LOOKS.keys()
         if not looks:
             return result
-        from bubbleviz.diagnostics.inspector import inspection  # the panels alone need it
+        from bubbleviz.diagnostics import inspection  # the panels alone need it
 
         self.counts.update(f"look {name.removesuffix('_image')}" for name in looks)
         kappa = None if options is None else options.kappa
@@ -295,7 +301,7 @@ class Pipeline:
         if obj is None:
             self.tracker = None
             return
-        from bubbleviz.pose.tracker import PoseTracker  # open3d takes long to load
+        from bubbleviz.pose import PoseTracker  # open3d takes long to load
 
         self.tracker = PoseTracker(self.estimator, obj, start, membrane=self.model.rubber)
 
@@ -330,7 +336,7 @@ class Pipeline:
         InputError
             The estimator is not of the exact membrane.
         """
-        from bubbleviz.shear.traction_estimator import TractionEstimator  # nobody else needs it
+        from bubbleviz.shear import TractionEstimator  # nobody else needs it
 
         if not isinstance(self.estimator, RubberEstimator):
             raise InputError(
@@ -341,7 +347,7 @@ class Pipeline:
 
     @cached_property
     def _slip_finder(self) -> SlipFinder:
-        from bubbleviz.shear.slip import SlipFinder  # nobody else needs it
+        from bubbleviz.shear import SlipFinder  # nobody else needs it
 
         held, resolution = self.estimator.held_pressure_pa, self.estimator.resolution_m
         return SlipFinder(self.traction_estimator.flow_observer, self.mesh, held, resolution)
@@ -398,7 +404,7 @@ class Pipeline:
 
     @cached_property
     def _object_patch_finder(self) -> ObjectPatchFinder:
-        from bubbleviz.pose.object_patch import ObjectPatchFinder  # as the tracker
+        from bubbleviz.pose import ObjectPatchFinder  # as the tracker
 
         return ObjectPatchFinder(self.model, _made(self.tracker).model)
 

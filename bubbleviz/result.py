@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bubbleviz.colour.seen_colour import Texture
-from bubbleviz.frames.frame import Frame
+from bubbleviz.recordings import Frame, Texture
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.optical_flow import FlowField
-    from bubbleviz.diagnostics.inspector import Inspection
-    from bubbleviz.membrane.mesh import MembraneMesh
+    from bubbleviz.diagnostics import Inspection
+    from bubbleviz.membrane import MembraneMesh
+    from bubbleviz.shear import FlowField
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 """`implausible`: no membrane of this sensor, with the noise its file or calibration tells of and

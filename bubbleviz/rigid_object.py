@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.mesh_reader import SUFFIXES, read_triangles
-from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.files import SUFFIXES, presets_folder, read_triangles
 
 LARGEST_M = 1.0  # of an object's box, m: more is in millimetres
 SMALLEST_M = 5e-4  # of an object's box, m

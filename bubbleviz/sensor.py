@@ -14,10 +14,14 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
-from bubbleviz.files.output_files import whole_file
-from bubbleviz.files.preset_files import presets_folder
-from bubbleviz.files.toml_files import checked, named_file, read_toml
+from bubbleviz.files import (
+    MOST_COLOUR_DELAY_S,
+    checked,
+    named_file,
+    presets_folder,
+    read_toml,
+    whole_file,
+)
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: outside 0.1 mm … 1 m somebody mixed up mm and m."""

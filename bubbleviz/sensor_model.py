@@ -7,16 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView, PixelModel, RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber, reference_tension
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane import (
+    Gas,
+    MembraneMesh,
+    RubberMembrane,
+    build_mesh,
+    build_rubber,
+    reference_tension,
+)
 from bubbleviz.sensor import Sensor
 
 _MAX_BLOCK = 32  # largest side of a block in pixels: beyond it averaging saves no more time

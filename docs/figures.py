@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import bubbleviz as bv
-from bubbleviz.files.output_files import whole_file
+from bubbleviz.files import whole_file
 
 SENSOR = "pico_flexx_75mm"
 DEPTHS_M = np.linspace(0.002, 0.016, 6)

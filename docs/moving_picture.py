@@ -12,10 +12,10 @@ from pathlib import Path
 
 from imageio_ffmpeg import get_ffmpeg_exe
 
-from bubbleviz.files.output_files import whole_file
-from bubbleviz.frames.sensor_matching import checked_sensor
+from bubbleviz.files import whole_file
+from bubbleviz.recordings import checked_sensor
 from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.export.export_kinds import KINDS
+from bubbleviz_ui.export.exporting import KINDS
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.window_session import window_session
 

@@ -19,21 +19,20 @@ import numpy as np
 from PIL import Image
 from PySide6.QtWidgets import QWidget
 
-from bubbleviz.files.defaults import SYNTHETIC_SENSOR
-from bubbleviz.frames.sensor_matching import checked_sensor
-from bubbleviz.live.session_preset import load_session
+from bubbleviz.files import SYNTHETIC_SENSOR
+from bubbleviz.live import load_session
+from bubbleviz.recordings import checked_sensor
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.export_dialog import ExportDialog
-from bubbleviz_ui.importing.image_fields import RATE
-from bubbleviz_ui.importing.import_dialog import ImportDialog
+from bubbleviz_ui.importing.import_dialog import RATE, ImportDialog
 from bubbleviz_ui.model.choices import Choices, ImageName, Setting
 from bubbleviz_ui.model.demand import PLOTS
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.panels.costs_popup import CostsPopup
+from bubbleviz_ui.panels.status_bar import CostsPopup
 from bubbleviz_ui.shell.command_palette import CommandPalette
-from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
+from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
 from bubbleviz_ui.window_session import WindowSession, window_session
 
 FRAME = 80  # of the real press: held

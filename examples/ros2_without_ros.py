@@ -13,9 +13,7 @@ import sys
 
 import bubbleviz as bv
 from bubbleviz.api.connecting import Stream
-from bubbleviz.live.sinks.result_messages import ResultMessages
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live import ResultMessages, SessionOptions, ZenohPublisher
 
 
 def publish_results(stream: Stream, out: ZenohPublisher, prefix: str = "/bubbleviz/") -> int:

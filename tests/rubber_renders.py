@@ -11,11 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.camera import DepthCamera, MembraneView
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "rubber_truth"

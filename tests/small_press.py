@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from bubbleviz.api.simulating import write_simulation
-from bubbleviz.files.pose_reader import parse_pose
+from bubbleviz.files import parse_pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource
 
 HEIGHTS = (0.060, 0.044, 0.042, 0.042, 0.060)
 """Of the cylinder's flat end above the rim: clear of the dome (50 mm), pressed in, and clear."""

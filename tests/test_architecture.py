@@ -1,4 +1,4 @@
-"""The packages as docs promise them: no cycles, a backend without Qt, a window without numerics.
+"""The packages as docs promise them: no cycles, and the contracts of pyproject.toml.
 
 And the tests: they look at what is public, and wait for conditions.
 """
@@ -6,6 +6,9 @@ And the tests: they look at what is public, and wait for conditions.
 from __future__ import annotations
 
 import ast
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -17,15 +20,10 @@ REPOSITORY = Path(__file__).parents[1]
 PACKAGES = (REPOSITORY / "bubbleviz", REPOSITORY / "ui" / "bubbleviz_ui")
 FILES = [file for package in PACKAGES for file in sorted(package.rglob("*.py"))]
 
-SOLVERS = {"scipy", "osqp", "clarabel", "open3d"}
-"""Numerics of the backend, which the window leaves to it."""
 BY_NAME = {"getattr", "setattr", "delattr", "hasattr", "attrgetter"}
 """Functions that take the name of an attribute as text; pytest's `monkeypatch` has two of them."""
 PUBLIC_AFTER_ALL = {"_replace", "_asdict", "_fields", "_exit"}
 """Documented, of named tuples and `os`."""
-PICTURE = "bubbleviz.api.results imports pyvista"
-"""Of one frame in a notebook: VTK, when it is asked for, and no Qt."""
-WINDOW = {"bubbleviz_ui", "PySide6", "pyqtgraph", "pyvista", "pyvistaqt"}
 
 
 def name_of(file: Path) -> str:
@@ -60,17 +58,6 @@ def imports() -> dict[str, set[str]]:
     return {name: set(imported(ast.parse(file.read_text()))) for name, file in MODULES.items()}
 
 
-def importing(package: str, others: set[str]) -> list[str]:
-    """Modules of a package that import any of other top-level packages."""
-    return [
-        f"{name} imports {target}"
-        for name, targets in imports().items()
-        if name.split(".")[0] == package
-        for target in targets
-        if target.split(".")[0] in others
-    ]
-
-
 def test_no_module_imports_itself_through_others() -> None:
     graph = {name: targets & MODULES.keys() - {name} for name, targets in imports().items()}
     try:
@@ -79,17 +66,24 @@ def test_no_module_imports_itself_through_others() -> None:
         pytest.fail(" → ".join(error.args[1]))
 
 
-def test_the_backend_knows_nothing_of_the_window() -> None:
-    assert importing("bubbleviz", WINDOW) == [PICTURE]
-
-
-def test_what_is_installed_imports_nothing_that_is_not() -> None:
-    for package in PACKAGES:
-        assert not importing(package.name, {"benchmarks", "tests"})
-
-
-def test_the_window_leaves_numerics_to_the_backend() -> None:
-    assert not importing("bubbleviz_ui", SOLVERS)
+def test_rooms_and_packages_import_what_their_contracts_allow() -> None:
+    """The contracts in pyproject.toml: layers, no Qt in the backend, no numerics in the window."""
+    found = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from importlinter.cli import lint_imports_command as c; c()",
+            "--no-cache",
+        ],
+        cwd=REPOSITORY,
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "ui")]),
+        },
+        capture_output=True,
+        text=True,
+    )
+    assert found.returncode == 0, found.stdout
 
 
 def private(name: str) -> bool:

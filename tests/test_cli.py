@@ -16,10 +16,8 @@ from click.testing import CliRunner
 from benchmarks.window.__main__ import bench
 from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.live.live_session import LiveSession
-from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.live import LiveSession, SessionPreset
+from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.sensor import Sensor
 
 HEAVY = (

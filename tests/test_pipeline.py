@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from bubbleviz.camera.observer import Measured, RangeObserver
-from bubbleviz.colour.optical_flow import FlowField
+from bubbleviz.camera import Measured, RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.solvers.active_set import ActiveSetSolver
+from bubbleviz.inverse import ActiveSetSolver
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Result
+from bubbleviz.shear import FlowField
 
 sys.path.insert(0, str(Path(__file__).parent / "ui"))
 from fakes import FRAMES, DentSource, small_sensor

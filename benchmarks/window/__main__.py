@@ -9,8 +9,7 @@ import click
 
 from bubbleviz.cli.command_line import OneLineErrors
 from bubbleviz.cli.shared_options import report
-from bubbleviz.files.defaults import SYNTHETIC_SENSOR
-from bubbleviz.files.tables import to_json
+from bubbleviz.files import SYNTHETIC_SENSOR, to_json
 
 if TYPE_CHECKING:
     from bubbleviz.sensor import Sensor
@@ -50,7 +49,7 @@ def bench_window(
 def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -> None:
     """Time from starting a process to its first picture of a recording."""
     from benchmarks.window.start_times import start_times
-    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz.recordings import checked_sensor
 
     checked_sensor(recording, sensor)
     _print_measured(start_times(recording, sensor, runs), as_json)
@@ -144,7 +143,7 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
     The window records them meanwhile; exit code 1 when a frame is missing in the file.
     """
     from benchmarks.window.live_pair import pair_bench
-    from bubbleviz.live.session_preset import load_session
+    from bubbleviz.live import load_session
 
     measured = pair_bench(load_session(session), seconds, rate)
     report(measured, as_json=as_json)
@@ -167,7 +166,7 @@ def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
 
 def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
     """The sensor named, else the preset that fits the recording or is simulated."""
-    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz.recordings import checked_sensor
     from bubbleviz.sensor import load_sensor
 
     if recording is None:

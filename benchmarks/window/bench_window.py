@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bubbleviz.errors import InputError
-from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.live.connection import LiveRun

@@ -15,7 +15,7 @@ FIRST = "first picture at"
 def first_picture(recording: str, sensor: str | None) -> None:
     """Open a recording, say when its first picture is drawn, and leave."""
     import_the_backend()
-    from bubbleviz.frames.sensor_matching import checked_sensor  # by what was imported just now
+    from bubbleviz.recordings import checked_sensor  # by what was imported just now
 
     _, chosen = checked_sensor(Path(recording), sensor)
     with window_session(chosen, Path(recording), None) as session:

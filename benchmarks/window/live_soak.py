@@ -21,16 +21,14 @@ from mcap.reader import make_reader
 from mcap.records import Message
 
 from benchmarks.window.process_usage import resident_bytes
-from bubbleviz.api.summary import Summary
+from bubbleviz.api.results import Summary
 from bubbleviz.api.watching import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
-from bubbleviz.frames.depth_topics import IMAGE
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
-from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import IMAGE
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
-from bubbleviz.simulation.sensor_variants import resized
+from bubbleviz.simulation import resized
 
 WARM_UP_S = 20.0  # until then memory may grow: one round of the press, every buffer filled once
 _START_S = 60.0  # s until the first frame, at most

@@ -20,17 +20,14 @@ import numpy as np
 import bubbleviz
 from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
-from bubbleviz.api.results import statistics
-from bubbleviz.api.summary import Summary
-from bubbleviz.calibration.sensor_writer import file_hash
+from bubbleviz.api.results import Summary, statistics
+from bubbleviz.calibration import file_hash
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.files.output_files import cannot_write, refuse_existing, whole_file
-from bubbleviz.files.result_writer import UNKNOWN
-from bubbleviz.files.tables import table, to_json, write_rows
-from bubbleviz.frames.sensor_matching import AUTO, checked_sensor
-from bubbleviz.processes.dask_cluster import check_cluster, run_on_cluster
-from bubbleviz.processes.worker_process import WorkerProcess
+from bubbleviz.files import cannot_write, refuse_existing, table, to_json, whole_file, write_rows
+from bubbleviz.output import UNKNOWN
+from bubbleviz.processes import WorkerProcess, check_cluster, run_on_cluster
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import AUTO, checked_sensor
 from bubbleviz.result import TRUSTED
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 

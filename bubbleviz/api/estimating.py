@@ -12,23 +12,26 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 
 import bubbleviz
-from bubbleviz.api.blas_threads import OneBlasThread
 from bubbleviz.api.frames import Frames, HeldFrames
-from bubbleviz.api.results import FrameResult, Run, TrackedRun
-from bubbleviz.calibration.pressure_zero import PressureZero, zero_of
+from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
+from bubbleviz.calibration import PressureZero, zero_of
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import refuse_existing
-from bubbleviz.files.pose_reader import parse_pose
-from bubbleviz.files.result_writer import UNKNOWN
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import shown_name
-from bubbleviz.frames.message_decoding import has_returns
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import AUTO, fitting_sensor, gas_warning, preset_of_size
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.live.source_status import STOPPED_AFTER_S
+from bubbleviz.files import parse_pose, refuse_existing
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.live import STOPPED_AFTER_S
+from bubbleviz.output import UNKNOWN
 from bubbleviz.pipeline import OF_OBJECT, SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import (
+    AUTO,
+    Frame,
+    Recording,
+    fitting_sensor,
+    gas_warning,
+    has_returns,
+    preset_of_size,
+    shown_name,
+)
 from bubbleviz.result import PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
@@ -400,7 +403,7 @@ def _refuse_files(*paths: str | Path | None) -> None:
 
 
 def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
-    from bubbleviz.shear.recorded_texture import watch_recorded_texture  # needs OpenCV
+    from bubbleviz.calibration import watch_recorded_texture  # needs OpenCV
 
     if not isinstance(frames.source, Recording):
         raise InputError(f"{frames.name}: shear needs the colour images of a recording; save it")

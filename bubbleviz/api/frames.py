@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING, Self, overload
 
 import numpy as np
 
-from bubbleviz.api.summary import Summary
-from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.api.results import Summary
+from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.frames.bags import Topic
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.gaps import Gap, find_gaps, usual_step
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Frame, FrameSource, Gap, Recording, Topic, find_gaps, usual_step
 from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.temporal_lag import TemporalLag
+    from bubbleviz.calibration import TemporalLag
 
 
 class Frames(Sequence[Frame]):
@@ -215,7 +211,7 @@ class ColourInfo:
         if colour is None:
             return None
         if lag:
-            from bubbleviz.colour.temporal_lag import temporal_lag  # reads and compares images
+            from bubbleviz.calibration import temporal_lag  # reads and compares images
 
             try:
                 seen = temporal_lag(recording)

@@ -8,23 +8,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.api.blas_threads import OneBlasThread
 from bubbleviz.api.frames import parse_frames
-from bubbleviz.api.summary import Summary
-from bubbleviz.calibration.identification import Identification, collect_press, with_rubber
-from bubbleviz.calibration.identification import identify as identify_at_rest
-from bubbleviz.calibration.rectification import Level, rectify
-from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.calibration.save_identification import check_outputs, save
-from bubbleviz.calibration.surface.reference_surface import Name
-from bubbleviz.calibration.validation import KnownPress, Validation
+from bubbleviz.api.results import OneBlasThread, Summary
+from bubbleviz.calibration import (
+    Identification,
+    KnownPress,
+    Level,
+    Name,
+    Validation,
+    Vented,
+    check_outputs,
+    collect_press,
+    identify as identify_at_rest,
+    rectify,
+    save,
+    with_rubber,
+)
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import refuse_existing, set_aside
-from bubbleviz.files.pose_reader import parse_pose
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.kept_frames import KeptFrames
-from bubbleviz.frames.recording import Recording
+from bubbleviz.files import parse_pose, refuse_existing, set_aside
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import FrameSource, KeptFrames, Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
 

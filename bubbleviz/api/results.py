@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -12,27 +14,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
-from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import refuse_existing, whole_file
-from bubbleviz.files.pose_writer import PoseRow, write_poses
-from bubbleviz.files.result_writer import (
+from bubbleviz.files import refuse_existing, whole_file, write_rows
+from bubbleviz.output import (
     COLUMNS,
+    DPI,
     NODAL_FIELDS,
+    SIZE_IN,
     UNKNOWN,
+    PoseRow,
     ResultWriter,
+    Shape,
+    Table,
     add_measured_force,
     csv_row,
+    draw_plots,
+    more_columns,
     nodal_fields,
+    pose_columns,
     result_arrays,
     summary_row,
+    table_of,
+    write_poses,
 )
-from bubbleviz.files.tables import write_rows
-from bubbleviz.output.exporter import Shape
-from bubbleviz.output.plot_files import DPI, SIZE_IN, draw_plots
-from bubbleviz.output.pose_columns import pose_columns
-from bubbleviz.output.table_export import Table, more_columns, table_of
 from bubbleviz.result import Estimate, Patch, Pose, Result
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of, how_to_install
@@ -41,6 +47,35 @@ if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
+
+
+# What a verb reports at its end: text for people, JSON for machines.
+
+
+class Summary(ABC):
+    """Facts of what was done; a frozen dataclass, unless `facts` is overridden.
+
+    One that can warn has a `warning`: what is missing or does not fit together, but was used all
+    the same.
+    """
+
+    def facts(self) -> dict[str, Any]:
+        """What `to_json` has: SI units but for ms, None for numbers that are not known."""
+        return asdict(self)  # type: ignore[call-overload]
+
+    def to_json(self) -> str:
+        """The facts as a JSON object."""
+        return json.dumps(self.facts(), indent=2, allow_nan=False, ensure_ascii=False)
+
+    @abstractmethod
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+
+
+def counted(status: dict[str, int]) -> str:
+    """Numbers by name, in words: `3 ok, 1 no_contact`."""
+    return ", ".join(f"{count} {name}" for name, count in status.items())
+
 
 _ARROW = 0.5  # of the membrane's width, the length of the force's arrow
 _PRESSURE = "contact pressure, kPa"
@@ -605,3 +640,23 @@ def _dimensions() -> dict[str, tuple[str, ...]]:
 
 def _missing(library: str, extra: str = "notebook") -> InputError:
     return InputError(f"{library} is not installed; run {how_to_install(extra)}")
+
+
+# BLAS threads of a call, in a process that is not ours.
+
+
+class OneBlasThread:
+    """A context in which BLAS uses one thread; what was set before comes back.
+
+    The solver's matrices are small: threads that wait for each other cost more than they save. The
+    command line sets `OPENBLAS_NUM_THREADS` before NumPy is loaded, which a library cannot.
+    """
+
+    def __init__(self) -> None:
+        self._blas = ThreadpoolController().select(user_api="blas")
+
+    def __enter__(self) -> None:
+        self._limiter = self._blas.limit(limits=1)
+
+    def __exit__(self, *_: object) -> None:
+        self._limiter.restore_original_limits()

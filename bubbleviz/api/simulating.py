@@ -9,23 +9,16 @@ from typing import Any, Literal, Self, overload
 
 import numpy as np
 
-from bubbleviz.api.blas_threads import OneBlasThread
 from bubbleviz.api.frames import Frames
+from bubbleviz.api.results import OneBlasThread
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import refuse_existing, whole_file
-from bubbleviz.files.pose_reader import parse_pose, read_path
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.membrane.gap import checked_pose
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.files import parse_pose, read_path, refuse_existing, whole_file
+from bubbleviz.membrane import build_mesh, checked_pose
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.press_path import press_path
-from bubbleviz.simulation.printed_speckle import Speckle
-from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.simulation.truth import Truth
+from bubbleviz.simulation import DepthNoise, Speckle, SyntheticSource, Truth, press_path
 
 
 class Simulation(Frames):

@@ -16,34 +16,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from bubbleviz.api.blas_threads import OneBlasThread
-from bubbleviz.api.connecting import offered, sensor_of
-from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
-from bubbleviz.api.results import FrameResult
-from bubbleviz.api.summary import Summary, counted
-from bubbleviz.calibration.pressure_zero import PressureZero, zeroed
-from bubbleviz.diagnostics.shear_tally import ShearSummary, ShearTally, shear_line
+from bubbleviz.api.connecting import offered, room_for, sensor_of, stopped_by_signals, zenoh_place
+from bubbleviz.api.results import FrameResult, OneBlasThread, Summary, counted
+from bubbleviz.calibration import PressureZero, zeroed
+from bubbleviz.diagnostics import ShearSummary, ShearTally, shear_line
 from bubbleviz.errors import InputError
-from bubbleviz.frames.depth_topics import RESULTS
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_encoding import Message
-from bubbleviz.frames.sensor_matching import AUTO, gas_warning
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.live.latency import LatencyMeter
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
-from bubbleviz.live.sinks.result_messages import ResultMessages
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.source_status import STOPPED_AFTER_S
-from bubbleviz.live.sources.open_stream import open_stream, patience_s
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.live import (
+    STOPPED_AFTER_S,
+    LatencyMeter,
+    LiveStream,
+    RawMessage,
+    Recorder,
+    ResultMessages,
+    ZenohPublisher,
+    open_stream,
+    patience_s,
+)
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
+from bubbleviz.recordings import AUTO, RESULTS, Frame, Message, gas_warning
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
 
 if TYPE_CHECKING:
-    from bubbleviz.shear.passing_texture import PassingTexture
+    from bubbleviz.calibration import PassingTexture
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """There is a pose only where the pipeline follows an object."""
@@ -154,7 +151,7 @@ class Watcher:
 
 
 def _texture(pipeline: Pipeline, friction: float | None) -> PassingTexture:
-    from bubbleviz.shear.passing_texture import PassingTexture  # only for shear
+    from bubbleviz.calibration import PassingTexture  # only for shear
 
     texture = PassingTexture(pipeline, friction)
     pipeline.prepare(SHEAR)

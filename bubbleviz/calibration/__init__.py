@@ -1,1 +1,5 @@
 """Calibration: pixels to trust, reference surface, tension, chamber, and the sensor file."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 

@@ -7,17 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bubbleviz.calibration.contact_free import check_still, find_contact_free
 from bubbleviz.calibration.identification import Identification, check_dome
-from bubbleviz.calibration.rest.contact_free import find_contact_free
-from bubbleviz.calibration.rest.dome_motion import check_still
-from bubbleviz.calibration.rest.pixel_selection import select_pixels
-from bubbleviz.calibration.rest.rest_frames import Samples, collect
-from bubbleviz.calibration.robust_statistics import robust_sigma
-from bubbleviz.calibration.surface.reference_surface import fit_surfaces
-from bubbleviz.camera.pixel_model import RangeLine
+from bubbleviz.calibration.rest_frames import Samples, collect, select_pixels
+from bubbleviz.calibration.surface import fit_surfaces
+from bubbleviz.camera import RangeLine
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame_source import FrameSource
 from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import FrameSource, robust_sigma
 from bubbleviz.sensor import Sensor
 
 _TOLERANCE = 3.0  # standard deviations of a sample at the outermost level

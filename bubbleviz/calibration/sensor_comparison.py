@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.calibration.tension import Quantity
+from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
+from bubbleviz.calibration.rubber_estimate import RubberEstimate
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import refuse_existing, whole_file
-from bubbleviz.files.ply_writer import write_ply
+from bubbleviz.files import refuse_existing, whole_file, write_ply
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
 
 _MESH_COMMENT = "membrane in the bubble frame B, metres"

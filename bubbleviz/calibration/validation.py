@@ -7,18 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.files.pose_reader import parse_pose
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
+from bubbleviz.files import parse_pose
+from bubbleviz.membrane import ForwardModel, Gas
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.synthetic_source import simulation_mesh
+from bubbleviz.simulation import simulation_mesh
 from bubbleviz.wording import count_of
 
 

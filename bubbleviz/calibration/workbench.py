@@ -9,40 +9,131 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import IntEnum
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.checks import errors_name
-from bubbleviz.calibration.draft import Draft, Settings, Step
+from bubbleviz.calibration.contact_free import check_still, find_contact_free
 from bubbleviz.calibration.identification import (
     Identification,
     assemble,
     check_dome,
     collect_press,
+    errors_name,
     rest_gauge_pressure,
     with_rubber,
 )
 from bubbleviz.calibration.rectification import Level, rectify
-from bubbleviz.calibration.rest.contact_free import find_contact_free
-from bubbleviz.calibration.rest.dome_motion import check_still
-from bubbleviz.calibration.rest.frame_ranges import as_ranges, numbers, tidy
-from bubbleviz.calibration.rest.pixel_selection import PixelStatistics, select_pixels
-from bubbleviz.calibration.rest.rest_frames import Samples, collect
-from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.calibration.surface.reference_surface import (
-    fit_surfaces,
-    segment_membrane,
+from bubbleviz.calibration.rest_frames import (
+    PixelStatistics,
+    Samples,
+    as_ranges,
+    collect,
+    numbers,
+    select_pixels,
+    tidy,
 )
-from bubbleviz.calibration.tension.tension_estimate import estimate_tension
+from bubbleviz.calibration.rubber_fit import Vented
+from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
+from bubbleviz.calibration.tension import estimate_tension
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.recording import Recording
 from bubbleviz.progress import Progress, part_of, quiet
+from bubbleviz.recordings import FrameSource, Recording
 from bubbleviz.sensor import Sensor
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.contact_free import ContactFree
+    from bubbleviz.calibration.rest_frames import Ranges
+    from bubbleviz.calibration.surface import Name, Surfaces
+    from bubbleviz.calibration.tension import TensionEstimate
+    from bubbleviz.calibration.validation import KnownPress
+
+
+# What a person decides of an identification, and what is known after each of its steps.
+
+
+class Step(IntEnum):
+    """The steps in their order."""
+
+    START = 0
+    FRAMES = 1
+    PIXELS = 2
+    SURFACE = 3
+    TENSION = 4
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a person decides; the rest follows.
+
+    Attributes
+    ----------
+    reached : Step
+        The last step to do.
+    ranges : tuple of (int, int) or None
+        Contact-free frames, first and one after the last of each range; None: found.
+    min_validity : float or None
+        Share of the frames in which a pixel must have a return; None: nine tenths of the usual.
+    deviations : float
+        Robust standard deviations beyond which a pixel is too noisy, or too far off.
+    surface : {"sphere", "ellipsoid", "free-form"} or None
+        None: the data choose.
+    nodes : int
+        Target number of nodes of the mesh.
+    levels : tuple of path
+        Recordings of the untouched sensor at other inflation levels.
+    vented : path or None
+        Recording of the open chamber, for the atmospheric pressure.
+    press : KnownPress or None
+        What to validate by, in the same source.
+    """
+
+    reached: Step = Step.START
+    ranges: Ranges | None = None
+    min_validity: float | None = None
+    deviations: float = 3.0
+    surface: Name | None = None
+    nodes: int = 1000
+    levels: tuple[Path, ...] = ()
+    vented: Path | None = None
+    press: KnownPress | None = None
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What is known after the steps so far; None where a step was not reached.
+
+    Attributes
+    ----------
+    settings : Settings
+    ranges : tuple of (int, int)
+        Contact-free frames in use.
+    contact_free : ContactFree or None
+        What was found, whether or not it is used.
+    samples : Samples or None
+    pixels : PixelStatistics or None
+        Of the step SURFACE on less its bias; before, by validity and noise alone.
+    surfaces : Surfaces or None
+    tension : TensionEstimate or None
+    found : Identification or None
+        Rectified by the other levels, where there are.
+    validation : Validation or None
+    """
+
+    settings: Settings
+    ranges: Ranges = ()
+    contact_free: ContactFree | None = None
+    samples: Samples | None = None
+    pixels: PixelStatistics | None = None
+    surfaces: Surfaces | None = None
+    tension: TensionEstimate | None = None
+    found: Identification | None = None
+    validation: Validation | None = None
+
 
 _KEPT = 3  # results of a step: the present one, the one undone, and one more
 

@@ -1,1 +1,5 @@
 """The depth camera: intrinsics to rays, range images, ray casting, the operators D and S."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from bubbleviz.files.defaults import MOST_COLOUR_DELAY_S
+from bubbleviz.files import MOST_COLOUR_DELAY_S
 
 if TYPE_CHECKING:
-    from bubbleviz.api.summary import Summary
+    from bubbleviz.api.results import Summary
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)
@@ -97,7 +97,7 @@ def publish_options(command: _F) -> _F:
 
 def check_new(*paths: Path | None, overwrite: bool) -> None:
     """Refuse what could not be written, before anything is opened."""
-    from bubbleviz.files.output_files import refuse_existing
+    from bubbleviz.files import refuse_existing
 
     for path in filter(None, paths):
         refuse_existing(path, overwrite=overwrite)

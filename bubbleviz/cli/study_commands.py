@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+from bubbleviz.files import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:
-    from bubbleviz.simulation.synthetic_source import Model
+    from bubbleviz.simulation import Model
     from bubbleviz.study.harness import Study
 
 MOVED = {"identification": "coverage", "shear": "shear", "--edge": "edge", "--stages": "stages"}
@@ -131,7 +131,7 @@ def speed(
     out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
 ) -> None:
     """Time by stage, growth with nodes and pixels, memory, and the moving press."""
-    from bubbleviz.frames.sensor_matching import checked_sensor
+    from bubbleviz.recordings import checked_sensor
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.speed import contact_runs, full_runs, quick_runs, speed_study
 

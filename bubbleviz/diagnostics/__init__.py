@@ -1,1 +1,5 @@
 """Diagnostics of one frame: images, probe, threshold, comparison."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,15 +2,117 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from bubbleviz.diagnostics.shear_numbers import ShearNumbers
-from bubbleviz.frames.measured_force import force_of
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.result import Patch, Result
+from bubbleviz.membrane import Gas
+from bubbleviz.recordings import force_of
+from bubbleviz.result import HALF_95, Patch, Result, Slip, Traction
+
+# The few numbers of a contact with friction, each with its 95 % interval.
+
+
+Measure = tuple[float, float]  # value and half of its 95 % interval; NaN where it is not known
+UNKNOWN: Measure = (np.nan, np.nan)
+_TOLD = np.pi / 4.0  # a direction is told whose 95 % interval, rad, is within a quarter of a turn
+_REGION_95 = float(np.sqrt(-2.0 * np.log(0.05)))
+"""Radius that holds 95 % of a normal distribution in the plane, standard deviations."""
+_OUTLINE = 61
+
+
+@dataclass(frozen=True)
+class ShearNumbers:
+    """Force of the object on the membrane, along and across the contact's mean normal."""
+
+    # force_n, normal_n, tangential_n: lengths, N; the mean normal is that of the normal forces,
+    # into the sensor
+    force_n: Measure = UNKNOWN
+    normal_n: Measure = UNKNOWN
+    tangential_n: Measure = UNKNOWN
+    # of the tangential force, seen along z of the bubble frame: from x towards y, degrees
+    direction_deg: Measure = UNKNOWN
+    # about the mean normal through the contact's centre, right-handed, N·m
+    torque_nm: Measure = UNKNOWN
+    # largest displacement along the membrane of the nodes that are touched, m
+    displacement_m: Measure = UNKNOWN
+    slip_share: Measure = UNKNOWN  # share of the patch that moved against the rest of it, 0 to 1
+
+    @classmethod
+    def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
+        """Numbers of a frame; by depth alone nothing is known of what is tangential."""
+        along = traction.normal_force_n.sum(axis=0)
+        size, force = float(np.linalg.norm(along)), traction.force_n
+        if traction.status == "no_contact":
+            return cls(force_n=(0.0, np.nan))
+        if traction.status not in ("ok", "depth_alone") or not size > 0.0:
+            return cls()
+        n, covariance = along / size, traction.wrench_covariance
+        total = _along(force, _unit(force), covariance[:3, :3])
+        normal = _along(force, n, covariance[:3, :3])
+        if traction.status == "depth_alone":
+            return cls(total, normal)
+        across = force - normal[0] * n
+        tangential = _along(force, _unit(across), covariance[:3, :3])
+        touched = traction.nodal_force_n.any(axis=1)
+        moved = np.linalg.norm(traction.tangential_displacement_m[touched], axis=1)
+        return cls(
+            total,
+            normal,
+            tangential,
+            _direction(across, covariance[:3, :3]),
+            _along(traction.torque_nm, n, covariance[3:, 3:]),
+            (float(moved.max()), HALF_95 * traction.displacement_sigma_m),
+            UNKNOWN if slip is None else (slip.share, HALF_95 * slip.share_sigma),
+        )
+
+
+@dataclass(frozen=True)
+class ShearEllipse:
+    """Tangential force seen along z of the bubble frame."""
+
+    force_n: np.ndarray  # (2,), along x and y, N
+    outline_n: np.ndarray  # (k, 2), closed line around its 95 % region, N
+
+    @classmethod
+    def of(cls, traction: Traction) -> ShearEllipse | None:
+        """That of a frame; None where nothing is known of friction."""
+        along = traction.normal_force_n.sum(axis=0)
+        if traction.status != "ok" or not along.any():
+            return None
+        n = _unit(along)
+        across = (np.eye(3) - np.outer(n, n))[:2]
+        force = across @ traction.force_n
+        covariance = across @ traction.wrench_covariance[:3, :3] @ across.T
+        lengths, axes = np.linalg.eigh(covariance)
+        angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE)
+        circle = np.stack([np.cos(angle), np.sin(angle)])
+        reach = _REGION_95 * np.sqrt(np.maximum(lengths, 0.0))
+        return cls(force, force + (axes @ (reach[:, None] * circle)).T)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / max(float(np.linalg.norm(vector)), np.finfo(float).tiny)
+
+
+def _along(vector: np.ndarray, axis: np.ndarray, covariance: np.ndarray) -> Measure:
+    """Component along a unit vector (3,)."""
+    return float(vector @ axis), HALF_95 * float(np.sqrt(axis @ covariance @ axis))
+
+
+def _direction(across: np.ndarray, covariance: np.ndarray) -> Measure:
+    """Angle of a vector (3,) in the x-y plane, degrees; unknown where it may be any."""
+    x, y = across[:2]
+    squared = x * x + y * y
+    sideways = np.array([-y, x]) / max(squared, np.finfo(float).tiny)
+    half = HALF_95 * float(np.sqrt(sideways @ covariance[:2, :2] @ sideways))
+    if not half < _TOLD:
+        return UNKNOWN
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(half))
+
 
 NOTHING = float("nan")
 
@@ -94,3 +196,96 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
         "area_m2": patch.area_m2 if trusted else NOTHING,
         "center_m": (x, y, z) if trusted else (NOTHING, NOTHING, NOTHING),
     }
+
+
+# What shear told over many frames, in numbers and in words.
+
+
+@dataclass(frozen=True)
+class ShearSummary:
+    """Shear of many frames; numbers are None where there are none to trust."""
+
+    status: dict[str, int]  # number of frames by status of the traction
+    reference: str  # what flow was measured against, or why there was nothing
+    # max_force_n, max_force_sigma_n: highest |force| with friction, and its standard deviation, N
+    max_force_n: float | None = None
+    max_force_sigma_n: float | None = None
+    # torque_nm, torque_sigma_nm: in that frame, about the mean normal through the contact's centre,
+    # N·m
+    torque_nm: float | None = None
+    torque_sigma_nm: float | None = None
+    # slip_share, slip_share_sigma: in that frame, 0 to 1
+    slip_share: float | None = None
+    slip_share_sigma: float | None = None
+
+    def to_text(self) -> str:
+        """Lines for the terminal; ± is half of the 95 % interval."""
+        status = ", ".join(f"{count} {name}" for name, count in self.status.items())
+        lines = [f"shear    {status or 'no frame'}"]
+        if self.max_force_n is not None:
+            numbers = _words(
+                _measure(self.max_force_n, self.max_force_sigma_n),
+                _measure(self.torque_nm, self.torque_sigma_nm),
+                _measure(self.slip_share, self.slip_share_sigma),
+            )
+            lines += [f"         {numbers}, where the force was highest; ±: 95 % interval"]
+            lines += ["         its direction has not been verified"]
+        return "\n".join([*lines, *(f"         {line}" for line in filter(None, [self.reference]))])
+
+
+class ShearTally:
+    """Counts frames by the status of their traction, and keeps the numbers of the largest force."""
+
+    def __init__(self) -> None:
+        self._status: Counter[str] = Counter()
+        self._highest: ShearNumbers | None = None
+
+    def add(self, result: Result) -> None:
+        """Take a frame."""
+        traction = result.traction
+        if traction is None:
+            return
+        self._status[traction.status] += 1
+        if traction.status == "ok":
+            numbers = ShearNumbers.of(traction, result.slip)
+            if self._highest is None or numbers.force_n > self._highest.force_n:
+                self._highest = numbers
+
+    def summary(self, reference: str) -> ShearSummary:
+        """The frames so far."""
+        if self._highest is None:
+            return ShearSummary(dict(self._status), reference)
+        found = self._highest
+        measures = (found.force_n, found.torque_nm, found.slip_share)
+        numbers = [_known(x) for value, half in measures for x in (value, half / HALF_95)]
+        return ShearSummary(dict(self._status), reference, *numbers)
+
+
+def shear_line(result: Result) -> str:
+    """Force with friction, torque and slip of one frame, or why there are none, in one line."""
+    traction = result.traction
+    if traction is None or traction.status == "no_contact":
+        return ""
+    if traction.status != "ok":
+        status = traction.status.replace("_", " ")
+        return f"{status}: {traction.reason}" if traction.reason else status
+    numbers = ShearNumbers.of(traction, result.slip)
+    return _words(numbers.force_n, numbers.torque_nm, numbers.slip_share)
+
+
+def _words(force_n: Measure, torque_nm: Measure, slip_share: Measure) -> str:
+    parts = [
+        f"force {force_n[0]:.2f} ± {force_n[1]:.2g} N with friction",
+        f"torque {1e3 * torque_nm[0]:.3g} ± {1e3 * torque_nm[1]:.2g} N·mm",
+    ]
+    if math.isfinite(slip_share[0]):
+        parts.append(f"slip {1e2 * slip_share[0]:.0f} ± {1e2 * slip_share[1]:.2g} %")
+    return ", ".join(parts)
+
+
+def _measure(value: float | None, sigma: float | None) -> Measure:
+    return math.nan if value is None else value, HALF_95 * (math.nan if sigma is None else sigma)
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None  # JSON has no NaN

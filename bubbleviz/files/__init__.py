@@ -1,1 +1,5 @@
 """File formats: TOML, meshes, poses, results, presets."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

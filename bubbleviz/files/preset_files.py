@@ -26,3 +26,13 @@ def _shipped(name: str) -> Path:
     """A folder of the package where it is installed, else of the checkout."""
     installed = _HERE / name
     return installed if installed.is_dir() else _HERE.parent / name
+
+
+# Defaults shared by the command line and the window; imports nothing, to start fast.
+
+
+SYNTHETIC_SENSOR = "pico_flexx_75mm"  # preset of the built-in live sensor, and of studies
+TRUTH_SUFFIX = ".npz"  # of files that hold the truth behind a simulated recording
+SESSION_SUFFIX = ".bubbleviz"  # of files that hold a session of the window
+MOST_COLOUR_DELAY_S = 0.5
+"""Largest difference between stamps of colour and depth of one moment; chosen: 15 frames."""

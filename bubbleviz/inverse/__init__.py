@@ -1,1 +1,5 @@
 """The inverse problem: from a range image to displacement, contact pressure and patch."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.camera import RangeObserver, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
@@ -24,13 +23,11 @@ from bubbleviz.inverse.contact_problem import (
 )
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.gauss_newton import SERVES
-from bubbleviz.inverse.linear_equilibrium import LinearEquilibrium
+from bubbleviz.inverse.problem import LinearEquilibrium
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
-from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
+from bubbleviz.inverse.response import RubberEquilibrium
 from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.mesh_graph import grown, parts_with
-from bubbleviz.membrane.refine import Refined, refined_part
+from bubbleviz.membrane import MembraneMesh, Refined, grown, parts_with, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 

@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.camera.block_squares import median
-from bubbleviz.camera.observer import Linearisation, Misfit, Observation, RangeObserver
+from bubbleviz.camera import Linearisation, Misfit, Observation, RangeObserver, median
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.detection import detection_threshold
-from bubbleviz.inverse.friction import FRICTION
-from bubbleviz.inverse.normal_equations import NormalEquations
+from bubbleviz.inverse.contact_problem import FRICTION
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
     GAS_LINEAR,
@@ -22,12 +19,17 @@ from bubbleviz.inverse.plausibility import (
     reason_against_fit,
     reason_against_gas,
 )
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure, Scales, natural_residual
-from bubbleviz.inverse.resolution import information_density, resolution_m
-from bubbleviz.inverse.solvers.inverse_solver import BASE_MESH, DROPPED, LINEAR, make_solver
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.stiffness import mean_curvature
+from bubbleviz.inverse.problem import (
+    Equilibrium,
+    FrameProblem,
+    NormalEquations,
+    Pressure,
+    Scales,
+    natural_residual,
+)
+from bubbleviz.inverse.resolution import detection_threshold, information_density, resolution_m
+from bubbleviz.inverse.solvers import BASE_MESH, DROPPED, LINEAR, make_solver
+from bubbleviz.membrane import Gas, MembraneMesh, mean_curvature
 from bubbleviz.result import Estimate, Status
 
 PRESSURE_SCALE = 3.0

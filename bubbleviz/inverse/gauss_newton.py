@@ -10,15 +10,7 @@ from math import log
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.block_squares import SURELY
-from bubbleviz.camera.observer import (
-    Measured,
-    Misfit,
-    Observation,
-    RangeObserver,
-    ShapeRanges,
-)
-from bubbleviz.inverse.contact_evidence import evident
+from bubbleviz.camera import SURELY, Measured, Misfit, Observation, RangeObserver, ShapeRanges
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
     ContactProblem,
@@ -26,15 +18,14 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Ranges,
     Selection,
+    evident,
+    friction_loads,
 )
-from bubbleviz.inverse.detection import sampled, universal_threshold
 from bubbleviz.inverse.estimator import MINIMUM_BLOCKS
-from bubbleviz.inverse.friction import friction_loads
-from bubbleviz.inverse.linearised_rubber import LinearisedRubber
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
-from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh_graph import parts_with
+from bubbleviz.inverse.resolution import sampled, universal_threshold
+from bubbleviz.inverse.response import LinearisedRubber, RubberEquilibrium
+from bubbleviz.membrane import Gas, parts_with
 from bubbleviz.result import Status
 
 NEAR, SERVES, FAR = 0.05, 0.2, 0.5

@@ -7,9 +7,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bubbleviz.camera.observer import Misfit
+from bubbleviz.camera import Misfit
 from bubbleviz.inverse.problem import FrameProblem
-from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane import Gas
 from bubbleviz.result import Status
 
 GAS_NOISE = 1e-4

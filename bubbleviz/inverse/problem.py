@@ -9,16 +9,16 @@ units of the noise, so λ and τ are those of a posterior density.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.camera import Linearisation, Observation
+from bubbleviz.membrane import Gas, MembraneMesh, cotangent_laplacian, symmetric_lu
 
 DENSE_LIMIT = 3_000
 """Nodes up to which n² numbers are kept: L⁻¹ and the Hessian of Eq. 24, formed once."""
@@ -238,3 +238,140 @@ def natural_residual(
     top = float(np.max(pressure, initial=0.0))
     share = pressure[allowed] / top if top > 0.0 else np.zeros(len(slope))
     return float(np.max(np.abs(np.minimum(share, slope)), initial=0.0))
+
+
+# Equilibrium of the linear membrane under given contact and gas pressures (Eq. 5).
+#
+# It offers what `RubberEquilibrium` and `LinearisedRubber` do, for motion along the normals alone.
+
+
+class LinearEquilibrium:
+    """γ0 L u = A (p_v − p_c) on the free nodes of a mesh; those of its rim stay where they are.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    tension_n_per_m : float
+        γ0.
+    """
+
+    def __init__(self, mesh: MembraneMesh, tension_n_per_m: float) -> None:
+        self._mesh, self._stiffness = mesh, tension_n_per_m * cotangent_laplacian(mesh)
+        self._factor = symmetric_lu(self._stiffness[mesh.free][:, mesh.free].tocsc())
+
+    def residual(self, x: np.ndarray, pressure: np.ndarray, gas: float) -> np.ndarray:
+        """What the forces at the nodes lack of equilibrium, (n, 3), N.
+
+        Parameters
+        ----------
+        x : (n, 3) array
+            Shape, m.
+        pressure : (n,) array
+            p_c, Pa.
+        gas : float
+            p_v, Pa.
+        """
+        mesh = self._mesh
+        u = np.einsum("ij,ij->i", x - mesh.nodes, mesh.normals)
+        left: np.ndarray = self._stiffness @ u - mesh.areas * (gas - pressure)
+        return left[:, None] * mesh.normals
+
+    def linearised(self, x: np.ndarray, pressure: np.ndarray, gas: float) -> LinearResponse:
+        """How it moves at a shape; the same at all of them."""
+        return LinearResponse(self._mesh, self._factor, x)
+
+
+class LinearResponse:
+    """Motion of a linear membrane under forces.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    factor : SuperLU
+        Of γ0 L on the free nodes.
+    x : (n, 3) array
+        Shape that it was asked for at, m.
+    """
+
+    def __init__(self, mesh: MembraneMesh, factor: SuperLU, x: np.ndarray) -> None:
+        self._mesh, self._factor, self.x = mesh, factor, x
+
+    def motion(self, force: np.ndarray) -> np.ndarray:
+        """Motion (n, 3) under forces (n, 3) in N, m."""
+        moved = self._moved(np.einsum("ij,ij->i", force, self._mesh.normals))
+        return moved[:, None] * self._mesh.normals
+
+    def pull(self, force: np.ndarray) -> np.ndarray:
+        """What unit contact pressures do against forces (n, 3), (n,)."""
+        return self._mesh.areas * self._moved(np.einsum("ij,ij->i", force, self._mesh.normals))
+
+    def responses(self, nodes: np.ndarray) -> np.ndarray:
+        """Motion under unit pressures from inside at nodes (c,), (3n, c), m/Pa."""
+        load = np.zeros((len(self._mesh.nodes), len(nodes)))
+        load[nodes, np.arange(len(nodes))] = self._mesh.areas[nodes]
+        moved = self._moved(load)
+        return (self._mesh.normals[:, :, None] * moved[:, None]).reshape(-1, len(nodes))
+
+    def _moved(self, load: np.ndarray) -> np.ndarray:
+        """Displacement along the normals under loads (n, …) along them, of the same shape."""
+        moved, free = np.zeros_like(load), self._mesh.free
+        moved[free] = self._factor.solve(load[free])
+        return moved
+
+
+# Normal equations of the range residuals: Q = DᵀWD and Dᵀ W (d̃ − d0) (Eq. 21).
+#
+# The paper's f = 2Dᵀd0 should read 2Dᵀ(d0 − d̃). A ray touches the three nodes of one triangle, so
+# Q has the pattern of the stiffness matrix whatever the shape, and only its values ever change.
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+"""Corners of a triangle in the order of `Linearisation.products`."""
+
+
+class NormalEquations:
+    """Assembles Q and its right-hand side on the free nodes of a mesh.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    """
+
+    def __init__(self, mesh: MembraneMesh) -> None:
+        self._free, self._nodes, n = mesh.free, len(mesh.nodes), len(mesh.free)
+        number = np.full(self._nodes, -1)
+        number[self._free] = np.arange(n)
+        ends = number[mesh.triangles][:, _PAIRS]  # (m, 6, 2)
+        low, high = ends.min(axis=2), ends.max(axis=2)
+        pairs, places = np.unique(np.where(low < 0, n * n, low * n + high), return_inverse=True)
+        self._places = places.reshape(-1, len(_PAIRS))
+        """Where each pair of corners of each triangle goes among the pairs of nodes, (m, 6)."""
+        pairs = pairs[pairs < n * n]  # the others, last, have an end on the rim
+        self._pairs = len(pairs)
+        row, column = np.divmod(pairs, n)
+        numbered = sparse.coo_array((np.arange(1.0, len(pairs) + 1.0), (row, column)), shape=(n, n))
+        self._pattern = (numbered + sparse.triu(numbered, 1).T).tocsr()
+        self._pair_of_entry = self._pattern.data.astype(int) - 1
+
+    def assemble(
+        self, observation: Observation, linear: Linearisation
+    ) -> tuple[sparse.csr_array, np.ndarray]:
+        """Q (n_free×n_free, 1/m²) and Dᵀ W e (n_free, 1/m) of one frame.
+
+        Returns
+        -------
+        Q : sparse array
+            Always with the same pattern.
+        g : (n_free,) array
+        """
+        hits = linear.hits
+        weight = observation.weight[hits.ray]
+        products = weight[:, None] * linear.products
+        places = self._places[hits.triangle].ravel()
+        sums = np.bincount(places, products.ravel(), minlength=self._pairs)
+        Q = copy(self._pattern)  # SciPy's own constructor checks indices that never change
+        Q.data = sums[self._pair_of_entry]
+        pull = weight * (observation.residual_m[hits.ray] - linear.offset_m)
+        pulls = pull[:, None] * hits.sensitivity
+        g = np.bincount(linear.nodes.ravel(), pulls.ravel(), minlength=self._nodes)
+        return Q, g[self._free]

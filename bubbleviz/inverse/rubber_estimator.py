@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bubbleviz.camera.observer import RangeObserver
+from bubbleviz.camera import RangeObserver
 from bubbleviz.inverse.contact_problem import smoothness
 from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions, check_size
 from bubbleviz.inverse.gauss_newton import FailedFrame, GaussNewton, RubberStart, SolvedFrame
@@ -19,10 +19,9 @@ from bubbleviz.inverse.plausibility import (
 )
 from bubbleviz.inverse.problem import Scales
 from bubbleviz.inverse.resolution import at_noise, resolution_m
-from bubbleviz.inverse.rubber_equilibrium import RubberEquilibrium
-from bubbleviz.inverse.solvers.inverse_solver import RUBBER
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.inverse.response import RubberEquilibrium
+from bubbleviz.inverse.solvers import RUBBER
+from bubbleviz.membrane import Gas, RubberMembrane
 from bubbleviz.result import Estimate, Status
 
 

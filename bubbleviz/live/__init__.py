@@ -1,1 +1,5 @@
 """Live sources: messages as they come, frames made of them, a recorder, results out."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

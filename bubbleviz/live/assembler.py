@@ -2,43 +2,179 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.colour.colour_topics import belongs_to
-from bubbleviz.colour.static_poses import are_static_poses
-from bubbleviz.frames.depth_topics import (
+from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.files import MOST_COLOUR_DELAY_S
+from bubbleviz.live.live_source import OfferedTopic
+from bubbleviz.live.topic_names import DEPTH_TYPES, RawMessage, TopicNames, decode
+from bubbleviz.recordings import (
     CAMERA_INFO,
-    IMAGE,
-    POINT_CLOUD,
-    nearest_info,
-)
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_decoding import (
-    decode_depth,
-    decode_intrinsics,
-)
-from bubbleviz.frames.point_cloud import decode_cloud
-from bubbleviz.frames.time_series import (
     FORWARD_NS,
+    IMAGE,
     NEAREST_NS,
+    POINT_CLOUD,
     VALUES,
+    ColourAround,
+    Frame,
     GrowingSeries,
     Moment,
     StampClock,
+    StaticPoses,
     Verdict,
+    are_static_poses,
+    belongs_to,
+    colour_camera,
+    decode_cloud,
+    decode_depth,
+    decode_intrinsics,
+    is_own,
+    nearest_info,
+    size_of,
     values_at,
 )
-from bubbleviz.live.colour_buffer import ColourBuffer, KnownCameras
-from bubbleviz.live.counters import Counters
-from bubbleviz.live.deserialise import decode
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sources.live_source import OfferedTopic
-from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames
+
+# The colour images that arrived last, undecoded, and those of the time of a frame.
+
+
+KEPT_NS = round(1e9 * MOST_COLOUR_DELAY_S) + NEAREST_NS
+"""Images kept: those of the longest delay, and of a frame that is behind them."""
+
+
+class ColourBuffer:
+    """Colour images of one topic, as messages.
+
+    Attributes
+    ----------
+    topic : str
+        Empty until there is one.
+    arrived : GrowingSeries of RawMessage
+    """
+
+    def __init__(self) -> None:
+        self.topic = ""
+        self.arrived = GrowingSeries[RawMessage](KEPT_NS)
+
+    def add(self, message: RawMessage, depth_topic: str, *, named: bool) -> Verdict:
+        """Keep an image of the depth images' sensor, or of a topic `named`; verdict on its stamp.
+
+        The topic that comes first counts.
+        """
+        if not self.topic and (named or belongs_to(message.topic, depth_topic)):
+            self.topic = message.topic
+        if message.topic != self.topic:
+            return "ok"
+        return self.arrived.add(message.stamp_ns, message.arrival_ns, message)
+
+    def around(
+        self, moment: Moment, time_s: float, within_ns: int, known: KnownCameras
+    ) -> ColourAround:
+        """What finds the images around a frame, among those here now."""
+
+        def image(message: RawMessage) -> ColourImage:
+            return ColourImage(
+                partial(_read, message), message.stamp_ns, camera=known.of_colour(message)
+            )
+
+        return ColourAround(self.arrived.snapshot(image), moment, time_s, within_ns)
+
+
+@dataclass(frozen=True)
+class KnownCameras:
+    """What camera infos and static poses told so far.
+
+    Attributes
+    ----------
+    depth : str
+        Topic of the depth images; empty until it is known.
+    depth_frame : str
+        Their frame of reference.
+    infos : dict of Intrinsics
+        By topic.
+    poses : StaticPoses
+    """
+
+    depth: str
+    depth_frame: str = ""
+    infos: Mapping[str, Intrinsics] = field(default_factory=dict)
+    poses: StaticPoses = field(default_factory=StaticPoses)
+
+    def of_colour(self, message: RawMessage) -> ColourCamera:
+        """Camera of a colour image."""
+        try:
+            content = decode(message)
+        except ValueError:  # said when the image is read
+            return colour_camera(None, None, own=False)
+        pose = self.poses.pose(content.header.frame_id, self.depth_frame)
+        info = nearest_info(self.infos, message.topic, size_of(content))
+        own = is_own(info, message.topic, self.depth)
+        return colour_camera(self.infos.get(info), pose, own=own)
+
+
+def _read(message: RawMessage) -> EncodedImage:
+    try:
+        return EncodedImage.of(decode(message))
+    except ValueError as error:
+        raise InputError(f"{message.topic}: {error}; check what is published there") from error
+
+
+# Counters of received and rejected messages.
+
+
+@dataclass
+class Counters:
+    """Messages of one source since it was started.
+
+    Attributes
+    ----------
+    received : int
+        Messages of every topic.
+    frames : int
+        Depth images that became frames.
+    out_of_order, duplicate : int
+        Depth images older than, and as old as, one that came before; no frames.
+    undecodable : int
+        Messages whose bytes are not what their type says.
+    wrong_type : int
+        Messages on a topic of ours with another type than it has for us.
+    wrong_size : int
+        Depth images of another size than the sensor's; no frames.
+    bad_stamps : int
+        Stamps that are unset, far in the past or far in the future. A depth image with one is
+        a frame all the same, timed by its arrival.
+    clock_jumps : int
+        How often the publisher's clock was set, or the publisher replaced.
+    missed : int
+        Messages the publisher counted that never arrived, where the transport counts.
+    skipped : int
+        Frames that gave way to a newer one before anybody took them.
+    problem : str
+        The last thing that was wrong, in words.
+    """
+
+    received: int = 0
+    frames: int = 0
+    out_of_order: int = 0
+    duplicate: int = 0
+    undecodable: int = 0
+    wrong_type: int = 0
+    wrong_size: int = 0
+    bad_stamps: int = 0
+    clock_jumps: int = 0
+    missed: int = 0
+    skipped: int = 0
+    problem: str = ""
+
+    def as_dict(self) -> dict[str, int | str]:
+        """The counts by name."""
+        return asdict(self)
+
 
 WAIT_NS = 20_000_000
 """How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""

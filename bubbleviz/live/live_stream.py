@@ -4,19 +4,130 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, TypeVar
+
+import numpy as np
 
 from bubbleviz.errors import StreamStoppedError
-from bubbleviz.frames.frame import NO_COLOUR, Frame
-from bubbleviz.frames.sensor_matching import size_refusal
-from bubbleviz.live.assembler import FrameAssembler
-from bubbleviz.live.counters import Counters
-from bubbleviz.live.mailbox import Mailbox
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.source_status import STALE_AFTER_S, STOPPED_AFTER_S, Status, status_of
-from bubbleviz.live.sources.live_source import LiveSource, OfferedTopic
+from bubbleviz.live.assembler import Counters, FrameAssembler
+from bubbleviz.live.live_source import Link, LiveSource, OfferedTopic
+from bubbleviz.live.topic_names import RawMessage
+from bubbleviz.recordings import NO_COLOUR, Frame, size_refusal
+
+# A mailbox for one frame between source and solver: a newer frame replaces an older one.
+
+
+class Mailbox:
+    """Holds one frame, the newest.
+
+    Attributes
+    ----------
+    skipped : int
+        Frames that gave way to a newer one before anybody took them.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self._frame: Frame | None = None
+        self._closed = self._woken = False
+        self._changed = threading.Condition()
+
+    def put(self, frame: Frame) -> None:
+        """Replace what is there."""
+        with self._changed:
+            self.skipped += self._frame is not None
+            self._frame = frame
+            self._changed.notify_all()
+
+    def take(self, timeout_s: float = 0.0) -> Frame | None:
+        """The newest frame not taken yet, waiting for one; None after the timeout, or `wake`."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._frame is not None or self._closed or self._woken, timeout_s
+            )
+            frame, self._frame = self._frame, None
+            return frame
+
+    def wake(self) -> None:
+        """Have nobody wait until `woken` is asked."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify_all()
+
+    def woken(self) -> bool:
+        """Whether there was a `wake` since this was asked last."""
+        with self._changed:
+            woken, self._woken = self._woken, False
+            return woken
+
+    def close(self) -> None:
+        """Let go of everybody who waits."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+# How a live source is doing.
+
+
+State = Literal["connecting", "live", "stale", "reconnecting", "ended"]
+
+STALE_AFTER_S = 0.7
+"""A source without a depth image for this long is stale: shown within a second."""
+STOPPED_AFTER_S = 1.0
+"""A source without a depth image for this long has stopped, for who waits for the next one."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of a source.
+
+    Attributes
+    ----------
+    state : str
+        `connecting`: nothing arrived yet. `stale`: connected, but no depth image comes.
+    silent_s : float or None
+        Time since the last depth image, s; None before the first.
+    problem : str
+        Why nothing comes, where that is known.
+    """
+
+    state: State
+    silent_s: float | None
+    problem: str = ""
+
+    @property
+    def text(self) -> str:
+        """A few words."""
+        if self.state == "connecting":
+            return self.silence
+        return f"{self.state}, {self.silence}" if self.silence else self.state
+
+    @property
+    def silence(self) -> str:
+        """For how long nothing has come, in a few words; empty where images come."""
+        if self.state == "connecting":
+            return self.problem or "waiting for the first depth image"
+        if self.state == "live" or self.silent_s is None:
+            return ""
+        return "; ".join(filter(None, (f"nothing for {self.silent_s:.1f} s", self.problem)))
+
+
+def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
+    """Status from the connection, the time since the last depth image, s, and what is wrong."""
+    if link == "ended":
+        return Status("ended", silent_s)
+    if link == "lost" and (silent_s is None or silent_s > STALE_AFTER_S):
+        return Status("reconnecting", silent_s, problem)
+    if silent_s is None:
+        return Status("connecting", None, problem)
+    if silent_s > STALE_AFTER_S:
+        return Status("stale", silent_s, problem)
+    return Status("live", silent_s)
+
 
 LOOK_S = 0.1
 """How often the end of the source is looked for while a frame is waited for without end."""
@@ -258,3 +369,46 @@ class LiveStream:
             if before is not None and frame.arrival_ns - before > 1e9 * STALE_AFTER_S:
                 self._outages = (*self._outages, (before, frame.arrival_ns))
             self._mailbox.put(frame)
+
+
+# Latency: the age of a frame when it is shown.
+
+
+SAME_CLOCK_NS = 5_000_000_000
+"""Stamps further than this from the arrival are of another clock: age is counted from arrival."""
+
+
+class LatencyReport(NamedTuple):
+    """Ages of the last frames, s; `from_stamp` tells whether since the stamp, or since arrival."""
+
+    median_s: float
+    p95_s: float
+    worst_s: float
+    from_stamp: bool
+
+
+class LatencyMeter:
+    """Ages of the last `window` frames at one point of the processing."""
+
+    def __init__(self, window: int = 600) -> None:
+        self._ages: deque[float] = deque(maxlen=window)
+        self._from_stamp = True
+
+    def add(self, frame: Frame, now_ns: int) -> None:
+        """Take note of a live frame that is here now."""
+        self._from_stamp = abs(frame.arrival_ns - frame.stamp_ns) < SAME_CLOCK_NS
+        since = frame.stamp_ns if self._from_stamp else frame.arrival_ns
+        self._ages.append((now_ns - since) * 1e-9)
+
+    @property
+    def ages_s(self) -> list[float]:
+        """The ages that are remembered, oldest first."""
+        return list(self._ages)
+
+    def report(self) -> LatencyReport | None:
+        """Ages so far; None before the first frame."""
+        if not self._ages:
+            return None
+        ages = np.array(self._ages)
+        median, p95 = np.percentile(ages, [50.0, 95.0])
+        return LatencyReport(float(median), float(p95), float(ages.max()), self._from_stamp)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from bubbleviz.colour.colour_topics import is_called_colour
-from bubbleviz.colour.static_poses import are_static_poses
-from bubbleviz.frames.depth_topics import (
+from bubbleviz.recordings import (
     CAMERA_INFO,
+    COMPRESSED,
     COMPRESSED_IMAGE,
     IMAGE,
     POINT_CLOUD,
     PRESSURE,
     RESULTS,
     WRENCH,
+    are_static_poses,
+    header_stamp_ns,
+    is_called_colour,
+    ros2_types,
 )
-from bubbleviz.frames.message_decoding import COMPRESSED
 
 DEPTH_TYPES = (IMAGE, COMPRESSED_IMAGE, POINT_CLOUD)
 TYPES = (*DEPTH_TYPES, CAMERA_INFO, PRESSURE, WRENCH)
@@ -83,3 +86,63 @@ class TopicNames:
         if kind not in (IMAGE, COMPRESSED_IMAGE) or "depth" in topic.lower() or topic == self.depth:
             return False
         return kind == COMPRESSED_IMAGE or is_called_colour(topic)
+
+
+# A message as it arrived, not decoded yet.
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """A serialised ROS 2 message.
+
+    Attributes
+    ----------
+    topic, type : str
+        As in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`.
+    payload : bytes
+        CDR with its encapsulation header; whatever arrived, it may be garbage.
+    stamp_ns : int
+        Header stamp, ns; 0 where it is unset or cannot be read.
+    arrival_ns : int
+        When it arrived here, ns since 1970.
+    sequence : int or None
+        The publisher's own count, where the transport has one.
+    round : int
+        How often the source began again from its start: a replayed recording's stamps go back.
+    """
+
+    topic: str
+    type: str
+    payload: bytes
+    stamp_ns: int
+    arrival_ns: int
+    sequence: int | None = None
+    round: int = 0
+
+
+def stamp_of(payload: bytes) -> int:
+    """Header stamp of a message that begins with a header, ns; 0 where it has none."""
+    try:
+        return header_stamp_ns(payload, ros1=False)
+    except Exception:  # shorter than a header
+        return 0
+
+
+# Deserialisation of received messages; any damage is a ValueError.
+
+
+def decode(message: RawMessage) -> Any:
+    """Message object of rosbags.
+
+    Raises
+    ------
+    ValueError
+        The bytes are no message of this type.
+    """
+    payload = message.payload
+    if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
+        raise ValueError("no CDR encapsulation")
+    try:
+        return ros2_types().deserialize_cdr(payload, message.type)
+    except (Exception, MemoryError) as error:  # rosbags believes the sizes it reads
+        raise ValueError(f"no {message.type}") from error

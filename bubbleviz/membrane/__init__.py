@@ -1,1 +1,5 @@
 """The membrane: reference surface to mesh, stiffness, gas, forward contact."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,18 +2,255 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.gap import GapFinder
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.obstacle import Obstacle, ObstacleSolver
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
+from bubbleviz.membrane.sparse_factor import symmetric_lu
 from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane.triangle_scene import TriangleScene
 from bubbleviz.rigid_object import RigidObject
+
+# How far each node may move outward before it meets a rigid object (Eqs. 10 to 12).
+
+
+class GapFinder:
+    """Casts the normal lines of a membrane at rigid objects.
+
+    The object presses from outside, so the membrane stays on the inner side of it: along its
+    normal line node k may go up to the lowest place where the line enters the object, whether
+    that is above the node (a gap) or below (a penetration, which Eq. 16 undoes). A place beyond
+    half way to the opposite side of the dome, or of the rim's cylinder below it, belongs to the
+    membrane over there; one deeper than a rim radius behind the rim to nobody. Both are left out,
+    unless the node itself is in the same stretch of the object. Where an object is not watertight
+    nothing tells in from out and every hit counts as an entry.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    """
+
+    def __init__(self, mesh: MembraneMesh) -> None:
+        self.mesh = mesh
+        self._reach: np.ndarray | None = None
+        self._object: RigidObject | None = None
+        self._scene: TriangleScene | None = None
+        self._solid = False
+
+    def gaps(self, obj: RigidObject, T_B_O: np.ndarray) -> np.ndarray:
+        """Upper bound g of the displacement, shape (n,), m; inf where the object is not met."""
+        pose = checked_pose(T_B_O)
+        if obj is not self._object:
+            self._load(obj)
+        nodes = (self.mesh.nodes - pose[:3, 3]) @ pose[:3, :3]
+        normals = self.mesh.normals @ pose[:3, :3]
+        ray, where, entering = self._hits(nodes, normals)
+        return self._lowest_entry(ray, where, entering)
+
+    def _load(self, obj: RigidObject) -> None:
+        scene = TriangleScene(obj.vertices, obj.triangles)
+        a, vectors = obj.vertices[obj.triangles[:, 0]], area_vectors(obj.vertices, obj.triangles)
+        self._solid = is_watertight(obj.triangles)
+        if self._solid and np.einsum("ij,ij->", vectors, a) < 0.0:
+            vectors = -vectors  # inward normals: the signed volume is negative
+        self._object, self._scene = obj, scene
+        self._corner, self._vectors = a, vectors
+        self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
+        self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
+
+    def _hits(
+        self, nodes: np.ndarray, normals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All crossings of the node's lines: node, place along n̂ in m, entering or leaving."""
+        # Start each ray just before the object's bounding sphere, where single precision is best.
+        middle = np.einsum("ij,ij->i", self._centre - nodes, normals)
+        miss = np.linalg.norm(nodes + middle[:, None] * normals - self._centre, axis=1)
+        near = np.flatnonzero(miss <= self._radius)
+        if not len(near):  # Open3D crashes on no rays
+            return near, np.zeros(0), np.zeros(0, dtype=bool)
+        start = middle[near] - 1.01 * self._radius
+        origins = nodes[near] + start[:, None] * normals[near]
+        assert self._scene is not None
+        hit, facet = self._scene.crossings(np.hstack([origins, normals[near]]))
+        ray = near[hit]
+        # The place again in double precision, from the plane of the facet that was hit.
+        vectors = self._vectors[facet]
+        slope = np.einsum("ij,ij->i", vectors, normals[ray])
+        distance = np.einsum("ij,ij->i", vectors, self._corner[facet] - nodes[ray])
+        kept = np.abs(slope) > 1e-7 * np.linalg.norm(vectors, axis=1)  # not along the facet
+        return ray[kept], distance[kept] / slope[kept], slope[kept] < 0.0
+
+    def _lowest_entry(self, ray: np.ndarray, where: np.ndarray, entering: np.ndarray) -> np.ndarray:
+        n = len(self.mesh.nodes)
+        lowest = np.full(n, np.inf)
+        counts = entering if self._solid else np.ones_like(entering)
+        # The stretch the node is in: its highest crossing below the node is an entry.
+        below = counts & (where <= 0.0)
+        last = np.full(n, -np.inf)
+        np.maximum.at(last, ray[where <= 0.0], where[where <= 0.0])
+        own = below & (where == last[ray])
+        valid = counts & ((where >= -self.reach[ray]) | own)
+        np.minimum.at(lowest, ray[valid], where[valid])
+        return lowest
+
+    @property
+    def reach(self) -> np.ndarray:
+        """Distance inward along each normal that belongs to the node's own line, (n,), m."""
+        if self._reach is None:
+            mesh = self.mesh
+            step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
+            rays = np.hstack([mesh.nodes - step * mesh.normals, -mesh.normals])
+            across = 0.5 * (TriangleScene(mesh.nodes, mesh.triangles).cast(rays).distance + step)
+            self._reach = np.minimum(across, _way_through_chamber(mesh))
+        return self._reach
+
+
+def _way_through_chamber(mesh: MembraneMesh) -> np.ndarray:
+    """Way inward to half through the rim's cylinder, or to one rim radius behind the rim."""
+    radius = float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
+    x, n = mesh.nodes[:, :2], mesh.normals[:, :2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        down = (mesh.nodes[:, 2] + radius) / mesh.normals[:, 2]
+        a, b = np.einsum("ij,ij->i", n, n), np.einsum("ij,ij->i", x, n)
+        root = np.sqrt(b**2 - a * (np.einsum("ij,ij->i", x, x) - radius**2))
+        side = 0.5 * (b + root) / a  # NaN where the line never enters the cylinder
+    down[~(down > 0.0)] = np.inf
+    return np.fmin(down, np.where(side > 0.0, side, np.inf))
+
+
+def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
+    """Pose as a 4×4 float array; InputError where it is no rigid transform."""
+    pose = np.asarray(T_B_O, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise InputError("pose T_B_O: not a finite 4×4 matrix; give a rigid transform")
+    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-6 or (
+        np.linalg.det(pose[:3, :3]) < 0.0
+    ):
+        raise InputError("pose T_B_O: its 3×3 part is no rotation; give a rigid transform")
+    if np.abs(pose[:3, 3]).max() > 10.0:
+        raise InputError(
+            f"pose T_B_O: {np.abs(pose[:3, 3]).max():.4g} m away; is it in millimetres? use metres"
+        )
+    return pose
+
+
+def is_watertight(triangles: np.ndarray) -> bool:
+    """Whether every edge has two triangles that run along it in opposite directions."""
+    n = int(triangles.max()) + 1
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    forward, backward = np.sort(start * n + end), np.sort(end * n + start)
+    once = bool((np.diff(forward) > 0).all())
+    return once and bool((forward == backward).all())
+
+
+# The obstacle problem: a membrane under pressure that may not pass a bound (Eqs. 15 and 16).
+
+
+PressureRule = Callable[[float, float], float]
+"""p = rule(v, s): pressure (over γ0) at which u = u_p p + u_g has volume change v + s p."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Solution of L u = A p − λ, u ≤ g, λ ≥ 0, λ (g − u) = 0 on the free nodes."""
+
+    displacement: np.ndarray  # (f,), u, m
+    reaction: np.ndarray  # (f,), λ = A p_c / γ0, m
+    pressure: float  # p = p_v / γ0, 1/m
+    active: np.ndarray  # (f,) bool, nodes in contact
+    iterations: int  # sparse factorisations
+    converged: bool
+
+
+class ObstacleSolver:
+    """Primal–dual active set (semi-smooth Newton) on the free nodes of one mesh.
+
+    Every step fixes u = g on the active nodes, solves the rest, lets go of active nodes that
+    pull and takes in nodes that penetrate. On a mesh whose Laplacian is an M-matrix (Delaunay)
+    this goes down monotonically and ends after finitely many steps; where the number of wrong
+    nodes stops falling (slivers), Júdice and Pires' rule of changing only the last wrong node
+    takes over, which ends on any positive definite matrix.
+    """
+
+    def __init__(
+        self,
+        laplacian: sparse.csr_array,  # (f, f) sparse, cotangent Laplacian of the free nodes
+        areas: np.ndarray,  # (f,), nodal areas, m²
+        # (f,), volume change per displacement as the gas law has it, m²
+        volume_gradient: np.ndarray,
+    ) -> None:
+        order = np.argsort(symmetric_lu(laplacian.tocsc()).perm_c)
+        self._order = order  # fill-reducing once; its restriction to a subset is nearly as good
+        self._laplacian = laplacian[order][:, order].tocsr()
+        self._areas, self._gradient = areas[order], volume_gradient[order]
+        self._diagonal = self._laplacian.diagonal()
+
+    def solve(
+        self,
+        bound: np.ndarray,  # (f,), g, m; inf where there is no object
+        rule: PressureRule,  # see `PressureRule`; a constant for a fixed pressure
+        # (f,) bool, first guess of the nodes in contact; those that penetrate at rest by default
+        active: np.ndarray | None = None,
+        max_iterations: int = 200,
+    ) -> Obstacle:
+        """Solve for u, λ and the pressure that `rule` asks for."""
+        order = self._order
+        g = bound[order]
+        guess = (g < 0.0) if active is None else active[order]
+        now = guess & np.isfinite(g)
+        fewest, patience, converged = len(g) + 1, 10, False
+        u, reaction, pressure = np.zeros_like(g), np.zeros_like(g), 0.0
+        steps = 0
+        while steps < max_iterations and not converged:
+            u, reaction, pressure = self._step(now, g, rule)
+            steps += 1
+            wrong = self._wrong(now, u, reaction, g)
+            count = int(wrong.sum())
+            converged = count == 0
+            patience = 10 if count < fewest else patience - 1
+            fewest = min(fewest, count)
+            if patience > 0:
+                now = now ^ wrong
+            elif count:
+                now = now.copy()
+                now[np.flatnonzero(wrong)[-1]] ^= True
+        back = np.empty_like(order)
+        back[order] = np.arange(len(order))
+        return Obstacle(u[back], reaction[back], pressure, now[back], steps, converged)
+
+    def _step(
+        self, active: np.ndarray, g: np.ndarray, rule: PressureRule
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Displacement, reaction and pressure with u = g held on the active nodes."""
+        rest, held = np.flatnonzero(~active), np.flatnonzero(active)
+        by_pressure, by_object = np.zeros_like(g), np.zeros_like(g)
+        by_object[held] = g[held]
+        if len(rest):
+            rows = self._laplacian[rest]
+            factor = symmetric_lu(rows[:, rest].tocsc(), "NATURAL")
+            pull = -(rows[:, held] @ g[held]) if len(held) else np.zeros(len(rest))
+            both = factor.solve(np.stack([self._areas[rest], pull], axis=1))
+            by_pressure[rest], by_object[rest] = both.T
+        pressure = rule(float(self._gradient @ by_object), float(self._gradient @ by_pressure))
+        u = by_object + pressure * by_pressure
+        reaction = np.zeros_like(g)
+        reaction[held] = pressure * self._areas[held] - self._laplacian[held] @ u
+        return u, reaction, pressure
+
+    def _wrong(
+        self, active: np.ndarray, u: np.ndarray, reaction: np.ndarray, g: np.ndarray
+    ) -> np.ndarray:
+        """Active nodes that pull and inactive ones that penetrate, beyond rounding."""
+        scale = max(float(np.abs(u).max()), 1e-9)
+        pulls = reaction < -1e-11 * scale * self._diagonal
+        return np.where(active, pulls, u > g + 1e-11 * scale)
+
 
 Outer = Literal["joint", "bracket"]
 

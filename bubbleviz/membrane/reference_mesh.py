@@ -7,11 +7,10 @@ from functools import lru_cache
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.membrane_file import load_membrane
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, shear_stiffness
+from bubbleviz.membrane.meshing import EllipsoidalCap, load_membrane, mesh_cap, spherical_cap
+from bubbleviz.membrane.prestress import Prestress, prestressed
+from bubbleviz.membrane.rubber import RubberMembrane, shear_stiffness
 from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import Sensor
 

@@ -8,11 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import refuse_existing
+from bubbleviz.files import refuse_existing
 from bubbleviz.output.exporter import Exporter
-from bubbleviz.output.plot_files import write_plots
 from bubbleviz.output.series import SERIES
-from bubbleviz.output.table_export import TableExporter, require_parquet, write_csv, write_parquet
+from bubbleviz.output.table_export import (
+    TableExporter,
+    require_parquet,
+    write_csv,
+    write_parquet,
+    write_plots,
+)
 from bubbleviz.pipeline import Pipeline
 
 _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
@@ -44,7 +49,7 @@ class ExportPlan:
         Of `KINDS`.
     is_folder : bool
     poses : dict
-        Pose columns for the table by frame index, see `bubbleviz.output.pose_columns`.
+        Pose columns for the table by frame index, see `bubbleviz.output.pose_writer`.
     overwrite : bool
         Replace what is at `out`.
     """

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from bubbleviz.files.result_writer import UNKNOWN
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.output.results import UNKNOWN
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Estimate, Result
 

@@ -1,1 +1,5 @@
 """Where an object is that touches the membrane: dual-stage registration and tracking."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

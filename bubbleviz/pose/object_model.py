@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from bubbleviz.camera.triangle_scene import TriangleScene
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
+from bubbleviz.membrane import MembraneMesh, TriangleScene, area_vectors
 from bubbleviz.rigid_object import RigidObject
 
 CREASE_RAD = np.radians(20.0)
@@ -154,3 +154,94 @@ def _creases(model: ObjectModel) -> Creases | None:
     share = ((step + 0.5) / count[edge])[:, None]
     points = (1.0 - share) * a[edge] + share * b[edge]
     return Creases(cKDTree(points), np.stack([first, second], axis=1)[edge])
+
+
+# Rotations that take an object onto itself: poses that differ by one are the same.
+
+
+_ALIKE = 2e-3  # distance over the object's size below which surfaces are the same
+
+_FOLDS = (2, 3, 4, 5, 6, 8)  # of prisms that people make
+_CIRCLE = 360  # turns of a round object: a degree apart
+_MOST = 4 * _CIRCLE  # motions: a round object upside down and mirrored
+
+
+def symmetries(model: ObjectModel) -> np.ndarray:
+    """Transforms (s, 4, 4) of O that take the object onto itself, the identity first.
+
+    A round object has one for each degree; a ball, all of whose rotations are alike, the identity
+    alone: nothing of its rotation is ever determined.
+    """
+    center, axes = _axes(model)
+    round_axes = [a for a in axes if _same(model, center, Rotation.from_rotvec(a).as_matrix())]
+    if len(round_axes) > 1:
+        return _transforms(np.eye(3)[None], center)
+    turns = [np.eye(3)]
+    for axis in axes:
+        if any(abs(axis @ other) > 1.0 - 1e-6 for other in round_axes):
+            continue
+        turns += [
+            R
+            for fold in _FOLDS
+            if _same(
+                model,
+                center,
+                R := Rotation.from_rotvec(2.0 * np.pi / fold * axis).as_matrix(),
+            )
+        ]
+    if not round_axes:
+        return _transforms(_closed(np.array(turns)), center)
+    angles = np.arange(_CIRCLE) * 2.0 * np.pi / _CIRCLE
+    circle = Rotation.from_rotvec(angles[:, None] * round_axes[0]).as_matrix()
+    flips = [R for R in turns if round_axes[0] @ R @ round_axes[0] < -0.5][:1]
+    return _transforms(np.concatenate([circle, *(flip @ circle for flip in flips)]), center)
+
+
+def _axes(model: ObjectModel) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of the surface, and unit axes (a, 3) about which the object may be symmetric."""
+    corners = model.obj.vertices[model.triangles]
+    middles = corners.mean(axis=1)
+    weight = model.face_areas / model.face_areas.sum()
+    center = weight @ middles
+    arms = np.concatenate([middles, *(0.5 * (corners[:, k] + middles) for k in range(3))])
+    arms = arms - center
+    shares = np.tile(weight, 4)
+    _, vectors = np.linalg.eigh((arms.T * shares) @ arms)
+    _, different = np.unique(np.round(model.face_normals, 3), axis=0, return_index=True)
+    normals = model.face_normals[different]  # as they are: rounded axes close no group
+    largest = normals[np.argsort(-np.abs(normals).max(axis=1))][:40]
+    between = [a + b for a, b in combinations(largest[:14], 2)]
+    candidates = np.concatenate([vectors.T, np.eye(3), largest, np.reshape(between, (-1, 3))])
+    chosen: list[np.ndarray] = []
+    for candidate in candidates:
+        length = np.linalg.norm(candidate)
+        if length > 1e-6 and all(abs(candidate @ c) < (1.0 - 1e-5) * length for c in chosen):
+            chosen.append(candidate / length)
+    return center, np.array(chosen)
+
+
+def _same(model: ObjectModel, center: np.ndarray, R: np.ndarray) -> bool:
+    """Whether the turned vertices lie on the surface."""
+    turned = (model.obj.vertices - center) @ R.T + center
+    way = turned - model.closest(turned).place
+    return bool(np.linalg.norm(way, axis=1).max() < _ALIKE * model.size_m)
+
+
+def _closed(turns: np.ndarray) -> np.ndarray:
+    """All products of some rotations."""
+    group = [np.eye(3)]
+    new = list(turns)
+    while new and len(group) < _MOST:
+        R = new.pop()
+        if any(np.abs(R - known).max() < 1e-3 for known in group):
+            continue
+        group.append(R)
+        new += [R @ other for other in turns]
+    return np.array(group)
+
+
+def _transforms(rotations: np.ndarray, center: np.ndarray) -> np.ndarray:
+    result = np.tile(np.eye(4), (len(rotations), 1, 1))
+    result[:, :3, :3] = rotations
+    result[:, :3, 3] = center - rotations @ center
+    return result

@@ -14,18 +14,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.level_line import level_line
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_rubber
-from bubbleviz.membrane.refine import refinement
-from bubbleviz.patch.patch_finder import area_above
-from bubbleviz.patch.touching_share import touching_share
-from bubbleviz.pose.contact_points import ContactPoints, contact_points
-from bubbleviz.pose.depth_image.pressed_membrane import Press, PressedMembrane
-from bubbleviz.pose.object_distance import object_distance
+from bubbleviz.inverse import area_above, touching_share
+from bubbleviz.membrane import Gas, MembraneMesh, build_rubber, level_line, refinement
 from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.pose_options import PressOptions
+from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
+from bubbleviz.pose.registration import ContactPoints, contact_points, object_distance
 from bubbleviz.result import Estimate, ObjectPatch, Patch, Pose
 from bubbleviz.sensor_model import SensorModel
 

@@ -7,14 +7,154 @@ left to `depth_image`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from bubbleviz.pose.contact_points import ContactPoints
-from bubbleviz.pose.object_distance import ObjectDistance, object_distance
+from bubbleviz.membrane import MembraneMesh, area_vectors
+from bubbleviz.pose.motion import motion_between, moved, rows, way_at
 from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.rigid_motion import motion_between, moved, rows, way_at
+from bubbleviz.result import Estimate, Patch
+
+# What the estimated membrane says about an object that touches it.
+
+
+LEAST_POINTS = 12
+"""Contact points below which there is no patch to speak of: two triangles of the mesh."""
+
+_REACH_M = 0.008  # how far around the patch the free membrane is looked at
+
+_MOST = 160  # contact points, and free ones, beyond which more of them say the same again
+
+_CENTRES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
+"""Barycentric coordinates of the centres of a triangle's four quarters."""
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """Points of the membrane in B, on and around the contact patch."""
+
+    # points, normals: (k, 3), on the patch, with the membrane's outward unit normals, which oppose
+    # the object's
+    points: np.ndarray
+    normals: np.ndarray
+    areas_m2: np.ndarray  # (k,), the part of the membrane that each stands for
+    pressure_pa: np.ndarray  # (k,), contact pressure
+    free: np.ndarray  # (f, 3), around the patch, where the membrane touches nothing
+    free_areas_m2: np.ndarray  # (f,)
+    center: np.ndarray  # (3,), mean of `points`, weighted by area
+    radius_m: float  # their root mean square distance from it
+    rest_center: np.ndarray  # (3,), where that part of the membrane was at rest, on average
+    membrane: np.ndarray  # (n, 3), all nodes of the membrane, as estimated
+
+    @property
+    def extent_m(self) -> float:
+        """Largest distance of a contact point from the centre."""
+        return float(np.linalg.norm(self.points - self.center, axis=1).max())
+
+
+def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> ContactPoints | None:
+    """Contact points of an estimate; None where the patch has fewer than a pose needs."""
+    nodes = mesh.deformed(estimate.motion_m)
+    inside = patch.level > 0.0
+    near = np.any(inside[mesh.triangles], axis=1)
+    if not near.any():
+        return None
+    middle = nodes[mesh.triangles[near]].mean(axis=1)
+    box = np.abs(nodes - middle.mean(axis=0)).max(axis=1)
+    around = box < np.abs(middle - middle.mean(axis=0)).max() + _REACH_M + 2.0 * mesh.edge_length
+    triangles = mesh.triangles[np.all(around[mesh.triangles], axis=1)]
+    corners = nodes[triangles]
+    vectors = area_vectors(nodes, triangles)
+    areas = np.linalg.norm(vectors, axis=1)
+    points = np.einsum("qj,tjk->tqk", _CENTRES, corners).reshape(-1, 3)
+    level = (patch.level[triangles] @ _CENTRES.T).ravel()
+    pressure = (estimate.contact_pressure_pa[triangles] @ _CENTRES.T).ravel()
+    on = np.flatnonzero(level > 0.0)
+    if len(on) < LEAST_POINTS:
+        return None
+    facets = vectors / areas[:, None]
+    share = 0.25 * np.repeat(areas, 4)
+    center = share[on] @ points[on] / share[on].sum()
+    at_rest = np.einsum("qj,tjk->tqk", _CENTRES, mesh.nodes[triangles]).reshape(-1, 3)
+    spread = share[on] @ np.sum((points[on] - center) ** 2, axis=1) / share[on].sum()
+    off = np.flatnonzero(level <= 0.0)
+    free = _thinned(off[_within(points[off], points[on], _REACH_M)])
+    kept = _thinned(on)
+    return ContactPoints(
+        points=points[kept],
+        normals=facets[kept // 4],
+        areas_m2=share[kept] * (share[on].sum() / share[kept].sum()),
+        pressure_pa=pressure[kept],
+        free=points[free],
+        free_areas_m2=np.full(len(free), share[on].mean()),
+        center=center,
+        radius_m=float(np.sqrt(spread)),
+        rest_center=share[on] @ at_rest[on] / share[on].sum(),
+        membrane=nodes,
+    )
+
+
+def _thinned(index: np.ndarray) -> np.ndarray:
+    """Some of the points, evenly spread in the mesh's own order."""
+    return index[:: max(1, -(-len(index) // _MOST))]
+
+
+def _within(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
+    """Which points (k, 3) have one of the others closer than `reach`."""
+    distance, _ = cKDTree(others).query(points, distance_upper_bound=reach)
+    return np.isfinite(distance)
+
+
+# How far points are from the surface of an object at a pose, and which way that changes.
+
+
+_OVER = np.cos(np.radians(30.0))
+"""Cosine between the way to the closest place and the normal there, for a point over a face and
+not beside it."""
+
+_NEAR_M = 1e-3
+"""Distance below which noise decides on the direction of the way to the closest place."""
+
+
+@dataclass(frozen=True)
+class ObjectDistance:
+    """Points in B against an object at a pose."""
+
+    signed_m: np.ndarray  # (k,), positive outside
+    # gradient, normal, place: (k, 3), of the distance, of the surface at the closest place, and
+    # that place, in B
+    gradient: np.ndarray
+    normal: np.ndarray
+    place: np.ndarray
+    over: np.ndarray  # (k,) bool, over a face, not beside it
+
+    def of(self, some: slice) -> ObjectDistance:
+        """Of some of the points."""
+        return ObjectDistance(*(getattr(self, field.name)[some] for field in fields(self)))
+
+
+def object_distance(model: ObjectModel, points: np.ndarray, T_B_O: np.ndarray) -> ObjectDistance:
+    """Distances of points (k, 3) in B from an object at a pose (4, 4)."""
+    R = T_B_O[:3, :3]
+    found = model.closest((points - T_B_O[:3, 3]) @ R)
+    place, normal = found.place @ R.T + T_B_O[:3, 3], found.normal @ R.T
+    way = points - place
+    length = np.linalg.norm(way, axis=1)
+    along = np.einsum("ij,ij->i", way, normal)
+    outside = along > -0.5 * length  # at an edge the normal is that of one of its faces
+    over = (length < _NEAR_M) | (np.abs(along) > _OVER * length)
+    sign = np.where(outside, 1.0, -1.0)
+    straight = way * (sign / np.maximum(length, 1e-12))[:, None]
+    return ObjectDistance(
+        signed_m=np.where(over, along, sign * length),
+        gradient=np.where(over[:, None], normal, straight),
+        normal=normal,
+        place=place,
+        over=over,
+    )
+
 
 INLIER_M = 1.5e-3
 """A contact point this close to the object agrees with it: three deviations of the estimate."""
@@ -257,3 +397,64 @@ def _agreement(contact: ContactPoints, distance: ObjectDistance) -> tuple[float,
     area = float(areas.sum())
     rmse = np.sqrt(areas @ distance.signed_m[agree] ** 2 / area) if area > 0.0 else np.nan
     return area / float(contact.areas_m2.sum()), float(rmse), int(np.count_nonzero(agree))
+
+
+# Which ways an object can move without the contact noticing.
+
+
+DETERMINED_M = 4e-4
+"""Standard deviation at the patch's edge below which contact determines a direction: better than
+one patch of the size of the estimate's resolution alone, whose model error this is."""
+
+_TURNS = 0.3
+_LARGEST_RADIUS_M = 0.1
+"""A motion that turns less than this share of the one that turns most is a shift; patches are
+smaller than this."""
+
+LEAST_RADIUS_M = 2e-3  # a smaller patch turns about itself as one of this radius does
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Six independent small motions, from the best determined to the least."""
+
+    # (6, 6), in columns, in B about the patch's centre: translation, then rotation in rad, such
+    # that a unit of each moves the patch's edge by about 1 m
+    motions: np.ndarray
+    # (6,), standard deviation of each at the patch's edge by the contact normals alone
+    deviation_m: np.ndarray
+    determined: np.ndarray  # (6,) bool
+
+    @property
+    def open(self) -> np.ndarray:
+        """The motions that the contact does not determine, (6, q)."""
+        return self.motions[:, ~self.determined]
+
+
+def directions(surface: np.ndarray, radius_m: float) -> Directions:
+    """Directions of the information (6, 6) of contact normals on a patch of some radius."""
+    radius = max(radius_m, LEAST_RADIUS_M)
+    unit = np.array([1.0, 1.0, 1.0, 1.0 / radius, 1.0 / radius, 1.0 / radius])
+    information, vectors = np.linalg.eigh(surface * np.outer(unit, unit))
+    information, vectors = information[::-1], vectors[:, ::-1]
+    with np.errstate(divide="ignore"):
+        deviation = 1.0 / np.sqrt(np.maximum(information, 0.0))
+    return Directions(unit[:, None] * vectors, deviation, deviation < DETERMINED_M)
+
+
+def open_axes(
+    motions: np.ndarray,  # (6, q), columns as in `Directions.motions`
+) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts and turns among some motions: unit directions (s, 3) and axes (t, 3) in B.
+
+    Where a turn comes with a shift, as a ball's about its middle, the turn counts.
+    """
+    if not motions.size:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    # An eigenvector's turning part is 1/radius long at most: larger singular values are turns.
+    vectors, sizes, mixed = np.linalg.svd(motions[3:])
+    turning = sizes > _TURNS * max(float(sizes.max()), 1.0 / _LARGEST_RADIUS_M)
+    turns = vectors.T[: len(sizes)][turning]
+    still = motions @ mixed[int(turning.sum()) :].T
+    shifts = still[:3] / np.maximum(np.linalg.norm(still[:3], axis=0), 1e-12)
+    return shifts.T, turns

@@ -9,20 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.estimator import Estimator
-from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.resolution import information_density
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.pose.contact_points import ContactPoints, contact_points
-from bubbleviz.pose.dual_stage import Solution, Solver
-from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
+from bubbleviz.inverse import Estimator, NormalEquations, RubberEstimator, information_density
+from bubbleviz.membrane import RubberMembrane
+from bubbleviz.pose.dual_stage import Solution, Solver, StartFinder
+from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
 from bubbleviz.pose.object_model import ObjectModel, check_size
 from bubbleviz.pose.pose_options import PoseOptions
-from bubbleviz.pose.registration import Precision, Registration
-from bubbleviz.pose.rigid_motion import motion_between
-from bubbleviz.pose.start_finder import StartFinder
+from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
 from bubbleviz.rigid_object import RigidObject
 

@@ -8,11 +8,11 @@ from threading import Event, Thread
 
 import numpy as np
 
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.camera import Intrinsics
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.processes.worker_process import Outcome, WorkerProcess
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 

@@ -1,1 +1,5 @@
 """Traction with friction and slip, from depth and optical flow together."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

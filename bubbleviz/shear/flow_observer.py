@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.block_squares import BlockSquares
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.observer import sagittas
-from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.camera import BlockSquares, DepthCamera, RayCaster, sagittas
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane import MembraneMesh
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.optical_flow import FlowField
+    from bubbleviz.shear.optical_flow import FlowField
+
 
 BLOCK_PX = 8
 """Side of the blocks of which flow tells one motion each."""

@@ -16,13 +16,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.patch.patch_edge import PatchEdge
+from bubbleviz.inverse import PatchEdge
+from bubbleviz.membrane import MembraneMesh
 from bubbleviz.result import Slip, Traction
 from bubbleviz.shear.flow_observer import FlowObserver, PinnedPoints
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.optical_flow import FlowField
+    from bubbleviz.shear.optical_flow import FlowField
+
 
 _FALSE_ALARMS = 0.01
 """Share of frames without slip in which noise may look like it."""

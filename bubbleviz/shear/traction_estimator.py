@@ -6,23 +6,249 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import solve_triangular
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.observer import Measured, ShapeRanges
-from bubbleviz.inverse.gauss_newton import FAR, NEAR, SERVES, RubberStart
-from bubbleviz.inverse.linearised_rubber import LinearisedRubber
-from bubbleviz.inverse.plausibility import gas_sigma
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.mesh_graph import dense_part, grown
-from bubbleviz.membrane.rubber_model.friction_forward import checked_friction
-from bubbleviz.result import Estimate, Traction
-from bubbleviz.shear.flow_observer import FlowObserver, MeasuredFlow
-from bubbleviz.shear.traction_problem import SolvedTraction, TractionProblem, Unknowns
-from bubbleviz.shear.traction_report import TractionReport
-from bubbleviz.shear.traction_state import Look, TractionStart
+from bubbleviz.camera import DepthCamera, Measured, Observation, ShapeRanges
+from bubbleviz.inverse import (
+    FAR,
+    MODEL_ERROR,
+    NEAR,
+    SERVES,
+    LinearisedRubber,
+    RubberEstimator,
+    RubberStart,
+    gas_sigma,
+)
+from bubbleviz.membrane import MembraneMesh, RubberMembrane, checked_friction, dense_part, grown
+from bubbleviz.result import Estimate, Traction, TractionStatus
+from bubbleviz.shear.flow_observer import FlowObserver, MeasuredFlow, ShapeFlow
+from bubbleviz.shear.traction_problem import Measurements, SolvedTraction, TractionProblem, Unknowns
 
 if TYPE_CHECKING:
-    from bubbleviz.colour.optical_flow import FlowField
+    from bubbleviz.shear.optical_flow import FlowField
+
+
+# Where the solution of one frame is, and what it leaves unexplained.
+
+
+@dataclass(frozen=True)
+class TractionStart:
+    """Where one frame ended and the next may begin.
+
+    Attributes
+    ----------
+    x : (n, 3) array
+        Shape, m.
+    pressure : (n,) array
+        p_c, Pa.
+    shear : (n, 3) array
+        Forces along the membrane, N.
+    gas : float
+        p_v, Pa.
+    rubber : LinearisedRubber
+        Tangent that was used last.
+    range_noise, flow_noise : float
+        By how much more than their noise ranges and flow were missed.
+    view : ShapeRanges or None
+        The depth camera's model at the last shape that was looked at, which the next is close to.
+    """
+
+    x: np.ndarray
+    pressure: np.ndarray
+    shear: np.ndarray
+    gas: float
+    rubber: LinearisedRubber
+    range_noise: float = 1.0
+    flow_noise: float = 1.0
+    view: ShapeRanges | None = None
+
+
+class Look(NamedTuple):
+    """What a shape leaves unexplained, and how that changes with the shape.
+
+    Attributes
+    ----------
+    view : ShapeRanges
+    observation : Observation
+        Of the ranges.
+    range_error : (k,) array
+        Measured less modelled, of the blocks of `view`, m.
+    flow : ShapeFlow
+    flow_error : (j, 2) array
+        Measured less modelled, pixels.
+    measured : MeasuredFlow
+    """
+
+    view: ShapeRanges
+    observation: Observation
+    range_error: np.ndarray
+    flow: ShapeFlow
+    flow_error: np.ndarray
+    measured: MeasuredFlow
+
+    def measurements(self, state: TractionStart) -> Measurements:
+        """Both, each trusted as far as the state's noise says."""
+        by_flow = np.repeat(1.0 / (state.flow_noise * self.measured.sigma_px) ** 2, 2)
+        by_range = self.observation.weight[self.view.block] / state.range_noise**2
+        return Measurements(
+            sparse.vstack([self.view.jacobian, self.flow.jacobian], format="csr"),
+            np.concatenate([self.range_error, self.flow_error.ravel()]),
+            np.concatenate([by_range, by_flow]),
+        )
+
+    def misfit(self, state: TractionStart) -> float:
+        """Mean square error in standard deviations, by the noise of a state."""
+        by_range = self.observation.weight[self.view.block] / state.range_noise**2
+        by_flow = 1.0 / (state.flow_noise * self.measured.sigma_px) ** 2
+        flow = float(by_flow @ (self.flow_error**2).sum(axis=1)) / (2 * len(by_flow))
+        return float(by_range @ self.range_error**2) / len(by_range) + flow
+
+    def after(self, motion: np.ndarray) -> Look:
+        """The same after a small motion (n, 3), to first order."""
+        flow = (self.flow.jacobian @ motion.ravel()).reshape(-1, 2)
+        return self._replace(
+            range_error=self.range_error - self.view.jacobian @ motion.ravel(),
+            flow_error=self.flow_error - flow,
+        )
+
+
+# What a solved frame says of the contact: forces, torque, displacement, and how certain.
+
+
+_ALL_UNKNOWN = np.full((6, 6), np.nan)
+
+
+class TractionReport:
+    """Makes tractions of solutions, and of frames without one.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Reference surface.
+    membrane : RubberMembrane
+    """
+
+    def __init__(self, mesh: MembraneMesh, membrane: RubberMembrane) -> None:
+        self._mesh, self._membrane = mesh, membrane
+
+    def nothing(self, status: TractionStatus, reason: str) -> Traction:
+        """A frame about which nothing is known."""
+        nodal = np.full((len(self._mesh.nodes), 3), np.nan)
+        center = np.full(3, np.nan)
+        return Traction(
+            status, nodal, nodal, nodal, nodal, nodal, nodal, center, _ALL_UNKNOWN, reason=reason
+        )
+
+    def untouched(self, estimate: Estimate) -> Traction:
+        """A frame without contact."""
+        x = self._positions(estimate)
+        vectors = self._membrane.volume_gradient(x)
+        return self._of("no_contact", x, np.zeros_like(x), vectors)
+
+    def alone(self, estimate: Estimate, reason: str) -> Traction:
+        """The contact of an estimate, whose friction is known by depth alone."""
+        x = self._positions(estimate)
+        vectors = self._membrane.volume_gradient(x)
+        force = estimate.nodal_force_n
+        if force is None:
+            raise ValueError("the estimate is not of the exact membrane")
+        return self._of("depth_alone", x, force, vectors, reason=reason)
+
+    def solved(
+        self,
+        state: TractionStart,
+        rubber: LinearisedRubber,
+        solved: SolvedTraction,
+        nodes: np.ndarray,
+        look: Look,
+    ) -> Traction:
+        """A frame with friction, solved by a tangent on support `nodes` (s,); `look` is there."""
+        vectors = self._membrane.volume_gradient(state.x)
+        force = state.shear - state.pressure[:, None] * vectors
+        center = _center(state.x, force, vectors)
+        squares = np.einsum("ij,ij->i", look.flow_error, look.flow_error)
+        wrench = self._wrench_columns(state.x, rubber, vectors, nodes, center)[:, solved.active]
+        deviation = solve_triangular(solved.factor[0], wrench.T, lower=True, check_finite=False)
+        by_material = wrench @ solved.answer(rubber.by_material)
+        covariance = deviation.T @ deviation + by_material @ by_material.T
+        torque = np.cross(state.x - center, force).sum(axis=0)
+        by_mesh = MODEL_ERROR * np.concatenate([force.sum(axis=0), torque])
+        covariance += np.outer(by_mesh, by_mesh)
+        columns = solved.columns.reshape(-1, 3, solved.columns.shape[1])[nodes]
+        motions = columns[:, :, solved.active].reshape(3 * len(nodes), -1)
+        moved = solve_triangular(solved.factor[0], motions.T, lower=True, check_finite=False)
+        return self._of(
+            "ok",
+            state.x,
+            force,
+            vectors,
+            wrench_covariance=covariance,
+            displacement_sigma_m=float(np.sqrt(np.mean(np.sum(moved**2, axis=0)))),
+            flow_rms_px=float(np.sqrt(0.5 * np.mean(squares))),
+            flow_noise=state.flow_noise,
+        )
+
+    def _positions(self, estimate: Estimate) -> np.ndarray:
+        return self._mesh.deformed(estimate.motion_m)
+
+    def _of(
+        self,
+        status: TractionStatus,
+        x: np.ndarray,
+        force: np.ndarray,
+        vectors: np.ndarray,
+        *,
+        wrench_covariance: np.ndarray = _ALL_UNKNOWN,
+        displacement_sigma_m: float = np.nan,
+        flow_rms_px: float = np.nan,
+        flow_noise: float = np.nan,
+        reason: str = "",
+    ) -> Traction:
+        areas = np.linalg.norm(vectors, axis=1, keepdims=True)
+        n, moved = vectors / areas, x - self._mesh.nodes
+        normal = np.einsum("ij,ij->i", force, n)[:, None] * n
+        along = np.einsum("ij,ij->i", moved, n)[:, None] * n
+        return Traction(
+            status,
+            force,
+            normal,
+            force - normal,
+            force / areas,
+            x,
+            moved - along,
+            _center(x, force, vectors),
+            wrench_covariance,
+            displacement_sigma_m,
+            flow_rms_px,
+            flow_noise,
+            reason,
+        )
+
+    def _wrench_columns(
+        self,
+        x: np.ndarray,
+        rubber: LinearisedRubber,
+        vectors: np.ndarray,
+        nodes: np.ndarray,
+        center: np.ndarray,
+    ) -> np.ndarray:
+        """Force and torque of unit p, q and gas pressure, (6, c)."""
+        across = rubber.tangents[nodes].reshape(-1, 3)
+        forces = np.concatenate([-vectors[nodes], across])
+        arms = x[np.concatenate([nodes, np.repeat(nodes, 2)])] - center
+        wrench = np.concatenate([forces, np.cross(arms, forces)], axis=1).T
+        gas = np.zeros((6, 0 if rubber.with_gas else 1))
+        return np.hstack([wrench, gas])
+
+
+def _center(x: np.ndarray, force: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Centre of the normal forces (3,), m, by current area vectors; NaN where there are none."""
+    pushing = np.einsum("ij,ij->i", force, vectors) / np.linalg.norm(vectors, axis=1)
+    load = np.maximum(-pushing, 0.0)
+    total = float(load.sum())
+    return load @ x / total if total > 0.0 else np.full(3, np.nan)
+
 
 _STEPS = 12
 _SHARES = (1.0, 0.5, 0.25)

@@ -3,15 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.recordings import FrameSource
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.dual_nut import grip_poses, oversized_nut
-from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path, dome_size
+from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path, dome_size, ease
+
+# The paper's dual-finger task (V-C, Fig. 1), simulated: one oversized nut between two bubbles.
+#
+# World W: the nut's axis is z, and its middle the origin; the fingers press its flats at ±y.
+
+
+Side = Literal["left", "right"]
+
+OVERSIZE = 2.0  # times the preset's nut: 48 mm across flats, as wide as a third of the bubble
+PRESS = 0.2  # how deep the closed fingers press, over the height of the dome
+OPENING_M = 0.02  # of each finger before it closes, m; chosen
+TURN_RAD = np.radians(12.0)  # by how much the nut turns in the grip
+
+
+def oversized_nut() -> RigidObject:
+    """The nut, its middle at the origin."""
+    nut = load_object("hex_nut")
+    middle = 0.5 * (nut.vertices.min(axis=0) + nut.vertices.max(axis=0))
+    return RigidObject(nut.name, OVERSIZE * (nut.vertices - middle), nut.triangles)
+
+
+def finger_pose(side: Side, height_m: float, opening_m: float = 0.0) -> np.ndarray:
+    """T_W_B (4, 4) of a finger, closed but for `opening_m`, whose dome is `height_m` high."""
+    out = -1.0 if side == "left" else 1.0
+    half = 0.5 * float(np.ptp(oversized_nut().vertices[:, 1]))
+    T = np.eye(4)
+    T[:3, 0] = [1.0, 0.0, 0.0]
+    T[:3, 1] = [0.0, 0.0, out]
+    T[:3, 2] = [0.0, -out, 0.0]
+    T[1, 3] = out * (half + (1.0 - PRESS) * height_m + opening_m)
+    return T
+
+
+def grip_poses(side: Side, height_m: float, frames: int) -> np.ndarray:
+    """T_B_O (frames, 4, 4): the fingers close, the nut turns in them and back, they open."""
+    t = np.arange(frames) / frames
+    closed = ease(t, 0.08, 0.3) - ease(t, 0.75, 0.95)
+    turn = TURN_RAD * np.sin(2.0 * np.pi * ease(t, 0.35, 0.7))
+    poses = np.empty((frames, 4, 4))
+    for k in range(frames):
+        T_W_O = np.eye(4)
+        T_W_O[:3, :3] = Rotation.from_rotvec([0.0, 0.0, turn[k]]).as_matrix()
+        T_W_B = finger_pose(side, height_m, OPENING_M * (1.0 - closed[k]))
+        poses[k] = np.linalg.inv(T_W_B) @ T_W_O
+    return poses
+
 
 LIVE_FINER = 2
 """Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera import MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane import MembraneMesh
 
 _VOXELS, _VOXELS_PER_BLOT = 96, 4
 """Side of the cube of noise that the speckle is cut from, again and again, and its fineness."""

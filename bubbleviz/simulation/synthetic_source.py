@@ -3,31 +3,142 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
+from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, MembraneView
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.gaps import usual_step
-from bubbleviz.membrane.forward_model import Contact, ForwardModel
-from bubbleviz.membrane.gap import GapFinder
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
-from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.inverse import area_above, touching_share
+from bubbleviz.membrane import (
+    Contact,
+    ForwardModel,
+    FrictionForward,
+    GapFinder,
+    Gas,
+    MembraneMesh,
+    RubberForward,
+    build_mesh,
+    build_rubber,
+    refine,
+)
+from bubbleviz.recordings import Frame, FrameSource, usual_step
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
-from bubbleviz.simulation.truth import Truth
+
+# What is true of a simulated frame.
+
+
+SLIP_M = 1e-6  # way over the object from one frame to the next beyond which a node slips
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth of one frame; names and units as in TRUTH.npz.
+
+    Attributes
+    ----------
+    displacement_m, contact_pressure_pa : (n,) array
+        On the nodes of the simulation's own mesh; the displacement along the rest normals.
+    displacement_3d_m : (n, 3) array
+        The whole displacement.
+    gas_pressure_change_pa : float
+    force_n : (3,) array
+        Resultant of the contact on the membrane in B.
+    center_of_pressure_m : (3,) array
+        In B; NaN without contact.
+    patch_area_m2 : float
+        Where the linear interpolation of `touching_share` is at least one half.
+    patch_mask : (H, W) bool array
+        Pixels that see such a place.
+    traction_pa : (n, 3) array, optional
+        Of the object on the membrane, force over present area, Pa; None from a TRUTH.npz without.
+    torque_nm : (3,) array, optional
+        Of the same about the centre of pressure, N·m; 0 without contact.
+    slip_m : (n,) array, optional
+        Way of each node over the object since the frame before, m; NaN without friction.
+    slip_share : float, optional
+        Share of the touching area that slipped by more than 1 µm; NaN without friction or contact.
+    """
+
+    displacement_m: np.ndarray
+    displacement_3d_m: np.ndarray
+    contact_pressure_pa: np.ndarray
+    gas_pressure_change_pa: float
+    force_n: np.ndarray
+    center_of_pressure_m: np.ndarray
+    patch_area_m2: float
+    patch_mask: np.ndarray
+    traction_pa: np.ndarray | None = None
+    torque_nm: np.ndarray | None = None
+    slip_m: np.ndarray | None = None
+    slip_share: float | None = None
+
+    @classmethod
+    def of(cls, contact: Contact, view: MembraneView) -> Truth:
+        """What is true of a contact on the mesh of a view."""
+        # the window, which only reads truths, starts without a simulator
+        from bubbleviz.membrane import FrictionContact
+
+        touching = touching_share(view.mesh, contact.contact_pressure_pa)
+        moved = contact.displacement_3d_m
+        x = view.mesh.deformed(moved)
+        areas = replace(view.mesh, nodes=x).areas
+        load = np.linalg.norm(contact.nodal_force_n, axis=1)
+        slip = np.full(len(load), np.nan)
+        if isinstance(contact, FrictionContact):
+            load, slip = contact.contact_pressure_pa * areas, contact.slip_m
+        center, torque = np.full(3, np.nan), np.zeros(3)
+        if load.sum() > 0.0:
+            center = load @ x / load.sum()
+            torque = np.cross(x - center, contact.nodal_force_n).sum(axis=0)
+        half = 0.5 - 1e-9  # a place at exactly one half counts
+        return cls(
+            displacement_m=contact.displacement_m,
+            displacement_3d_m=moved,
+            contact_pressure_pa=contact.contact_pressure_pa,
+            gas_pressure_change_pa=contact.gas_pressure_change_pa,
+            force_n=contact.nodal_force_n.sum(axis=0),
+            center_of_pressure_m=center,
+            patch_area_m2=area_above(view.mesh, touching, half),
+            patch_mask=view.above(moved, touching, half),
+            traction_pa=contact.nodal_force_n / areas[:, None],
+            torque_nm=torque,
+            slip_m=slip,
+            slip_share=_slip_share(slip, np.where(load > 0.0, areas, 0.0)),
+        )
+
+    def force_error(self, force_n: np.ndarray) -> float:
+        """Distance of a force (3,) from the true one over its length; NaN where that is 0."""
+        size = float(np.linalg.norm(self.force_n))
+        return float(np.linalg.norm(force_n - self.force_n)) / size if size > 0.0 else float("nan")
+
+
+def _slip_share(slip_m: np.ndarray, touching_m2: np.ndarray) -> float:
+    """Share of the touching area (n,) that slips; NaN where that is not known."""
+    if not touching_m2.any() or np.isnan(slip_m).any():
+        return float("nan")
+    return float(touching_m2[slip_m > SLIP_M].sum() / touching_m2.sum())
+
+
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A source that may have ground truth."""
+
+    def truth(self, index: int) -> Truth | None:
+        """Ground truth of a frame; None when it is not known."""
+
+
+def truth_of(source: object, index: int) -> Truth | None:
+    """Ground truth of a frame of any source; None for all but simulations."""
+    return source.truth(index) if isinstance(source, KnowsTruth) else None
+
 
 Model = Literal["rubber", "linear"]  # the exact membrane, or the paper's linear one
 
@@ -250,3 +361,43 @@ def ease(t: np.ndarray, start: float, end: float) -> np.ndarray:
     """Rise from 0 to 1 between `start` and `end`, smooth at both."""
     s = np.clip((t - start) / (end - start), 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
+
+
+# A short source played in a loop, with new noise every round, as a camera would have.
+
+
+class NoisyLoop:
+    """Adds noise to frames without; it changes when reading begins again before where it was."""
+
+    def __init__(
+        self,
+        source: FrameSource,  # without noise
+        camera: DepthCamera,
+        noise: DepthNoise,
+    ) -> None:
+        self._source, self._camera, self._noise = source, camera, noise
+        self._round, self._last = 0, 0
+        self.name, self.times_s = source.name, source.times_s
+
+    def __len__(self) -> int:
+        """Count the frames of a round."""
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index` of the present round."""
+        frame = self._source[index]
+        self._round += index < self._last
+        self._last = index
+        ranges = self._noise.apply(
+            self._camera.range_image(frame.depth_m).astype(float), self._round, index
+        )
+        depth = self._camera.depth_image(ranges).astype(np.float32)
+        return replace(frame, depth_m=depth)
+
+    def truth(self, index: int) -> Truth | None:
+        """Ground truth of a frame, the same in every round."""
+        return truth_of(self._source, index)
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()

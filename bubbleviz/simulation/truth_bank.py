@@ -8,23 +8,19 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.files.output_files import whole_file
-from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.processes.worker_process import MEMORY_LIMIT_BYTES, WorkerProcess
+from bubbleviz.files import whole_file
+from bubbleviz.membrane import ForwardModel, Gas, MembraneMesh
+from bubbleviz.pose import ObjectModel
+from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Pneumatics
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.presses import Press, made
 from bubbleviz.simulation.rubber_truth import RubberTruth
-from bubbleviz.simulation.synthetic_source import simulation_mesh
-from bubbleviz.simulation.truth import Truth
+from bubbleviz.simulation.synthetic_source import Truth, simulation_mesh
 
 TRUTH_NODES = 12_500  # of the linear model, which costs little: about 15 times the estimator's 800
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.defaults import TRUTH_SUFFIX
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.simulation.truth import Truth
+from bubbleviz.files import TRUTH_SUFFIX
+from bubbleviz.recordings import Frame, Recording
+from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.wording import count_of
 
 KEYS = (*(f.name for f in fields(Truth) if f.default is MISSING), "time_s", "T_B_O")

@@ -15,34 +15,35 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.diagnostics.overlap import iou
-from bubbleviz.files.tables import out_folder
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.files import out_folder
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.membrane import MembraneMesh, TriangleScene
+from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import (
+from bubbleviz.simulation import (
     GRID_OBJECTS,
     HELD_OUT_OBJECTS,
     SMOOTH_OBJECTS,
-    presses,
-)
-from bubbleviz.simulation.rubber_truth import TRUTH_NODES as RUBBER_NODES
-from bubbleviz.simulation.rubber_truth import RubberPresses, rubber_sensor
-from bubbleviz.simulation.sensor_variants import dome, strided, with_nodes, with_noise
-from bubbleviz.simulation.synthetic_source import Model
-from bubbleviz.simulation.truth_bank import (
-    TRUTH_NODES,
+    TRUTH_NODES as RUBBER_NODES,
+    DepthNoise,
     LinearPresses,
+    Model,
     Presses,
+    RubberPresses,
     Sighting,
     TruthBank,
+    dome,
     noise_name,
+    presses,
+    rubber_sensor,
+    strided,
+    with_nodes,
+    with_noise,
 )
+from bubbleviz.simulation.truth_bank import TRUTH_NODES
 from bubbleviz.study.harness import (
     Case,
     Column,

@@ -11,25 +11,24 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.diagnostics.overlap import iou
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import fitting_sensor
-from bubbleviz.inverse.solvers.inverse_solver import LINEAR, RUBBER
-from bubbleviz.processes.peak_memory import PeakMemory
+from bubbleviz.inverse import LINEAR, RUBBER
+from bubbleviz.output import iou
+from bubbleviz.processes import PeakMemory
+from bubbleviz.recordings import Frame, Recording, fitting_sensor
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.rubber_truth import rubber_sensor
-from bubbleviz.simulation.sensor_variants import with_nodes, with_pixels
-from bubbleviz.simulation.synthetic_source import (
+from bubbleviz.simulation import (
     FINER,
+    DepthNoise,
     SyntheticSource,
     default_path,
     default_press,
     dome_size,
+    rubber_sensor,
+    with_nodes,
+    with_pixels,
 )
 from bubbleviz.study.accuracy import PAPER, PRODUCTS, Setup
 from bubbleviz.study.harness import (

@@ -15,11 +15,11 @@ from small_press import HEIGHTS, write_press, write_small_sensor
 import bubbleviz as bv
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.cli.command_line import main
-from bubbleviz.files.pose_reader import parse_pose
-from bubbleviz.frames.recording import Recording
+from bubbleviz.files import parse_pose
+from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import with_colour_delay
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import SyntheticSource
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
 

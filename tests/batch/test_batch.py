@@ -285,7 +285,7 @@ def test_a_process_that_dies_costs_its_own_recording_only(
 def test_blas_has_one_thread_in_a_worker(tmp_path):
     code = (
         "import os, threading\n"
-        "from bubbleviz.processes.worker_server import serve\n"
+        "from bubbleviz.processes import serve\n"
         "class Pipe:\n"
         "    def recv(self): raise EOFError\n"
         "serve(Pipe(), os.getppid(), None)\n"

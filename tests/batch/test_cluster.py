@@ -12,8 +12,7 @@ from distributed import LocalCluster
 
 from bubbleviz.api.batching import Job, batch, run_job
 from bubbleviz.errors import InputError
-from bubbleviz.processes import dask_cluster
-from bubbleviz.processes.dask_cluster import check_cluster
+from bubbleviz.processes import check_cluster, dask_cluster
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.detection import Alarm, DetectionGrid, Ladder, Limit, limits_of, report_of
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation import DepthNoise
 from bubbleviz.study.accuracy import LINEAR, RUBBER, Grid, specimen
 
 ONE = DepthNoise(relative=0.01)

@@ -18,15 +18,12 @@ from benchmarks.edge import (
     report_of,
     targets,
 )
-from bubbleviz.diagnostics.overlap import iou
+from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import Press
-from bubbleviz.simulation.sensor_variants import with_nodes
-from bubbleviz.simulation.truth_bank import LinearPresses, TruthBank
+from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, with_nodes
 
 ONE = DepthNoise(relative=0.01)
 

@@ -9,11 +9,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
 from benchmarks.pose_rivals import BOTH, WHOLE_CLOUD, PoseGrid, rivals_study
 from benchmarks.screws import report_of, run_screw, screw_path, screw_source
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.rigid_motion import moved
+from bubbleviz.pose import ObjectModel, moved
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.presses import made
-from bubbleviz.simulation.sensor_variants import with_nodes
+from bubbleviz.simulation import made, with_nodes
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""

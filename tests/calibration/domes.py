@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.frames.frame import Frame
+from bubbleviz.camera import DepthCamera, Intrinsics
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.simulation import DepthNoise
 
 GAUGE = 2585.5
 

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from bubbleviz.calibration.rest.contact_free import find_contact_free, tile_depths
-from bubbleviz.calibration.rest.press_frames import held_frames
-from bubbleviz.calibration.rest.rest_frames import collect
+from bubbleviz.calibration import collect, find_contact_free, held_frames, tile_depths
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
+from bubbleviz.recordings import Frame
 
 from .twin import FREE, PRESSED, make_twin, nominal_sensor
 

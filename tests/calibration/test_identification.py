@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.rest.contact_free import find_contact_free
-from bubbleviz.calibration.sensor_writer import write_sensor
-from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.calibration import find_contact_free, identify, write_sensor
+from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.membrane.stiffness import balance_tension
+from bubbleviz.membrane import balance_tension, build_mesh, mesh_cap, spherical_cap
 from bubbleviz.sensor import load_sensor
 
 from .twin import FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias

@@ -12,10 +12,9 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.verb_commands import identify
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor, sensor_to_toml, with_colour_delay
 
 from .domes import GAUGE, sphere

@@ -9,20 +9,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import (
+from bubbleviz.calibration import (
+    Vented,
+    collect,
     identify,
+    judge,
     rest_gauge_pressure,
     rest_gauge_sigma,
+    rubber_advice,
     with_rubber,
+    write_sensor,
 )
-from bubbleviz.calibration.reports.verdict import judge, rubber_advice
-from bubbleviz.calibration.rest.rest_frames import collect
-from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.calibration.sensor_writer import write_sensor
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import edited, load_sensor
-from bubbleviz.simulation.inflated_rubber import InflatedRubber
+from bubbleviz.simulation import InflatedRubber
 from tests.rubber_renders import (
     ATMOSPHERE_PA,
     GAUGE_PA,

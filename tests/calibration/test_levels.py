@@ -6,19 +6,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.rectification import Level, rectify
-from bubbleviz.calibration.sensor_writer import write_sensor
-from bubbleviz.camera.pixel_model import PixelModel, RangeLine
+from bubbleviz.calibration import Level, identify, rectify, write_sensor
+from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording_writer import RecordingWriter
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource
 
 from .domes import Dome
 

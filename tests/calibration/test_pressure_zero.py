@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.pressure_zero import ENOUGH, PASSED, PressureZero
-from bubbleviz.frames.frame import Frame
+from bubbleviz.calibration import ENOUGH, PASSED, PressureZero
+from bubbleviz.recordings import Frame
 
 REFERENCE = 103_910.5
 

@@ -5,14 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import collect_press, identify, with_rubber
-from bubbleviz.calibration.rest.contact_free import find_contact_free
-from bubbleviz.calibration.sensor_writer import file_hash, write_sensor
-from bubbleviz.camera.pixel_model import PixelModel
+from bubbleviz.calibration import (
+    collect_press,
+    file_hash,
+    find_contact_free,
+    identify,
+    with_rubber,
+    write_sensor,
+)
+from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 
 from .twin import residuals_and_bias

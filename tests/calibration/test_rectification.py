@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.rectification import Level, fit_lines
+from bubbleviz.calibration import Level, fit_lines, identify
 from bubbleviz.errors import InputError
 
 from .domes import sphere

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import identify
+from bubbleviz.calibration import identify
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 

@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.calibration.identification import identify, with_rubber
-from bubbleviz.calibration.rest.rest_frames import collect
-from bubbleviz.calibration.rubber.vented import Vented
+from bubbleviz.calibration import Vented, collect, identify, with_rubber
 from bubbleviz.cli.verb_commands import identify as command
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.membrane.rubber_model.inflation import Inflation
-from bubbleviz.membrane.rubber_model.prestress import prestressed
+from bubbleviz.membrane import Inflation, prestressed
+from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz.simulation.inflated_rubber import ATMOSPHERE_PA
+from bubbleviz.simulation import ATMOSPHERE_PA
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.round_sheet import round_sheet
 from tests.oracles.rubber_oracle import AxialRubber

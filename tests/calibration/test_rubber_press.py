@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import collect_press, identify, with_rubber
-from bubbleviz.calibration.reports.identification_report import summary
-from bubbleviz.calibration.rubber.vented import Vented
-from bubbleviz.calibration.sensor_writer import Origin
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.inflation import Inflation
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.calibration import Origin, Vented, collect_press, identify, summary, with_rubber
+from bubbleviz.camera import DepthCamera
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    Gas,
+    Inflation,
+    RubberForward,
+    RubberMembrane,
+    inverse_metric,
+    mesh_cap,
+)
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
-from bubbleviz.simulation.inflated_rubber import ATMOSPHERE_PA, CAMERA_NOISE
-from bubbleviz.simulation.inflated_sensor import InflatedSensor
+from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, InflatedSensor
 
 RIM, HEIGHT, G = (0.045, 0.038), 0.022, 4000.0
 STRETCH, MU_H = 1.2, 90.0

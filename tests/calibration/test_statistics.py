@@ -4,28 +4,23 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.calibration.rest.depth_statistics import (
+from bubbleviz.calibration import PixelStatistics, rim_height
+from bubbleviz.camera import PixelModel, RangeLine
+from bubbleviz.errors import InputError
+from bubbleviz.recordings import (
     DepthStatistics,
-    measure_depth,
-    stack_depth,
-)
-from bubbleviz.calibration.rest.noise_correlation import (
+    Frame,
     correlated_samples,
     error_of_mean,
     mean_inflation,
-    spatial_correlation,
-)
-from bubbleviz.calibration.rest.pixel_selection import PixelStatistics
-from bubbleviz.calibration.robust_statistics import (
+    measure_depth,
     robust_sigma,
+    spatial_correlation,
+    stack_depth,
     tukey_slopes,
     tukey_weights,
     upper_fence,
 )
-from bubbleviz.calibration.surface.rim_height import rim_height
-from bubbleviz.camera.pixel_model import PixelModel, RangeLine
-from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
 
 
 def noisy(frames=60, shape=(40, 50), rho=0.6, sigma=5e-5, seed=0):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.calibration.surface.cap_fit import Ellipsoid, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.errors import InputError
 
 AXES = np.array([0.0585, 0.0416, 0.0437])

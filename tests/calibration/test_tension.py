@@ -6,26 +6,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.surface.cap_fit import Ellipsoid
-from bubbleviz.calibration.tension.bootstrap import (
+from bubbleviz.calibration import (
+    Ellipsoid,
+    Quantity,
     ScoreTable,
+    balance_gradient,
+    cap_tension,
     draw_errors,
+    ellipsoid_curvature,
+    identify,
+    local_tension,
     score_table,
     tile_numbers,
     tile_side,
 )
-from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.calibration.tension.young_laplace import (
-    balance_gradient,
-    cap_tension,
-    ellipsoid_curvature,
-    local_tension,
-)
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.stiffness import balance_tension
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, balance_tension, mesh_cap
+from bubbleviz.simulation import DepthNoise
 
 from .domes import GAUGE, oval, sphere
 

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.validation import mean_frame, validate
+from bubbleviz.calibration import mean_frame, validate
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
+from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource
 
 TENSION = 105.0
 

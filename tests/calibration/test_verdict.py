@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.reports.verdict import judge, validation_advice
-from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.calibration.validation import Validation
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.calibration import Quantity, Validation, identify, judge, validation_advice
+from bubbleviz.simulation import DepthNoise
 
 from .domes import Dome, sphere
 

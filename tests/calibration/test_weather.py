@@ -8,11 +8,11 @@ import pytest
 
 import bubbleviz as bv
 from bubbleviz.api.frames import HeldFrames
-from bubbleviz.calibration.pressure_zero import zero_of
+from bubbleviz.calibration import zero_of
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane import RubberForward
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel

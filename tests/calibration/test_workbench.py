@@ -7,16 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration.draft import Settings, Step
-from bubbleviz.calibration.identification import identify
-from bubbleviz.calibration.rest.collected_frames import CollectedFrames
-from bubbleviz.calibration.rest.frame_ranges import as_ranges, in_words, numbers, tidy, without
-from bubbleviz.calibration.rubber.rubber_estimate import RubberEstimate
-from bubbleviz.calibration.save_identification import save
-from bubbleviz.calibration.sensor_comparison import compare
-from bubbleviz.calibration.sensor_writer import write_sensor
-from bubbleviz.calibration.tension.tension_estimate import Quantity
-from bubbleviz.calibration.workbench import Workbench
+from bubbleviz.calibration import (
+    CollectedFrames,
+    Quantity,
+    RubberEstimate,
+    Settings,
+    Step,
+    Workbench,
+    as_ranges,
+    compare,
+    identify,
+    in_words,
+    numbers,
+    save,
+    tidy,
+    without,
+    write_sensor,
+)
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 
@@ -187,7 +194,7 @@ def test_collected_frames_are_saved_with_a_report(dome, tmp_path):
 
 
 def test_a_report_that_cannot_be_written_leaves_no_sensor(dome, found, tmp_path, monkeypatch):
-    import bubbleviz.calibration.save_identification as module
+    import bubbleviz.calibration.report as module
 
     def full_disk(*_):
         raise InputError("report: cannot be written (disk full)")

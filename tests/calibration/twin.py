@@ -8,12 +8,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.camera import DepthCamera, Intrinsics, RayCaster
+from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, mesh_cap
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 ATMOSPHERE, GAUGE = 101_325.0, 5_000.0

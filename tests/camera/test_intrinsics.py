@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera import DepthCamera, Intrinsics
 
 D405 = (-0.0567814413, 0.0607155726, 0.000757510119, 0.00098916795, -0.0202404283)
 

@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.camera.block_squares import BlockSquares
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.camera.observer import RangeObserver, facet_error
-from bubbleviz.camera.operators import range_jacobian
-from bubbleviz.camera.pixel_model import PixelModel
-from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.camera import (
+    BlockSquares,
+    DepthCamera,
+    MembraneView,
+    PixelModel,
+    RangeObserver,
+    RayCaster,
+    facet_error,
+    range_jacobian,
+)
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
 from bubbleviz.sensor import load_sensor
 
 SENSOR = load_sensor("pico_flexx_75mm")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bubbleviz.camera.raycast import RayCaster
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.camera import RayCaster
+from bubbleviz.membrane import mesh_cap, spherical_cap
 
 
 def nearest(nodes, triangles, origin, rays):

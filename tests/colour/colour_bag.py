@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 from rosbags.typesys import get_types_from_msg
 
-from tests.frames.bagmaker import BagMaker
+from tests.recordings.bagmaker import BagMaker
 
 COLOUR = "/cam/color/image_raw"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bubbleviz.colour.colour_image import ColourImage, EncodedImage
+from bubbleviz.camera import ColourImage, EncodedImage
 from bubbleviz.errors import InputError
 from tests.colour.colour_bag import encoded, picture
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.colour.optical_flow import FlowField, FlowPreset, OpticalFlow
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Recording
+from bubbleviz.shear import FlowField, FlowPreset, OpticalFlow
 from tests.colour.speckle import (
     HEIGHT,
     WIDTH,

@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
-from bubbleviz.frames.bags import Messages
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Messages, Recording
 from tests.colour.colour_bag import COLOUR, add_colour, add_compressed, add_pose, encoded, picture
-from tests.frames.bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
-from tests.frames.realsense_bag import write_realsense_bag
+from tests.recordings.bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
+from tests.recordings.realsense_bag import write_realsense_bag
 
 
 @pytest.mark.parametrize("kind", KINDS)

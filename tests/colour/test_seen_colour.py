@@ -8,14 +8,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.colour.seen_colour import SeenColour, Texture
-from bubbleviz.files.defaults import SYNTHETIC_SENSOR
+from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, Intrinsics
+from bubbleviz.files import SYNTHETIC_SENSOR
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import SeenColour, Texture
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.synthetic_source import default_press
+from bubbleviz.simulation import default_press
 
 DEPTH = Intrinsics(64, 48, 50.0, 52.0, 30.0, 25.0, "inverse_brown_conrady", (-0.05, 0.06, 1e-3))
 T_B_C = np.array([[0.0, -1, 0, 0.01], [1, 0, 0, -0.02], [0, 0, 1, -0.1], [0, 0, 0, 1]])

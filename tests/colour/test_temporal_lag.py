@@ -10,19 +10,21 @@ import numpy as np
 import pytest
 
 from bubbleviz.api.frames import info
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.colour.temporal_lag import TemporalLag, lag_between, temporal_lag
+from bubbleviz.calibration import (
+    TemporalLag,
+    TextureFlow,
+    lag_between,
+    recorded_texture,
+    temporal_lag,
+)
+from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.shear.recorded_texture import recorded_texture
-from bubbleviz.shear.texture_flow import TextureFlow
-from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import Frame, Recording
+from bubbleviz.simulation import PrintedMembrane, Speckle
 from tests.colour.speckle import camera, clean_image, dragged
-from tests.frames.bagmaker import PERIOD, SECOND, START, BagMaker
 from tests.oracles.stuck_press import shear_sensor
+from tests.recordings.bagmaker import PERIOD, SECOND, START, BagMaker
 
 PERIOD_S = PERIOD / SECOND
 SMALL = {"width": 320, "height": 240, "fx": 215.0, "fy": 215.0, "cx": 159.5, "cy": 119.5}

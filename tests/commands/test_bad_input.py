@@ -15,9 +15,7 @@ import tomli_w
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
+from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "frames"))

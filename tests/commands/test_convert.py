@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 import bubbleviz as bv
 from bubbleviz.api.simulating import write_simulation
-from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera import Intrinsics
 from bubbleviz.cli.command_line import main
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Recording
 from tests.colour.colour_bag import add_colour, add_compressed, add_pose, encoded, picture
-from tests.frames.bagmaker import PERIOD, START, BagMaker, fill
-from tests.frames.realsense_bag import CLOCK_MS, PERIOD_MS, depth_units, write_realsense_bag
+from tests.recordings.bagmaker import PERIOD, START, BagMaker, fill
+from tests.recordings.realsense_bag import CLOCK_MS, PERIOD_MS, depth_units, write_realsense_bag
 from tests.small_press import HEIGHTS, small_source, write_small_sensor
 
 CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}

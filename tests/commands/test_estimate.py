@@ -18,11 +18,9 @@ from click.testing import CliRunner
 
 import bubbleviz
 from bubbleviz.cli.command_line import main
-from bubbleviz.files.result_writer import COLUMNS, ResultWriter, summary_row
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
+from bubbleviz.output import COLUMNS, ResultWriter, summary_row
+from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 

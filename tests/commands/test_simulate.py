@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.camera.depth_camera import DepthCamera
+from bubbleviz.camera import DepthCamera
 from bubbleviz.cli.command_line import main
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 POSE = "0.004 0 0.040 0 0 0 1"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from small_press import small_source, write_small_sensor
 
-from bubbleviz.diagnostics.frame_numbers import numbers_of
+from bubbleviz.diagnostics import numbers_of
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.diagnostics.probe import Probe
+from bubbleviz.diagnostics import Probe
 from bubbleviz.pipeline import Pipeline
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ui"))

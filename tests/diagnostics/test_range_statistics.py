@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.diagnostics.range_statistics import statistics
+from bubbleviz.diagnostics import statistics
 
 
 def test_frames_that_are_not_known_count_for_nothing():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from bubbleviz.diagnostics.shear_numbers import ShearEllipse, ShearNumbers
+from bubbleviz.diagnostics import ShearEllipse, ShearNumbers
 from bubbleviz.result import Slip, Traction
 
 NODES = 5

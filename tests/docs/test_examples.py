@@ -12,9 +12,8 @@ from small_press import write_press, write_small_sensor
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import StreamStoppedError
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live import SessionOptions, ZenohPublisher
+from bubbleviz.recordings import RecordingWriter
 
 WRENCH = "/bubbleviz/contact_wrench"
 DEEPER = (0.060, 0.060, 0.048, 0.046, 0.044, 0.043, 0.042, 0.041, 0.040)

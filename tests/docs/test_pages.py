@@ -23,7 +23,7 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.api.simulating import write_simulation
 from bubbleviz.cli.command_line import main
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from tests.frames.bagmaker import BagMaker, fill
+from tests.recordings.bagmaker import BagMaker, fill
 
 CAPITALS = re.compile(r"\b(REC|S|FOLDER|PORT)\b")
 """What the reader puts in, in commands."""

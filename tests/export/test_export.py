@@ -22,10 +22,9 @@ from PIL import Image
 import bubbleviz as bv
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.output.export_plan import ExportPlan
+from bubbleviz.output import ExportPlan
 from bubbleviz.progress import Cancelled
+from bubbleviz.recordings import Recording, RecordingWriter
 
 Arrays = dict[str, np.ndarray]
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from bubbleviz.api.frames import parse_frames
 from bubbleviz.errors import InputError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.output.mp4_writer import open_mp4
+from bubbleviz.output import open_mp4
 
 
 def pictures(count, height, width):
@@ -86,7 +86,7 @@ import threading
 import numpy as np
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
-from bubbleviz.output.mp4_writer import open_mp4
+from bubbleviz.output import open_mp4
 made, over = threading.Event(), threading.Event()
 def factor():
     kept = splu(eye_array(9, format="csc"))

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.output_files import whole_file
+from bubbleviz.files import whole_file
 
 
 def test_it_appears_when_the_block_ends(tmp_path):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bubbleviz.files.pose_reader import angles_of_pose, pose_of_angles
+from bubbleviz.files import angles_of_pose, pose_of_angles
 
 QUARTER = np.pi / 2
 

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.inverse.estimator import Estimator, EstimatorOptions
-from bubbleviz.membrane.forward_model import Contact, ForwardModel
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.camera import DepthCamera, MembraneView, RangeObserver
+from bubbleviz.inverse import Estimator, EstimatorOptions
+from bubbleviz.membrane import Contact, ForwardModel, Gas, MembraneMesh, build_mesh
 from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.frames.recording import Recording
-from bubbleviz.inverse.contact_evidence import evident
-from bubbleviz.inverse.contact_problem import ContactPressure
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.inverse import ContactPressure, evident
+from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 
 MESH = mesh_cap(spherical_cap(0.045, 0.02), 800)

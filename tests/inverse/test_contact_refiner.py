@@ -9,21 +9,26 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bubbleviz.api.estimating import patch_options
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.files.preset_files import preset_names
-from bubbleviz.frames.frame import Frame
-from bubbleviz.inverse.contact_refiner import mesh_limits
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.refine import refined_part
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.patch.components import components, without_small
-from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.camera import DepthCamera, MembraneView
+from bubbleviz.files import preset_names
+from bubbleviz.inverse import (
+    EstimatorOptions,
+    components,
+    mesh_limits,
+    touching_share,
+    without_small,
+)
+from bubbleviz.membrane import (
+    ForwardModel,
+    Gas,
+    RubberForward,
+    RubberMembrane,
+    mesh_cap,
+    refined_part,
+    spherical_cap,
+)
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor
 from tests.oracles.rubber_oracle import AxialRubber

@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.inverse.detection import detection_threshold
-from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.problem import Equilibrium, Scales
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.camera import RangeObserver
+from bubbleviz.inverse import Equilibrium, NormalEquations, Scales, detection_threshold
+from bubbleviz.membrane import Gas, build_mesh
 
 from .conftest import CAMERA, SENSOR, TENSION
 

@@ -10,12 +10,15 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import problem
-from bubbleviz.inverse.estimator import MAX_LINEAR_NODES, Estimator, EstimatorOptions
-from bubbleviz.inverse.plausibility import GAS_NOISE
-from bubbleviz.inverse.solvers.inverse_solver import SOLVERS
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.inverse import (
+    GAS_NOISE,
+    MAX_LINEAR_NODES,
+    SOLVERS,
+    Estimator,
+    EstimatorOptions,
+    problem,
+)
+from bubbleviz.membrane import Gas, build_mesh
 from tests.inverse.conftest import SENSOR, TENSION, estimator, first, press
 from tests.oracles.interior_point import InteriorPoint
 

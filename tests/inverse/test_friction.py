@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.inverse.friction import friction_loads
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.inverse import EstimatorOptions, friction_loads
+from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from tests.oracles.stuck_press import Motion
 from tests.rubber_renders import (

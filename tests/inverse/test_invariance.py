@@ -7,16 +7,13 @@ import pytest
 
 from benchmarks import membranes
 from bubbleviz.errors import SolveError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.inverse.estimator import RIM_SLACK_M, EstimatorOptions
-from bubbleviz.inverse.solvers.inverse_solver import RUBBER
-from bubbleviz.membrane.refine import refine
+from bubbleviz.inverse import RIM_SLACK_M, RUBBER, EstimatorOptions
+from bubbleviz.membrane import refine
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import Press
-from bubbleviz.simulation.truth_bank import TruthBank, noise_name
+from bubbleviz.simulation import DepthNoise, Press, TruthBank, noise_name
 from bubbleviz.study.accuracy import Grid, specimen
 
 PATCH = frozenset({"patch"})

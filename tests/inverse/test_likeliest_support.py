@@ -8,13 +8,22 @@ import pytest
 from scipy import sparse
 from scipy.stats import multivariate_normal
 
-from bubbleviz.inverse.contact_problem import ContactProblem, Nuisances, Prior, Ranges, Selection
-from bubbleviz.inverse.likeliest_support import SupportProblem
-from bubbleviz.inverse.linearised_rubber import LinearisedRubber
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.inverse import (
+    ContactProblem,
+    LinearisedRubber,
+    Nuisances,
+    Prior,
+    Ranges,
+    Selection,
+    SupportProblem,
+)
+from bubbleviz.membrane import (
+    Factoriser,
+    RubberMembrane,
+    cotangent_laplacian,
+    mesh_cap,
+    spherical_cap,
+)
 
 NODES = 8
 """In a row, so that their supports can be counted."""

@@ -6,21 +6,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.optimize import nnls
 
-from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.camera.operators import range_jacobian
-from bubbleviz.inverse import problem
-from bubbleviz.inverse.normal_equations import NormalEquations
-from bubbleviz.inverse.problem import Equilibrium, Scales, natural_residual
-from bubbleviz.inverse.solvers.pivoting import nonnegative_qp
-from bubbleviz.inverse.solvers.reduced_hessian import ReducedHessian
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.patch.patch_finder import area_above
+from bubbleviz.camera import RangeObserver, range_jacobian
+from bubbleviz.inverse import (
+    Equilibrium,
+    NormalEquations,
+    ReducedHessian,
+    Scales,
+    area_above,
+    natural_residual,
+    nonnegative_qp,
+    problem,
+)
+from bubbleviz.membrane import Gas, MembraneMesh, build_mesh
 from tests.inverse.conftest import CAMERA, SENSOR, TENSION
 
 MESH = build_mesh(SENSOR, 200)

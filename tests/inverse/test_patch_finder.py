@@ -8,16 +8,20 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.patch.components import without_small
-from bubbleviz.patch.patch_finder import PatchFinder, area_above, mean_pressure
+from bubbleviz.camera import MembraneView
+from bubbleviz.inverse import (
+    EstimatorOptions,
+    PatchFinder,
+    area_above,
+    mean_pressure,
+    without_small,
+)
+from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import SyntheticSource
 from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first, press
 
 MESH, FINER = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from bubbleviz.camera.observer import Misfit, RangeObserver
-from bubbleviz.inverse.plausibility import contradicts_gas, reason_against_fit, reason_against_gas
-from bubbleviz.membrane.gas import Gas
+from bubbleviz.camera import Misfit, RangeObserver
+from bubbleviz.inverse import contradicts_gas, reason_against_fit, reason_against_gas
+from bubbleviz.membrane import Gas
 from tests.inverse.conftest import CAMERA, SENSOR, estimator, first
 
 

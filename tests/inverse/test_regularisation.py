@@ -9,16 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from bubbleviz.inverse.estimator import PRESSURE_SCALE, EstimatorOptions
-from bubbleviz.inverse.solvers.inverse_solver import LINEAR
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.inverse import LINEAR, PRESSURE_SCALE, EstimatorOptions
+from bubbleviz.membrane import cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import GRID_OBJECTS, Press
-from bubbleviz.simulation.sensor_variants import with_nodes
-from bubbleviz.simulation.truth_bank import LinearPresses, TruthBank
+from bubbleviz.simulation import (
+    GRID_OBJECTS,
+    DepthNoise,
+    LinearPresses,
+    Press,
+    TruthBank,
+    with_nodes,
+)
 from bubbleviz.study.accuracy import PRODUCTS, at_nodes, errors_of
 
 

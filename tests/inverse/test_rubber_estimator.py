@@ -9,23 +9,28 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.camera.observer import RangeObserver
-from bubbleviz.inverse.estimator import RIM_SLACK_M, Estimator, EstimatorOptions
-from bubbleviz.inverse.gauss_newton import MODEL_ERROR
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.patch.patch_finder import PatchFinder
-from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.camera import DepthCamera, MembraneView, RangeObserver
+from bubbleviz.inverse import (
+    MODEL_ERROR,
+    RIM_SLACK_M,
+    Estimator,
+    EstimatorOptions,
+    PatchFinder,
+    RubberEstimator,
+    touching_share,
+)
+from bubbleviz.membrane import (
+    ForwardModel,
+    Gas,
+    RubberForward,
+    RubberMembrane,
+    mesh_cap,
+    spherical_cap,
+)
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
-from bubbleviz.simulation.refined_press import refined_press
+from bubbleviz.simulation import refined_press
 from tests.oracles.rubber_oracle import AxialRubber
 
 EVERY = 1 if "TEST_ALL" in os.environ else 2

@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_encoding import Message
-from bubbleviz.live.assembler import FrameAssembler
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
+from bubbleviz.live import (
+    FrameAssembler,
+    LiveStream,
+    RawMessage,
+    Recorder,
+    SessionOptions,
+    ZenohPublisher,
+    open_session,
+)
+from bubbleviz.recordings import Frame, Message
 
 
 def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:

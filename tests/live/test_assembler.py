@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from streams import frames_of
 from wire import (
     CLOUD,
@@ -32,11 +31,9 @@ from wire import (
     wrench,
 )
 
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.frames.frame import Frame
-from bubbleviz.live.assembler import WAIT_NS, FrameAssembler
-from bubbleviz.live.raw_message import RawMessage, stamp_of
-from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.camera import Intrinsics
+from bubbleviz.live import WAIT_NS, FrameAssembler, RawMessage, TopicNames, stamp_of
+from bubbleviz.recordings import Frame
 
 
 def test_a_frame_is_what_was_sent() -> None:

@@ -26,23 +26,23 @@ from wire import (
     depth,
     grey,
     header,
+    image as wire_image,
 )
-from wire import image as wire_image
 from zenoh import ext
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.colour.static_poses import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.live.assembler import FrameAssembler
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources.open_stream import open_stream
-from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.live import (
+    FrameAssembler,
+    RawMessage,
+    Recorder,
+    SessionOptions,
+    TopicNames,
+    ZenohPublisher,
+    open_stream,
+)
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Frame, Recording
 from bubbleviz.sensor import Sensor, with_colour_delay
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"

@@ -21,10 +21,8 @@ from wire import (
     wrench,
 )
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.live.assembler import FrameAssembler
-from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live import FrameAssembler, RawMessage
+from bubbleviz.recordings import Frame, Recording
 
 MS = 1_000_000
 

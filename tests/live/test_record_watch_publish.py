@@ -23,16 +23,11 @@ from wire import NOW, PERIOD, depth
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port, sequences, soak
 from bubbleviz.api.frames import info
+from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.cli.command_line import main
-from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.errors import InputError
-from bubbleviz.frames.depth_topics import IMAGE
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.live.sources.open_stream import open_stream
-from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
-from bubbleviz.live.sources.zenoh_source import ZenohSource
+from bubbleviz.live import SessionOptions, ZenohSource, open_session, open_stream
+from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import Sensor, load_sensor
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -139,7 +134,7 @@ def test_images_of_another_camera_are_refused_in_one_line(tmp_path: Path) -> Non
 def test_nothing_arrived_is_said_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 0.3)
+    monkeypatch.setattr("bubbleviz.live.open_stream.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
     record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
     watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
@@ -330,7 +325,7 @@ def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
         done = run("record", "--source", source, "--out", str(out), "--duration", "0.3")
         assert done.exit_code == 0, done.output
         assert info(out).frames > 0
-        monkeypatch.setattr("bubbleviz.live.sources.open_stream.FIRST_MESSAGE_S", 2.0)
+        monkeypatch.setattr("bubbleviz.live.open_stream.FIRST_MESSAGE_S", 2.0)
         auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
         for options, why in (
             (f"login={login}", "refused: the certificate of localhost is not signed by"),
@@ -392,7 +387,8 @@ def test_the_soak_sees_what_is_missing(tmp_path: Path) -> None:
 
 def test_plain_commands_load_nothing_of_this() -> None:
     code = (
-        "import sys, bubbleviz.cli.command_line, bubbleviz.frames.recording, bubbleviz.pipeline\n"
+        "import sys, bubbleviz.cli.command_line, bubbleviz.pipeline\n"
+        "import bubbleviz.recordings.recording\n"
         "print([m for m in ('zenoh', 'mcap', 'pyrealsense2') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -32,11 +32,8 @@ from wire import (
 
 from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
-from bubbleviz.frames.bags.mcap_file import McapFile
-from bubbleviz.frames.depth_topics import MARKERS
-from bubbleviz.frames.recording import Recording
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live import RawMessage, Recorder
+from bubbleviz.recordings import MARKERS, McapFile, Recording
 
 INFO = "sensor_msgs/msg/CameraInfo"
 
@@ -184,7 +181,7 @@ STREAM = """
 import sys, time
 sys.path.insert(0, {tests!r})
 from wire import NOW, depth, gas
-from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live import Recorder
 recorder = Recorder()
 recorder.start({path!r})
 k = 0
@@ -245,8 +242,8 @@ def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         import numpy as np
         from wire import IMAGE, NOW, PERIOD, image, arrived
-        from bubbleviz.live.sinks.recorder import Recorder
-        from bubbleviz.frames.message_encoding import ros2_types
+        from bubbleviz.live import Recorder
+        from bubbleviz.recordings import ros2_types
         ros2_types()
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (2_500_000, 2_500_000))

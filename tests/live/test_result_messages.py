@@ -14,23 +14,27 @@ from wire import CLOUD, STORE, WRENCH
 
 import bubbleviz as bv
 from bubbleviz.api.watching import PRODUCTS, Watcher
-from bubbleviz.calibration.pressure_zero import ENOUGH, PressureZero
+from bubbleviz.calibration import ENOUGH, PressureZero
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_encoding import FrameMessages
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.live.counters import Counters
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.result_messages import DIAGNOSTICS, POSE, ResultMessages
-from bubbleviz.live.source_status import Status, status_of
-from bubbleviz.live.sources.live_source import Deliver, Link, LiveSource
+from bubbleviz.live import (
+    DIAGNOSTICS,
+    POSE,
+    Counters,
+    Deliver,
+    Link,
+    LiveSource,
+    LiveStream,
+    RawMessage,
+    ResultMessages,
+    Status,
+    status_of,
+)
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame, FrameMessages, RecordingWriter
 from bubbleviz.result import Pose, Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path
+from bubbleviz.simulation import DepthNoise, SyntheticSource, default_path
 
 Eventually = Callable[[Callable[[], object]], None]
 

@@ -11,7 +11,7 @@ import pytest
 from streams import over_zenoh
 from wire import STORE
 
-from bubbleviz.live.sinks.result_messages import ResultMessages
+from bubbleviz.live import ResultMessages
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from tests.shear.drag import Eyes, stuck

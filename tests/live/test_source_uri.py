@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.live.sources.open_stream import open_stream
-from bubbleviz.live.sources.source_uri import parse_uri
+from bubbleviz.live import open_stream, parse_uri
 from bubbleviz.sensor import Sensor
 
 

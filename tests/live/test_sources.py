@@ -31,18 +31,21 @@ from wire import (
     gas,
 )
 
-from bubbleviz.camera.intrinsics import Intrinsics
+from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.live.live_session import LiveSession
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.session_preset import SensorPlace, SessionPreset, load_session
-from bubbleviz.live.sources.open_stream import open_stream
-from bubbleviz.live.sources.replay import Replay
+from bubbleviz.live import (
+    LiveSession,
+    LiveStream,
+    RawMessage,
+    Replay,
+    SensorPlace,
+    SessionPreset,
+    load_session,
+    open_stream,
+)
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation.dual_nut import finger_pose, grip_poses, oversized_nut
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import SyntheticSource, finger_pose, grip_poses, oversized_nut
 
 Eventually = Callable[[Callable[[], object]], None]
 
@@ -360,7 +363,7 @@ def test_without_a_camera_one_line_says_so(small_sensor: Sensor) -> None:
 
 def test_streams_end_when_their_source_fails(small_sensor: Sensor, eventually: Eventually) -> None:
     """A simulation that cannot be: the object cuts the rim. The stream says so and ends."""
-    from bubbleviz.live.sources.synthetic_live import SyntheticLive
+    from bubbleviz.live import SyntheticLive
 
     def make() -> SyntheticSource:
         poses = np.tile(np.eye(4), (2, 1, 1))

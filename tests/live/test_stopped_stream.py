@@ -16,8 +16,8 @@ import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import StreamStoppedError
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.live.source_status import STOPPED_AFTER_S
+from bubbleviz.live import STOPPED_AFTER_S
+from bubbleviz.recordings import RecordingWriter
 from bubbleviz.sensor import Sensor
 
 BEFORE, GAP_S = 4, 2.5

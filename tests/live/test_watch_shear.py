@@ -13,18 +13,14 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from bubbleviz.api.watching import Watcher
-from bubbleviz.calibration.rest.contact_free import LAG
+from bubbleviz.calibration import COLLECTED, LAG
+from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.cli.command_line import main
-from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.diagnostics.shear_tally import ShearTally, shear_line
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.message_encoding import FrameMessages
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sources.live_source import Deliver, Link, LiveSource, OfferedTopic
+from bubbleviz.diagnostics import ShearTally, shear_line
+from bubbleviz.live import Deliver, Link, LiveSource, LiveStream, OfferedTopic, RawMessage
+from bubbleviz.recordings import Frame, FrameMessages
 from bubbleviz.result import Result
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.shear.passing_texture import COLLECTED
 from tests.shear.drag import Eyes, sensor, stuck
 from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, images, write_texture_press
 from tests.small_press import write_press, write_small_sensor

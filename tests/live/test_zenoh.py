@@ -22,15 +22,18 @@ from wire import HEIGHT, IMAGE, WIDTH, compressed_depth, image, number_of
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
-from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-from bubbleviz.live.sources import zenoh_keys, zenoh_session
-from bubbleviz.live.sources.open_stream import open_stream
-from bubbleviz.live.sources.zenoh_credentials import Credentials
-from bubbleviz.live.sources.zenoh_session import SessionOptions
+from bubbleviz.live import (
+    Credentials,
+    LiveStream,
+    RawMessage,
+    Recorder,
+    SessionOptions,
+    ZenohPublisher,
+    open_stream,
+    zenoh_session,
+    zenoh_session as zenoh_keys,
+)
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -381,7 +384,7 @@ def test_a_refusal_of_who_comes_back_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The robot is up again with another certificate; then nothing listens there."""
-    monkeypatch.setattr("bubbleviz.live.sources.zenoh_source.WHY_EVERY_S", 0.2)
+    monkeypatch.setattr("bubbleviz.live.zenoh_source.WHY_EVERY_S", 0.2)
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
     ca, cert, key, other, other_key = (str(certificates / name) for name in files)
     at = f"tls/localhost:{free_port()}"

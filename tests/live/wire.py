@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
-from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live import RawMessage
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HEIGHT, WIDTH = 48, 64

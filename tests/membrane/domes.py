@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane import Gas, RubberMembrane, mesh_cap, spherical_cap
 from bubbleviz.rigid_object import RigidObject
 
 A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
-from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.membrane.refine import refine
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    MembraneMesh,
+    build_mesh,
+    mesh_cap,
+    refine,
+    spherical_cap,
+    triangles_across,
+)
 from bubbleviz.sensor import load_sensor
 
 A = 0.075

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from domes import CAP, GAUGE, TENSION, gas_of
 
-from bubbleviz.membrane.cap_mesh import mesh_cap
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane import RubberMembrane, mesh_cap
 from tests.oracles.dragged_press import DraggedPress, dragged_truths
 
 FRAMES = 12

@@ -6,9 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
+from bubbleviz.membrane import ForwardModel, Gas, mesh_cap, spherical_cap
 from tests.oracles.exact_bubble import Bubble, axial_contact
 
 PAPER = Bubble(0.075, 0.05, 2585.5, 101325.0, 2.2e-3)

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
 
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.stiffness import balance_tension, cotangent_laplacian
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    MembraneMesh,
+    balance_tension,
+    cotangent_laplacian,
+    mesh_cap,
+    spherical_cap,
+)
 
 A, H = 0.075, 0.050
 SPHERE = (A**2 + H**2) / (2 * H)

@@ -3,19 +3,21 @@
 import clarabel
 import numpy as np
 import pytest
-from domes import plate
-from domes import pose as posed
+from domes import plate, pose as posed
 from scipy import sparse
 from scipy.optimize import brentq
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gap import GapFinder
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.obstacle import ObstacleSolver
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane import (
+    ForwardModel,
+    GapFinder,
+    Gas,
+    MembraneMesh,
+    ObstacleSolver,
+    cotangent_laplacian,
+    mesh_cap,
+    spherical_cap,
+)
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import load_sensor
 

@@ -5,14 +5,16 @@ import pytest
 from domes import AIR, GAUGE, A, H, dome, plate, pose
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber_model import friction_forward
-from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane import (
+    FrictionForward,
+    Gas,
+    MembraneMesh,
+    RubberForward,
+    RubberMembrane,
+    friction_forward,
+)
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.presses import made
+from bubbleviz.simulation import made
 from tests.oracles.rubber_oracle import AxialRubber
 
 

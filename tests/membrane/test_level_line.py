@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.membrane.level_line import level_line
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh, level_line
 from bubbleviz.sensor import load_sensor
 
 MESH = build_mesh(load_sensor("pico_flexx_75mm"), 1500)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.membrane_file import load_membrane, membrane_from_triangles
-from bubbleviz.simulation.presses import made
+from bubbleviz.membrane import load_membrane, membrane_from_triangles, mesh_cap, spherical_cap
+from bubbleviz.simulation import made
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,14 @@ import pytest
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.membrane.mesh_graph import adjacency, connected_parts, dense_part, grown
-from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane import (
+    adjacency,
+    build_mesh,
+    connected_parts,
+    cotangent_laplacian,
+    dense_part,
+    grown,
+)
 from bubbleviz.sensor import load_sensor
 
 MESH = build_mesh(load_sensor("pico_flexx_75mm"), 500)

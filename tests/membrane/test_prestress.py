@@ -5,20 +5,24 @@ import pytest
 from domes import GAUGE, A, H, force, gas_of, plate, pose
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import (
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    MembraneMesh,
+    Prestress,
+    RubberForward,
+    RubberMembrane,
     build_mesh,
     build_rubber,
+    disc_map,
+    mesh_cap,
+    prestressed,
     reference_tension,
+    refine,
     rest_stress,
+    spherical_cap,
     varied_rubber,
+    zernike,
 )
-from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.rubber_model.disc_map import disc_map, zernike
-from bubbleviz.membrane.rubber_model.prestress import Prestress, prestressed
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from tests.oracles.axial_mesh import swept_mesh

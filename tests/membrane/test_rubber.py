@@ -5,10 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    MembraneMesh,
+    RubberMembrane,
+    cotangent_laplacian,
+    inverse_metric,
+    mesh_cap,
+    spherical_cap,
+)
 
 A, H, GAUGE, TENSION = 0.045, 0.020, 2500.0, 76.0
 KINDS = [(1.02, None), (1.3, None), (None, None), (1.2, 1.5e-4)]

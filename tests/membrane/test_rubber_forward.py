@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 from domes import AIR, CHAMBER, GAUGE, A, H, dome, force, gas_of, plate, pose
 
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap, spherical_cap
-from bubbleviz.membrane.forward_model import ForwardModel
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    ForwardModel,
+    Gas,
+    ObjectSurface,
+    RubberForward,
+    RubberMembrane,
+    inverse_metric,
+    mesh_cap,
+    spherical_cap,
+)
 from bubbleviz.rigid_object import load_object
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.exact_bubble import Bubble, axial_contact

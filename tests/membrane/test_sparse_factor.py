@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.rubber_model.sparse_factor import Factoriser, NodeBlocks
-from bubbleviz.membrane.stiffness import cotangent_laplacian
+from bubbleviz.membrane import Factoriser, NodeBlocks, cotangent_laplacian, mesh_cap, spherical_cap
 
 SHIFT = 0.3
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane import MembraneMesh, mesh_cap, spherical_cap
 from tests.oracles.rubber_oracle import Meridian
 
 

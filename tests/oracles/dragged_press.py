@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.errors import SolveError
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.refine import refine
-from bubbleviz.membrane.rubber_model.friction_forward import FrictionForward
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.simulation.press_path import press_path, touching_height
-from bubbleviz.simulation.presses import made
+from bubbleviz.membrane import (
+    FrictionForward,
+    Gas,
+    MembraneMesh,
+    RubberForward,
+    RubberMembrane,
+    refine,
+)
+from bubbleviz.simulation import made, press_path, touching_height
 from tests.oracles.stuck_press import ShearTruth
 
 

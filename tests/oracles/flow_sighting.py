@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.colour.optical_flow import BLOCK_PX, FlowField
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.camera import DepthCamera, MembraneView
+from bubbleviz.shear import BLOCK_PX, FlowField
+from bubbleviz.simulation import DepthNoise
 from tests.oracles.stuck_press import ShearTruth
 
 _HIDDEN_M = 1e-3  # how far behind the membrane that a pixel sees a point must be to be hidden by it

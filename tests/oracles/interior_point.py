@@ -8,7 +8,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse.problem import Equilibrium, FrameProblem, Pressure
+from bubbleviz.inverse import Equilibrium, FrameProblem, Pressure
 
 _ZERO = 1e-6  # of the largest pressure: an interior point is nowhere exactly zero
 

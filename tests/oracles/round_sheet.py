@@ -10,12 +10,16 @@ from functools import partial
 
 import numpy as np
 
-from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.membrane.cap_mesh import EllipsoidalCap, mesh_cap
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.rubber_model.inflation import Inflation
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane, inverse_metric
-from bubbleviz.simulation.inflated_rubber import InflatedRubber
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    Inflation,
+    MembraneMesh,
+    RubberMembrane,
+    TriangleScene,
+    inverse_metric,
+    mesh_cap,
+)
+from bubbleviz.simulation import InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.rubber_oracle import AxialRubber
 

@@ -25,8 +25,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from bubbleviz.errors import SolveError
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane import MembraneMesh, mesh_cap, spherical_cap
 
 _START = 1e-5
 """Share of the meridian at which integration begins, where the apex is still isotropic."""

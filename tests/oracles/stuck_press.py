@@ -15,16 +15,18 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import SolveError
-from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.reference_mesh import build_mesh, build_rubber
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
-from bubbleviz.membrane.symmetric_lu import symmetric_lu
+from bubbleviz.membrane import (
+    Gas,
+    MembraneMesh,
+    RubberForward,
+    RubberMembrane,
+    build_mesh,
+    build_rubber,
+    symmetric_lu,
+)
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.press_path import touching_height
-from bubbleviz.simulation.presses import made
+from bubbleviz.simulation import made, touching_height
 
 BESIDE_M = (0.005, -0.003)  # of the objects from the axis, m; chosen
 _LONGEST_M = 5e-4  # step of the object's motion at its patch's edge

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.pose.motion_filter import START_DEVIATION, Motion
-from bubbleviz.pose.rigid_motion import motion_between, moved, way_at
+from bubbleviz.pose import START_DEVIATION, Motion, motion_between, moved, way_at
 
 CENTER = np.array([0.01, 0.0, 0.04])
 

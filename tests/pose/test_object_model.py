@@ -6,15 +6,18 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.reference_mesh import build_mesh
-from bubbleviz.pose.depth_image.object_contact import contact_samples
-from bubbleviz.pose.object_distance import object_distance
-from bubbleviz.pose.object_model import ObjectModel, check_size
-from bubbleviz.pose.start_finder import touching_directions
-from bubbleviz.pose.symmetry import symmetries
+from bubbleviz.membrane import build_mesh
+from bubbleviz.pose import (
+    ObjectModel,
+    check_size,
+    contact_samples,
+    object_distance,
+    symmetries,
+    touching_directions,
+)
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.presses import made
+from bubbleviz.simulation import made
 
 
 def test_closest_places_on_a_ball_are_radial():

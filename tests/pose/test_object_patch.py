@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.membrane.level_line import level_line
+from bubbleviz.membrane import level_line
 from bubbleviz.pipeline import OF_OBJECT, Pipeline
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.object_patch import ObjectPatchFinder
+from bubbleviz.pose import ObjectModel, ObjectPatchFinder
 from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import made
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource, made
 
 RADIUS_M = 0.012  # of the cylinder's flat face
 

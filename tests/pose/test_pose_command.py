@@ -9,11 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
-from bubbleviz.files.pose_reader import read_path
-from bubbleviz.files.pose_writer import PoseRow, write_poses
-from bubbleviz.frames.frame import Frame
-from bubbleviz.output.pose_columns import read_poses
+from bubbleviz.files import read_path
+from bubbleviz.output import PoseRow, read_poses, write_poses
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import load_sensor
 

@@ -6,21 +6,23 @@ import numpy as np
 import open3d
 import pytest
 
-from bubbleviz.membrane.rubber_model.object_surface import ObjectSurface
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
+from bubbleviz.membrane import ObjectSurface, RubberForward
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose.contact_points import contact_points
-from bubbleviz.pose.depth_image.image_fit import ImageFit
-from bubbleviz.pose.depth_image.object_contact import ObjectContact
-from bubbleviz.pose.depth_image.pressed_membrane import PressedMembrane
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.observability import Directions
-from bubbleviz.pose.pose_options import ImageOptions, PressOptions
-from bubbleviz.pose.rigid_motion import moved, way_at
+from bubbleviz.pose import (
+    Directions,
+    ImageFit,
+    ImageOptions,
+    ObjectContact,
+    ObjectModel,
+    PressedMembrane,
+    PressOptions,
+    contact_points,
+    moved,
+    way_at,
+)
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.presses import made
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import SyntheticSource, made
 
 PRECISE = PressOptions(settled_m=1e-6, newton_steps=60)
 

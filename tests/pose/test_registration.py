@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.pose.contact_points import ContactPoints
-from bubbleviz.pose.object_distance import object_distance
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.observability import directions, open_axes
-from bubbleviz.pose.registration import Precision, Prior, Registration
-from bubbleviz.pose.rigid_motion import about, motion_between, moved, rows
-from bubbleviz.pose.start_finder import StartFinder
-from bubbleviz.simulation.presses import made
+from bubbleviz.pose import (
+    ContactPoints,
+    ObjectModel,
+    Precision,
+    Prior,
+    Registration,
+    StartFinder,
+    about,
+    directions,
+    motion_between,
+    moved,
+    object_distance,
+    open_axes,
+    rows,
+)
+from bubbleviz.simulation import made
 from tests.membrane.domes import plate
 
 PRECISION = Precision(1e12, 3e-3)

@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera import MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose.rigid_motion import motion_between, moved
+from bubbleviz.pose import motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import made
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource, made
 
 PRODUCTS = frozenset({"pose"})
 FRAMES = 6
@@ -145,7 +143,7 @@ def test_without_a_pose_consumer_nothing_of_it_is_imported():
     program = """
 import sys
 import numpy as np
-from bubbleviz.frames.frame import Frame
+from bubbleviz.recordings import Frame
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Calibration, load_sensor
 pipeline = Pipeline.of(load_sensor("pico_flexx_75mm"))

@@ -9,9 +9,9 @@ import pytest
 from small_press import small_source, write_small_sensor
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import FrameOptions, Pipeline
-from bubbleviz.processes.pipeline_process import OF_DEPTH, PipelineProcess
+from bubbleviz.processes import OF_DEPTH, PipelineProcess
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import load_sensor
 
 OPTIONS = FrameOptions(cloud_points=500)

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from bubbleviz.frames.frame import Frame
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Traction
 from bubbleviz.sensor import Sensor
-from bubbleviz.shear.traction_estimator import TractionOptions
-from bubbleviz.simulation.depth_noise import DepthNoise
+from bubbleviz.shear import TractionOptions
+from bubbleviz.simulation import DepthNoise
 from tests.oracles.flow_sighting import FlowSighting, sighting
 from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, shear_sensor
 

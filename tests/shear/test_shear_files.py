@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
-from bubbleviz.files.result_writer import ResultWriter, csv_row
-from bubbleviz.files.tables import write_rows
+from bubbleviz.files import write_rows
+from bubbleviz.output import ResultWriter, csv_row
 from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
-from tests.frames.bagmaker import PERIOD, SECOND
+from tests.recordings.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
 from tests.shear.texture_bag import FRAMES, HELD, images, write_texture_press
 from tests.small_press import write_press, write_small_sensor

@@ -9,11 +9,9 @@ import pytest
 
 from benchmarks.shear import along_error_m
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.shear import traction_problem
-from bubbleviz.shear.friction_cone import within_cone
-from bubbleviz.shear.traction_estimator import TractionOptions
+from bubbleviz.shear import TractionOptions, traction_problem, within_cone
 from tests.oracles.stuck_press import Motion
 from tests.shear.drag import Eyes, press, sensor, stuck
 

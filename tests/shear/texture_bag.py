@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera import MembraneView
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
+from bubbleviz.simulation import PrintedMembrane, Speckle
 from tests.colour.colour_bag import add_compressed, encoded
-from tests.frames.bagmaker import PERIOD, START, BagMaker
+from tests.recordings.bagmaker import PERIOD, START, BagMaker
 from tests.shear.drag import NOISE, sensor, stuck
 
 FRAMES, TOUCHED, HELD = 60, 30, 40

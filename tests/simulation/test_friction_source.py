@@ -9,14 +9,18 @@ from click.testing import CliRunner
 from bubbleviz.api.simulating import simulate, write_simulation
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
+from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
-from bubbleviz.simulation.press_path import press_path, touching_height
-from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.simulation.truth import Truth
-from bubbleviz.simulation.truth_file import KnownRecording, read_truth
+from bubbleviz.simulation import (
+    KnownRecording,
+    SyntheticSource,
+    Truth,
+    press_path,
+    read_truth,
+    touching_height,
+)
 
 HEIGHT, FRAMES = 0.020, 16
 POSE = f"0.002 0 {HEIGHT - 0.004} 0 0 0 1"

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.frames.frame import Frame
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.noisy_loop import NoisyLoop
+from bubbleviz.camera import DepthCamera, Intrinsics
+from bubbleviz.recordings import Frame
+from bubbleviz.simulation import DepthNoise, NoisyLoop
 
 SIGMA = 1e-3
 

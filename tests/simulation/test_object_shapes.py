@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.ply_writer import write_ply
-from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.files import presets_folder, write_ply
 from bubbleviz.rigid_object import load_object, object_mesh
 
 NAMES = sorted(path.stem for path in presets_folder("objects").iterdir())

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from benchmarks.edge import EDGE_OBJECTS
-from bubbleviz.camera.triangle_scene import TriangleScene
-from bubbleviz.membrane.refine import refine
+from bubbleviz.membrane import TriangleScene, refine
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.inflated_rubber import InflatedRubber
-from bubbleviz.simulation.presses import (
+from bubbleviz.simulation import (
     GRID_OBJECTS,
     HELD_OUT_OBJECTS,
+    DepthNoise,
+    InflatedRubber,
+    LinearPresses,
     Press,
+    TruthBank,
     made,
     presses,
 )
-from bubbleviz.simulation.truth_bank import LinearPresses, TruthBank
 from tests.oracles.round_sheet import resting, round_sheet, rubber_on
 
 ONE = DepthNoise(relative=0.01)

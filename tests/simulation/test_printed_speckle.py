@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 
 from bubbleviz.api.simulating import write_simulation
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.membrane_view import MembraneView
+from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.files.pose_reader import parse_pose
-from bubbleviz.frames.recording import Recording
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.files import parse_pose
+from bubbleviz.membrane import build_mesh
+from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import PrintedMembrane, Speckle, SyntheticSource
 from tests.small_press import write_small_sensor
 
 WIDTH, HEIGHT, REST = 320, 240, 8
@@ -57,7 +54,7 @@ def true_motion(view, moved_m, pixel):
 @pytest.mark.parametrize("far_m", [1e-3, 2.5e-3])
 def test_flow_finds_the_motion_of_the_material(view, far_m):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
-    from bubbleviz.colour.optical_flow import OpticalFlow
+    from bubbleviz.shear import OpticalFlow
 
     printed, at_rest = PrintedMembrane(Speckle(seed=3), view), np.zeros_like(view.mesh.nodes)
     seen = np.isfinite(view.range_image(at_rest))

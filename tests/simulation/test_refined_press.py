@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.membrane.cap_mesh import mesh_cap
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.membrane.rubber_model.rubber_membrane import RubberMembrane
+from bubbleviz.membrane import RubberForward, RubberMembrane, mesh_cap
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.refined_press import EDGE_RADIUS_M, refined_press
+from bubbleviz.simulation import EDGE_RADIUS_M, refined_press
 from tests.membrane.domes import CAP, GAUGE, TENSION, A, H, force, gas_of, pose
 from tests.oracles.rubber_oracle import AxialRubber
 

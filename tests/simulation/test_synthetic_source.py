@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import (
+from bubbleviz.simulation import (
+    DepthNoise,
     SyntheticSource,
     default_press,
     sharpened,

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from bubbleviz.membrane.cap_mesh import mesh_cap
-from bubbleviz.membrane.rubber_model.rubber_forward import RubberForward
-from bubbleviz.patch.patch_finder import area_above
-from bubbleviz.patch.touching_share import touching_share
+from bubbleviz.inverse import area_above, touching_share
+from bubbleviz.membrane import RubberForward, mesh_cap
 from bubbleviz.rigid_object import load_object
 from tests.membrane.domes import CAP, GAUGE, A, H, dome, pose
 from tests.oracles.rubber_oracle import AxialRubber

@@ -8,13 +8,19 @@ import pytest
 
 from bubbleviz.api.simulating import write_simulation
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.simulation.truth import KnowsTruth, Truth, truth_of
-from bubbleviz.simulation.truth_file import KnownRecording, known_beside, read_truth
+from bubbleviz.simulation import (
+    DepthNoise,
+    KnownRecording,
+    KnowsTruth,
+    SyntheticSource,
+    Truth,
+    known_beside,
+    read_truth,
+    truth_of,
+)
 
 FRAMES = 3
 

@@ -7,17 +7,14 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.diagnostics.overlap import iou
+from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
+from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.presses import Press
-from bubbleviz.simulation.sensor_variants import strided
-from bubbleviz.simulation.truth_bank import LinearPresses, TruthBank
+from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, strided
 from bubbleviz.study.accuracy import (
     LINEAR,
     RUBBER,

@@ -9,15 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose.object_model import ObjectModel
-from bubbleviz.pose.rigid_motion import moved
-from bubbleviz.pose.tracker import precision_of
+from bubbleviz.pose import ObjectModel, moved, precision_of
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.presses import Press, made
-from bubbleviz.simulation.sensor_variants import with_nodes
-from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz.study.pose import Grid, pose_study
-from bubbleviz.study.pose_errors import PoseJudge
+from bubbleviz.simulation import Press, SyntheticSource, made, with_nodes
+from bubbleviz.study.pose import Grid, PoseJudge, pose_study
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""

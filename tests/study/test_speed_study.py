@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.sensor_variants import with_nodes, with_pixels
+from bubbleviz.simulation import with_nodes, with_pixels
 from bubbleviz.study.accuracy import Setup
 from bubbleviz.study.harness import write
 from bubbleviz.study.speed import (
@@ -88,7 +88,7 @@ def test_peak_memory_sees_what_was_freed_again():
     """In a small process: of a large one the system may take cold memory away meanwhile."""
     code = (
         "import numpy as np\n"
-        "from bubbleviz.processes.peak_memory import PeakMemory\n"
+        "from bubbleviz.processes import PeakMemory\n"
         "with PeakMemory() as memory:\n"
         "    block = np.ones(60_000_000)\n"
         "    del block\n"

@@ -12,10 +12,16 @@ from click.testing import CliRunner
 from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.processes.worker_process import WorkerProcess
-from bubbleviz.study.stability import attempt, stability_study
-from bubbleviz.study.stability_cases import all_cases
-from bubbleviz.study.stability_trial import Case, FailedError, RefusedError, Trial
+from bubbleviz.processes import WorkerProcess
+from bubbleviz.study.stability import (
+    Case,
+    FailedError,
+    RefusedError,
+    Trial,
+    all_cases,
+    attempt,
+    stability_study,
+)
 
 
 def test_there_are_enough_cases_of_every_kind():

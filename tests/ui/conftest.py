@@ -18,18 +18,16 @@ from shiboken6 import isValid
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
 from window_driver import Drive, Driver
 
-from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.synthetic_source import default_press
+from bubbleviz.simulation import default_press
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.engine.solver_server import CachedSource, Server
 from bubbleviz_ui.engine.solver_thread import Worker
-from bubbleviz_ui.engine.source_openers import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.render_quality import FAST, RenderQuality
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View
 from bubbleviz_ui.window_session import application
 
 SIZE = 1024, 700

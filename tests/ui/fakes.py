@@ -9,13 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.colour.colour_image import ColourCamera, ColourImage, EncodedImage
+from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording_writer import RecordingWriter
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.membrane import build_mesh
+from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 FIRST_CONTACT = 4

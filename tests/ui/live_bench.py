@@ -14,8 +14,8 @@ from fakes import DentSource, record, small_sensor
 from mcap.reader import make_reader
 from window_driver import Driver
 
-from bubbleviz.calibration.pressure_zero import ENOUGH
-from bubbleviz.live.session_preset import SensorPlace, SessionPreset
+from bubbleviz.calibration import ENOUGH
+from bubbleviz.live import SensorPlace, SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.live.connection import LiveRun, single
 from bubbleviz_ui.live.live_controller import LiveController

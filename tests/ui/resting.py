@@ -8,11 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.camera.intrinsics import Intrinsics
-from bubbleviz.camera.membrane_view import MembraneView
-from bubbleviz.frames.frame import Frame
-from bubbleviz.membrane.reference_mesh import build_mesh
+from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView
+from bubbleviz.membrane import build_mesh
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
 
 REST, FRAMES = 20, 30

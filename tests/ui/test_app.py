@@ -16,10 +16,10 @@ from PySide6.QtGui import QImage
 from window_driver import Drive, as_pixels, run_python, warm
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screenshot
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.shell.display import has_display
 from bubbleviz_ui.window_session import window_session
 

@@ -12,8 +12,7 @@ from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtGui import QColor
 from window_driver import Drive, Driver, texts
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.recording import Recording
+from bubbleviz.recordings import Frame, Recording
 from bubbleviz_ui.shell import theme
 
 PRESSED = FIRST_CONTACT + 2

@@ -27,14 +27,13 @@ from vtkmodules.vtkRenderingCore import vtkTextActor
 from window_driver import CONTACT, LEFT, Drive, Driver, written
 
 import bubbleviz
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import FrameSource
+from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.costs import STAGES
+from bubbleviz_ui.model.demand import STAGES
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_bar import beside_bars
-from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.colours import rgb
+from bubbleviz_ui.view3d.text import beside_bars
 
 
 def test_shows_where_the_contact_is(drive: Drive) -> None:

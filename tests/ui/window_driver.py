@@ -30,16 +30,16 @@ from pytestqt.qtbot import QtBot
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
-from bubbleviz.diagnostics.inspector import Inspection
-from bubbleviz.patch.patch_finder import mean_pressure
+from bubbleviz.diagnostics import Inspection
+from bubbleviz.inverse import mean_pressure
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.view3d.colour_bar import WIDTH
-from bubbleviz_ui.view3d.colour_maps import rgb
-from bubbleviz_ui.view3d.layers.axes_layer import CORNER
+from bubbleviz_ui.view3d.colours import rgb
+from bubbleviz_ui.view3d.sensor_layers import CORNER
+from bubbleviz_ui.view3d.text import WIDTH
 
 PATIENCE_MS = 240_000
 LEFT = Qt.MouseButton.LeftButton

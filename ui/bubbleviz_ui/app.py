@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bubbleviz.files.output_files import refuse_existing
-from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.files import refuse_existing
+from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.shell.display import has_display, private_display

@@ -20,24 +20,21 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
-from bubbleviz.files.defaults import SESSION_SUFFIX, TRUTH_SUFFIX
-from bubbleviz.files.mesh_reader import SUFFIXES
-from bubbleviz.files.preset_files import pages_folder
+from bubbleviz.files import SESSION_SUFFIX, SUFFIXES, TRUTH_SUFFIX, pages_folder
 from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Jobs
-from bubbleviz_ui.engine.memory_release import MemoryRelease
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
+from bubbleviz_ui.engine.upkeep import MemoryRelease
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
-from bubbleviz_ui.live.live_bar import LiveBar
+from bubbleviz_ui.live.live_bar import LiveBar, PictureAge
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.picture_age import PictureAge
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import PATCH_CHOICES, PLAYBACK_CHOICES
-from bubbleviz_ui.model.costs import Costs
+from bubbleviz_ui.model.demand import Costs
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.messages import OPENING, Messages, UserMessage
 from bubbleviz_ui.model.registry import PANELS
@@ -47,41 +44,35 @@ from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.undo import SettingsHistory
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.compare_panel import ComparePanel
-from bubbleviz_ui.panels.costs_popup import CostsPopup
 from bubbleviz_ui.panels.images_panel import ImagesPanel
-from bubbleviz_ui.panels.kappa_panel import KappaPanel
+from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
 from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
-from bubbleviz_ui.panels.status_bar import StatusBar
-from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
+from bubbleviz_ui.panels.status_bar import CostsPopup, StatusBar
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.pose.pose_session import PoseSession
-from bubbleviz_ui.sensor.sensor_panel import SensorPanel
-from bubbleviz_ui.sensor.sensor_text import title_text
+from bubbleviz_ui.sensor.sensor_panel import SensorPanel, title_text
 from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
-from bubbleviz_ui.shell.dock import Dock, scrolled
+from bubbleviz_ui.shell.dock import Dock, OpenPanels, fill, scrolled
 from bubbleviz_ui.shell.file_dialogs import picture_format, picture_saved
-from bubbleviz_ui.shell.layouts import fill
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
-from bubbleviz_ui.shell.open_panels import OpenPanels
-from bubbleviz_ui.shell.shortcuts import Shortcuts
-from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
+from bubbleviz_ui.shell.shortcuts import Shortcuts, ShortcutsDialog
 from bubbleviz_ui.view3d.layers_panel import LayersPanel
 from bubbleviz_ui.view3d.pointing import Pointing
-from bubbleviz_ui.view3d.render_quality import FAST, RenderQuality
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View
 from bubbleviz_ui.view3d.scene import Scene
-from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
+from bubbleviz_ui.view3d.view_tools_panel import ViewTools
 
 if TYPE_CHECKING:
     from bubbleviz_ui.importing.import_dialog import ImportDialog
+
 
 SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
 """Pixels: of the window at first, and what a window manager puts around it at most."""

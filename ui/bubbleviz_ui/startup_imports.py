@@ -19,7 +19,7 @@ def import_the_backend() -> None:
     for part in ("f2py", "testing"):  # SciPy asks for all of NumPy
         import_without("numpy", part)
     with everything_stays():
-        import bubbleviz.frames.sensor_matching  # noqa: F401
+        import bubbleviz.recordings.sensor_matching  # noqa: F401
 
 
 def import_the_window() -> None:

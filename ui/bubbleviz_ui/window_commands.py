@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from bubbleviz.cli.shared_options import colour_delay_option, overwrite_option
-from bubbleviz.files.defaults import SESSION_SUFFIX, SYNTHETIC_SENSOR
-from bubbleviz.files.preset_files import preset_names
+from bubbleviz.files import SESSION_SUFFIX, SYNTHETIC_SENSOR, preset_names
 
 _fresh = click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
 
@@ -70,12 +69,12 @@ def open_recording(
     from bubbleviz_ui.startup_imports import import_the_backend
 
     import_the_backend()
-    from bubbleviz.frames.sensor_matching import AUTO, checked_sensor
+    from bubbleviz.recordings import AUTO, checked_sensor
     from bubbleviz.sensor import with_colour_delay
     from bubbleviz_ui.model.scene_presets import load_scene
 
     if screenshot is not None:
-        from bubbleviz.files.output_files import refuse_existing
+        from bubbleviz.files import refuse_existing
 
         refuse_existing(screenshot, overwrite=overwrite)
     preset = None if scene is None else load_scene(scene)
@@ -113,8 +112,8 @@ def _open_live(
     fresh: bool,
 ) -> int:
     """The window on live sensors."""
-    from bubbleviz.frames.sensor_matching import AUTO
-    from bubbleviz.live.session_preset import load_session
+    from bubbleviz.live import load_session
+    from bubbleviz.recordings import AUTO
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
     from bubbleviz_ui.live.connection import single

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bubbleviz_ui.shell.shortcuts import Shortcuts
     from bubbleviz_ui.view3d.render_view import View
     from bubbleviz_ui.view3d.scene import Scene
-    from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
+    from bubbleviz_ui.view3d.view_tools_panel import ViewTools
 
 
 class WindowParts(Protocol):

@@ -15,16 +15,17 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.interrupt import EXIT_CODE, Interrupt
+from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt
 from bubbleviz_ui.startup_imports import import_the_window
 
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
-    from bubbleviz.live.session_preset import SessionPreset
+    from bubbleviz.live import SessionPreset
     from bubbleviz_ui.engine.requests import Failed, Opened
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.session_files.session_file import SavedSession
+
 
 PATIENCE_S = 300.0
 """How long opening or a picture may take, on a busy machine too, before it is called broken."""
@@ -44,7 +45,7 @@ class WindowSession:
         from bubbleviz_ui.engine.solver_thread import Worker
         from bubbleviz_ui.main_window import MainWindow
         from bubbleviz_ui.model.session_state import SessionState
-        from bubbleviz_ui.view3d.render_quality import quality_here
+        from bubbleviz_ui.view3d.render_view import quality_here
 
         self.application = application()
         quality = quality_here()
@@ -98,8 +99,7 @@ class WindowSession:
         self, sensor: Sensor, recording: Path | None, frame: int | None, truth: Path | None
     ) -> None:
         from bubbleviz_ui.engine.requests import Failed
-        from bubbleviz_ui.engine.source_openers import recording as recording_opener
-        from bubbleviz_ui.engine.source_openers import synthetic
+        from bubbleviz_ui.engine.solver_server import recording as recording_opener, synthetic
 
         self._answers.clear()
         self.controller.opening.open(
@@ -270,7 +270,7 @@ def application() -> QApplication:
     """The Qt application with the window's look; made once."""
     from PySide6.QtWidgets import QApplication
 
-    from bubbleviz_ui.engine.garbage import GarbageCollector
+    from bubbleviz_ui.engine.upkeep import GarbageCollector
     from bubbleviz_ui.shell import theme
 
     sys.setswitchinterval(SWITCH_S)

@@ -21,7 +21,7 @@ from window_driver import PATIENCE_MS, run_python
 from benchmarks.window.__main__ import bench as main
 from benchmarks.window.block_watch import BLOCKED_S, BlockWatch
 from benchmarks.window.process_usage import process_seconds, thread_seconds
-from bubbleviz.frames import recording_writer
+from bubbleviz.recordings import recording_writer
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 REPOSITORY = Path(__file__).parents[3]

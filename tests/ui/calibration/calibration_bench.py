@@ -10,8 +10,8 @@ from PySide6.QtCore import QPoint, Qt, QTimer
 from PySide6.QtWidgets import QApplication, QMessageBox, QProgressDialog, QPushButton, QWidget
 from window_driver import LEFT, PLAIN, Driver
 
-from bubbleviz_ui.calibration.calibration_answer import Answer
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
+from bubbleviz_ui.calibration.calibration_session import Answer
 from bubbleviz_ui.model.scene_presets import load_scene
 
 

@@ -14,10 +14,10 @@ from resting import REST, TENSION, RestingSource
 from scipy.spatial.transform import Rotation
 from window_driver import PLAIN, Drive
 
-from bubbleviz.calibration.draft import Step
-from bubbleviz.frames.recording import Recording
+from bubbleviz.calibration import Step
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
+from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.model.scene_presets import load_scene
 

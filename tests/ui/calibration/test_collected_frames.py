@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt
 from resting import REST, TENSION, RestingSource
 from window_driver import CTRL, Drive
 
-from bubbleviz.frames.frame import Frame
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.calibration.frame_collector import FIRST_LOOK
 

@@ -12,10 +12,10 @@ from PySide6.QtCore import Qt
 from resting import RestingSource, never_written
 from window_driver import CTRL, Drive
 
-from bubbleviz.calibration import save_identification
+from bubbleviz.calibration import report as save_identification
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration import report_page
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.engine.solver_server import recording
 
 
 @pytest.fixture

@@ -19,17 +19,13 @@ from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from window_driver import PATIENCE_MS, run_python
 
-from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.diagnostics import Numbers
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
+from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.progress import Progress
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.interrupt import EXIT_CODE, Interrupt
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.kept_estimates import KeptEstimates
-from bubbleviz_ui.engine.memory_release import MemoryRelease
-from bubbleviz_ui.engine.request_slots import RequestSlots
 from bubbleviz_ui.engine.requests import (
     Answer,
     Failed,
@@ -39,11 +35,13 @@ from bubbleviz_ui.engine.requests import (
     OpenRequest,
     PatchRequest,
     Request,
+    RequestSlots,
     SettleRequest,
     Solved,
 )
-from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.engine.solver_server import KeptEstimates, Server
 from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -286,7 +284,7 @@ def test_what_nobody_uses_goes_back_to_the_system() -> None:
     done = run_python("""
 import numpy as np
 from benchmarks.window.process_usage import resident_mib
-from bubbleviz_ui.engine.memory_release import release_memory
+from bubbleviz_ui.engine.upkeep import release_memory
 before = resident_mib()
 pieces = [np.ones(100 << 10, np.uint8) for _ in range(1500)]  # too small for memory of their own
 last = pieces[-1]  # keeps the heap from shrinking

@@ -15,14 +15,12 @@ from window_driver import Drive, Driver, run_bubbleviz
 
 from bubbleviz.api.simulating import write_simulation
 from bubbleviz.cli.command_line import main
-from bubbleviz.frames.message_encoding import FrameMessages
-from bubbleviz.live.raw_message import RawMessage
-from bubbleviz.live.sinks.recorder import Recorder
+from bubbleviz.live import RawMessage, Recorder
+from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, sensor_to_toml
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz.simulation import DepthNoise, SyntheticSource
+from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.window_session import window_session
 
 FRAMES = 3

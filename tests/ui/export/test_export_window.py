@@ -19,11 +19,11 @@ from window_driver import CTRL, Drive, Driver, clipped, texts, warm
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.synthetic_source import default_press
-from bubbleviz_ui.export import export_dialog, video_export
+from bubbleviz.simulation import default_press
+from bubbleviz_ui.export import export_dialog, exporting as video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.view3d.tools.still_picture import still
+from bubbleviz_ui.view3d.tools import still
 
 
 class Bench(Driver):

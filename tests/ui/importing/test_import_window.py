@@ -13,13 +13,9 @@ from PIL import Image
 from PySide6.QtWidgets import QFileDialog
 from window_driver import Drive, Driver
 
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.image_folder import ImageFolder
-from bubbleviz.frames.recording import Recording
-from bubbleviz_ui.importing.file_field import FileField
-from bubbleviz_ui.importing.image_fields import RATE, TABLE
-from bubbleviz_ui.importing.import_dialog import ImportDialog
-from tests.frames.bagmaker import BagMaker, fill
+from bubbleviz.recordings import FrameSource, ImageFolder, Recording
+from bubbleviz_ui.importing.import_dialog import RATE, TABLE, FileField, ImportDialog
+from tests.recordings.bagmaker import BagMaker, fill
 
 SMALL = (1024, 700)
 

@@ -8,10 +8,9 @@ import pytest
 from fakes import SpeckledSource, record, small_sensor
 from live_bench import Bench, Open
 
-from bubbleviz.calibration.rest.contact_free import LAG
-from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.calibration import COLLECTED, LAG
+from bubbleviz.live import RawMessage
 from bubbleviz.sensor import sensor_to_toml
-from bubbleviz.shear.passing_texture import COLLECTED
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.scene_presets import load_scene
 

@@ -10,9 +10,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.frames.sensor_matching import AUTO
-from bubbleviz.live.sources.zenoh_credentials import Credentials
-from bubbleviz.live.sources.zenoh_session import SessionOptions, open_session
+from bubbleviz.live import Credentials, SessionOptions, open_session
+from bubbleviz.recordings import AUTO
 from bubbleviz_ui.live.connect_dialog import (
     KINDS,
     REALSENSE,
@@ -21,7 +20,7 @@ from bubbleviz_ui.live.connect_dialog import (
     ZENOH,
     ConnectDialog,
 )
-from tests.frames.bagmaker import BagMaker, fill
+from tests.recordings.bagmaker import BagMaker, fill
 
 
 def opened(bench: Bench, sensor: str | None = None) -> ConnectDialog:
@@ -60,7 +59,7 @@ def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
     bench = open_bench()
     path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
-    monkeypatch.setattr("bubbleviz.frames.sensor_matching.preset_names", lambda _: [file])
+    monkeypatch.setattr("bubbleviz.recordings.sensor_matching.preset_names", lambda _: [file])
     dialog = ConnectDialog(bench.window, bench.live_controller, None)
     choose_kind(dialog, REPLAY)
     dialog.place.setEditText(str(path))

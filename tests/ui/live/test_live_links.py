@@ -8,8 +8,8 @@ from pathlib import Path
 from live_bench import IMAGE, Open, connected, contents, record_dents, robot, sensor_file
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.live.source_status import STALE_AFTER_S
-from bubbleviz_ui.engine.request_slots import RequestDelay
+from bubbleviz.live import STALE_AFTER_S
+from bubbleviz_ui.engine.requests import RequestDelay
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
 

@@ -18,10 +18,8 @@ from rosbags.highlevel import AnyReader
 from window_driver import SHIFT
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.frames.recording import Recording
-from bubbleviz.live.sources.zenoh_session import SessionOptions
-from bubbleviz.live.sources.zenoh_source import ZenohSource
-from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.live import SessionOptions, TopicNames, ZenohSource
+from bubbleviz.recordings import Recording
 
 
 def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:

@@ -14,8 +14,8 @@ import pytest
 from live_bench import SYNTHETIC, Bench, Open, robot, sensor_file, two
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.calibration.pressure_zero import PressureZero
-from bubbleviz.live.sources.open_stream import open_stream
+from bubbleviz.calibration import PressureZero
+from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved, Waited

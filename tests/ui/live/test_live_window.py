@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QAbstractButton
 from window_driver import CTRL, SHIFT, texts
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.live.source_status import STALE_AFTER_S
+from bubbleviz.live import STALE_AFTER_S
 from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.messages import UserMessage

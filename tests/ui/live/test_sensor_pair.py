@@ -16,10 +16,10 @@ from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import props
 
-from bubbleviz.frames.frame import Frame
+from bubbleviz.recordings import Frame
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layers.drawn_surface import Surface
+from bubbleviz_ui.view3d.layer import Surface
 
 
 def paired(open_bench: Open) -> Bench:

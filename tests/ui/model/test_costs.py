@@ -10,11 +10,10 @@ from window_driver import Drive
 
 from bubbleviz.pipeline import stages
 from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.model.costs import STAGES, who_asks
-from bubbleviz_ui.model.demand import products
+from bubbleviz_ui.model.demand import STAGES, products, who_asks
 from bubbleviz_ui.model.registry import LAYERS
-from bubbleviz_ui.panels.costs_popup import NOBODY, CostsPopup
-from bubbleviz_ui.view3d.drawn_layers import CLASSES
+from bubbleviz_ui.panels.status_bar import NOBODY, CostsPopup
+from bubbleviz_ui.view3d.scene import CLASSES
 
 
 def rows(popup: CostsPopup) -> dict[str, list[str]]:

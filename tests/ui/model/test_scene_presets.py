@@ -11,7 +11,7 @@ from window_driver import Drive
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
-from bubbleviz.files.preset_files import preset_names
+from bubbleviz.files import preset_names
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import products
 from bubbleviz_ui.model.scene_presets import load_scene, read_scene

@@ -13,8 +13,8 @@ from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider
 from window_driver import Drive, Driver, idle
 
-from bubbleviz.files.preset_files import presets_folder
-from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.files import presets_folder
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene

@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QApplication, QMenu
 from window_driver import CONTACT, Drive, Driver, clipped, texts
 
 from bubbleviz_ui.model.units import SYSTEMS, Units
-from bubbleviz_ui.view3d.scale_ranges import rounded_up
+from bubbleviz_ui.view3d.colours import rounded_up
 
 
 @pytest.mark.parametrize(

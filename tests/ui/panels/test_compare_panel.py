@@ -8,7 +8,7 @@ from fakes import DentSource, small_sensor
 from live_bench import Open, connected
 from window_driver import CONTACT, Drive, Driver, texts
 
-from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.result import Result
 from bubbleviz_ui.model.choices import Setting
 from bubbleviz_ui.shell import theme

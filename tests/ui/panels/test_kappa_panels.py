@@ -10,15 +10,14 @@ from PySide6.QtCore import QPoint, QPointF
 from PySide6.QtWidgets import QApplication
 from window_driver import CONTACT, LEFT, Drive, Driver, canvas, clipped, hover, texts
 
-from bubbleviz.diagnostics.overlap import iou
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.patch.components import components
+from bubbleviz.inverse import EstimatorOptions, components
+from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.truth import truth_of
+from bubbleviz.simulation import truth_of
 from bubbleviz_ui.panels.compare_panel import ComparePanel
-from bubbleviz_ui.panels.threshold_panel import ThresholdPanel
+from bubbleviz_ui.panels.kappa_panel import ThresholdPanel
 
 
 def threshold(driver: Driver) -> ThresholdPanel:

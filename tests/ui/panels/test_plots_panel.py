@@ -17,16 +17,14 @@ from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from window_driver import CONTACT, Drive, Driver, canvas, copied, hover, painted
 
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.gaps import find_gaps
-from bubbleviz.patch.patch_finder import PatchFinder
+from bubbleviz.inverse import PatchFinder
+from bubbleviz.recordings import Frame, FrameSource, find_gaps
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation.synthetic_source import SyntheticSource, default_press
-from bubbleviz_ui.engine.source_openers import CachedSource
+from bubbleviz.simulation import SyntheticSource, default_press
+from bubbleviz_ui.engine.solver_server import CachedSource
 from bubbleviz_ui.model.frame_history import thinned
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.panels.plot_frame import PlotFrame
+from bubbleviz_ui.panels.plot_host import PlotFrame
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.time_plot import Band
 

@@ -13,15 +13,15 @@ from PySide6.QtWidgets import QInputDialog
 from pytestqt.qtbot import QtBot
 from window_driver import CTRL, LEFT, SHIFT, Drive, Driver, painted
 
-from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.frames.gaps import Gap, TimeAxis
+from bubbleviz.diagnostics import Numbers
+from bubbleviz.recordings import Gap, TimeAxis
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.playback.play_clock import PlayClock
+from bubbleviz_ui.playback.player import PlayClock
 from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.colours import rgb
 
 BELOW, ABOVE = RULER + 8, RULER // 2
 

@@ -15,20 +15,18 @@ from PySide6.QtWidgets import QApplication
 from scipy.spatial.transform import Rotation
 from window_driver import CTRL, LEFT, SHIFT, Driver, axes_corner, idle, in_view, texts
 
-from bubbleviz.files.preset_files import presets_folder
-from bubbleviz.frames.frame import Frame
+from bubbleviz.files import presets_folder
+from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.synthetic_source import SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.pose import pose_panel
-from bubbleviz_ui.pose.fit_curves import Curves
-from bubbleviz_ui.pose.pose_panel import PosePanel
+from bubbleviz_ui.pose.pose_panel import Curves, PosePanel
 from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, OBJECT_PATCH
-from bubbleviz_ui.view3d.colour_maps import rgb
-from bubbleviz_ui.view3d.layers.fit_layer import FitLayer
+from bubbleviz_ui.view3d.colours import rgb
+from bubbleviz_ui.view3d.object_layers import FitLayer
 
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5

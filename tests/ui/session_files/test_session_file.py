@@ -22,7 +22,7 @@ from window_driver import Drive, Driver
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz_ui.engine.requests import Opened
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,

@@ -16,9 +16,9 @@ from window_driver import Drive, Driver, run_bubbleviz
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
-from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.files import presets_folder
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,

@@ -12,19 +12,17 @@ from fakes import DentSource, SpeckledSource, record, small_sensor
 from pytestqt.qtbot import QtBot
 from window_driver import Drive, Driver, copied, drawn_points
 
-from bubbleviz.calibration.rest.contact_free import LAG
-from bubbleviz.diagnostics.shear_numbers import ShearEllipse
+from bubbleviz.calibration import COLLECTED, LAG
+from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.result import Result, Slip, Traction
 from bubbleviz.sensor import Sensor
-from bubbleviz.shear.passing_texture import COLLECTED
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.shear.shear_plot import ShearPlot
+from bubbleviz_ui.shear.shear_panel import ShearPlot, copied_shear, shear_words
 from bubbleviz_ui.shear.shear_reference import NO_RUBBER
-from bubbleviz_ui.shear.shear_text import copied_shear, shear_words
 
 NOTHING = Choices(layers=frozenset(), panels=frozenset())
 

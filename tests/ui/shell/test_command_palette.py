@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QApplication
 from window_driver import CTRL, SHIFT, Drive, Driver
 
 from bubbleviz_ui.shell.command_palette import CommandPalette
-from bubbleviz_ui.shell.fuzzy_search import ranked, score
+from bubbleviz_ui.shell.shortcuts import ranked, score
 
 
 def opened(

@@ -11,7 +11,7 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
 from window_driver import Drive, typed
 
-from bubbleviz.files.defaults import SESSION_SUFFIX
+from bubbleviz.files import SESSION_SUFFIX
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 

@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence
 from window_driver import Drive
 
-from bubbleviz_ui.shell.shortcuts_dialog import ShortcutsDialog
+from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
 
 PLAY, LOOP = "Playback › Play / pause", "Playback › Loop"
 

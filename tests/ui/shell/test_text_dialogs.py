@@ -11,7 +11,7 @@ from window_driver import Drive, copied
 
 from bubbleviz.api.frames import info
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.source_openers import recording
+from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
 
 

@@ -15,7 +15,7 @@ from window_driver import CONTACT, Drive, Driver, clipped, painted, run_python
 
 from bubbleviz_ui.live.live_bar import BADGES
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.colours import rgb
 
 HERE = Path(__file__).parents[1]
 

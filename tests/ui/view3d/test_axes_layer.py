@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QApplication
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from window_driver import Drive, Driver, axes_corner, in_view, props, texts
 
-from bubbleviz_ui.view3d.colour_bar import LOWEST, TEXT, WIDTH
+from bubbleviz_ui.view3d.text import LOWEST, TEXT, WIDTH
 
 
 def seen_of_axes(driver: Driver) -> np.ndarray:

@@ -11,7 +11,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QWidget
 from window_driver import Drive, Driver, as_pixels
 
-from bubbleviz_ui.view3d.render_quality import FAST, SMOOTH, RenderQuality
+from bubbleviz_ui.view3d.render_view import FAST, SMOOTH, RenderQuality
 
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bubbleviz.membrane.cap_mesh import mesh_cap, spherical_cap
-from bubbleviz.membrane.refine import refinement
+from bubbleviz.membrane import mesh_cap, refinement, spherical_cap
 from bubbleviz.result import Estimate, FineContact, Patch
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.layers.drawn_surface import Surface
+from bubbleviz_ui.view3d.layer import Surface
 
 RADIUS_M, SUNK_M = 0.004, 0.003
 """Of a circle smaller than the mesh resolves, and how far the whole membrane is moved down."""

@@ -8,8 +8,8 @@ from window_driver import Drive
 
 from bubbleviz.errors import InputError
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_maps import rgb
-from bubbleviz_ui.view3d.render_quality import (
+from bubbleviz_ui.view3d.colours import rgb
+from bubbleviz_ui.view3d.render_view import (
     FAST,
     SMOOTH,
     VARIABLE,

@@ -15,7 +15,7 @@ from window_driver import Drive, Driver, hover, in_view, texts
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Result
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colour_maps import rgb
+from bubbleviz_ui.view3d.colours import rgb
 
 PRESSED = 6
 ASIDE_M, WITHIN_M = np.array([-0.03, -0.03]), 0.012

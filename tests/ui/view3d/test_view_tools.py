@@ -22,8 +22,8 @@ from window_driver import (
 )
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
-from bubbleviz_ui.view3d.tools.still_picture import still
-from bubbleviz_ui.view3d.tools.view_tools_panel import ViewTools
+from bubbleviz_ui.view3d.tools import still
+from bubbleviz_ui.view3d.view_tools_panel import ViewTools
 
 
 def opened(driver: Driver) -> ViewTools:

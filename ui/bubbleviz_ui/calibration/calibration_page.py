@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from PySide6.QtWidgets import QFormLayout, QLabel, QVBoxLayout, QWidget
+import math
 
-from bubbleviz_ui.calibration.calibration_answer import Answer
-from bubbleviz_ui.calibration.calibration_session import Calibration
-from bubbleviz_ui.model.units import NOTHING, Units
+import numpy as np
+from PySide6.QtCore import QPointF, Qt
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
+from bubbleviz_ui.model.units import NOTHING, Unit, Units
+from bubbleviz_ui.panels.images_panel import ImageCell, Kind, Picture
+from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.shell.dock import fill
 
 
 class Page(QWidget):
@@ -73,3 +80,91 @@ class Numbers(QWidget):
     def text(self, name: str) -> str:
         """What is written for a name."""
         return self._labels[name].text()
+
+
+# An image of numbers: coloured, with its colour bar, and the number under the mouse.
+
+
+HEIGHT, BAR = 290, 10
+"""Of image and colour bar together, and of the bar alone, screen pixels."""
+
+
+class ImageView(QWidget):
+    """Shows one image at a time; the mouse wheel zooms, dragging moves it.
+
+    Parameters
+    ----------
+    kind : {"range", "around zero", "mask"}
+        How it is coloured.
+
+    Attributes
+    ----------
+    image : (H, W) array or None
+        What is shown, SI.
+    """
+
+    def __init__(self, kind: Kind = "range") -> None:
+        super().__init__()
+        self.image: np.ndarray | None = None
+        self._unit = Unit("", 1.0, 0)
+        self._kind: Kind = kind
+        self._host = PlotHost(self._make)
+        self.title, self.value = QLabel(wordWrap=True), QLabel()
+        self.value.setObjectName("dim")
+        row = fill(QHBoxLayout(), (self.title, 1), self.value)
+        fill(QVBoxLayout(self), row, self._host, margins=(0, 0, 0, 0), spacing=3)
+
+    def show_image(
+        self, title: str, image: np.ndarray | None, unit: Unit, low: float, high: float
+    ) -> None:
+        """Show an image (H, W) in SI with its colours from `low` to `high`; None: nothing."""
+        self._host.prepare()
+        self.image, self._unit = image, unit
+        self.title.setText(title if image is not None else f"{title}: {NOTHING}")
+        self.value.setText("")
+        if image is None:
+            self._cell.clear()
+            return
+        self._cell.show(unit.per_si * image, unit.of(low), unit.of(high))
+        self._bar.setLevels((unit.of(low), unit.of(high)))
+        self._bar.getAxis("bottom").setLabel(unit.symbol)
+
+    def at(self, row: int, column: int) -> str:
+        """Number of a pixel, in words."""
+        if self.image is None:
+            return ""
+        height, width = self.image.shape
+        if not (0 <= row < height and 0 <= column < width):
+            return ""
+        return f"({column}, {row}) {self._unit.text(float(self.image[row, column]))}"
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Take the theme's colours."""
+        self._cell.paint(dim, text)
+        self._bar.setColorMap(self._cell.map)
+        axis = self._bar.getAxis("bottom")
+        axis.setPen(dim)
+        axis.setTextPen(text)
+
+    def _make(self) -> list[Part]:
+        import pyqtgraph as pg  # 0.2 s later than the window
+
+        self._cell = ImageCell(Picture("", self._kind), head=0.0)
+        self._bar = pg.ColorBarItem(
+            colorMap=self._cell.map,
+            width=BAR,
+            orientation="h",
+            interactive=False,
+            colorMapMenu=False,
+        )
+        self._bar.getAxis("bottom").enableAutoSIPrefix(False)  # "mm (x0.001)"
+        self._bar.setImageItem(self._cell.item)
+        self._host.arrange([self._cell.frame, self._bar])
+        self._host.canvas.setFixedHeight(HEIGHT)
+        self._host.canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
+        return [self]
+
+    def _on_mouse(self, place: QPointF) -> None:
+        point = self._cell.box.mapSceneToView(place)
+        self.value.setText(self.at(math.floor(point.y()), math.floor(point.x())))

@@ -21,29 +21,25 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration.draft import Step
+from bubbleviz.calibration import Step
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.calibration.calibration_answer import Work
 from bubbleviz_ui.calibration.calibration_page import Page
-from bubbleviz_ui.calibration.calibration_session import TOPIC, Calibration
+from bubbleviz_ui.calibration.calibration_session import TOPIC, Calibration, Work
 from bubbleviz_ui.calibration.frames_page import FramesPage
-from bubbleviz_ui.calibration.pixels_page import PixelsPage
-from bubbleviz_ui.calibration.rectification_page import RectificationPage
-from bubbleviz_ui.calibration.report_page import ReportPage
-from bubbleviz_ui.calibration.surface_page import SurfacePage
-from bubbleviz_ui.calibration.tension_page import TensionPage
-from bubbleviz_ui.calibration.validation_page import ValidationPage
+from bubbleviz_ui.calibration.levels_page import RectificationPage
+from bubbleviz_ui.calibration.pixels_page import PixelsPage, SurfacePage, TensionPage
+from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
 from bubbleviz_ui.engine.requests import OpenRequest
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.control_input import watch_controls
+from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import unsaved
-from bubbleviz_ui.shell.layouts import fill
-from bubbleviz_ui.shell.step_buttons import StepButtons, StepState
+from bubbleviz_ui.shell.message_bars import StepButtons, StepState
 
 OUTDATED = "Out of date, of what was chosen before:"
 WIDTH = 380  # px: two columns of numbers with units
@@ -124,7 +120,7 @@ class Gamma0Panel(QWidget):
         named = replace(found, sensor=found.sensor.model_copy(update={"name": path.stem}))
 
         def job(progress: Progress) -> None:
-            from bubbleviz.calibration.save_identification import save  # the window starts without
+            from bubbleviz.calibration import save  # the window starts without
 
             save(named, benches.source(work), given.name, path, report, progress, validation)
 
@@ -153,7 +149,7 @@ class Gamma0Panel(QWidget):
         folder = TemporaryDirectory(prefix="bubbleviz-")
         self._folders.append(folder)  # the sensor reads its files when it is opened again
         path = Path(folder.name) / "sensor.toml"
-        from bubbleviz.calibration.sensor_writer import write_sensor  # the window starts without
+        from bubbleviz.calibration import write_sensor  # the window starts without
 
         write_sensor(found, path)
         name = f"{found.sensor.name}, identified"

@@ -4,29 +4,113 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from PySide6.QtCore import QObject, Signal
 from PySide6.QtGui import QUndoStack
 
-from bubbleviz.calibration.draft import Draft, Settings, Step
-from bubbleviz.calibration.rest.collected_frames import CollectedFrames
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.progress import Progress
+from bubbleviz.calibration import CollectedFrames, Draft, Settings, Step
+from bubbleviz.progress import Progress, part_of
+from bubbleviz.recordings import FrameSource, TimeAxis
 from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
-from bubbleviz_ui.calibration.calibration_answer import Answer, Work, answer
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.memory_release import release_memory
 from bubbleviz_ui.engine.requests import Opened, OpenRequest
-from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
+from bubbleviz_ui.engine.solver_server import NothingOpen, RecordingOpener
+from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
+from bubbleviz_ui.model.units import Units
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration.workbench import Workbench
+    from bubbleviz.calibration import BeforeAfter, Comparison, Verdict, Workbench
+
+
+# What the calibration thread hands to the window: a draft and the pictures it needs.
+
+
+PICTURES = 0.95
+"""Share of the work that is done before the pictures of it are made."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """All that a person decided; undo puts an older one back.
+
+    Attributes
+    ----------
+    settings : Settings
+    collected : CollectedFrames or None
+        Frames of a live source; None: the recording itself.
+    """
+
+    settings: Settings = field(default_factory=Settings)
+    collected: CollectedFrames | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of it.
+
+    Attributes
+    ----------
+    work : Work
+    draft : Draft
+    axis : TimeAxis
+        Where the frames of the source lie on the timeline.
+    last : BeforeAfter or None
+    local_tension : (H, W) array or None
+        N/m.
+    comparison : Comparison or None
+        Against the sensor that was in use.
+    compared_with : Sensor or None
+    """
+
+    work: Work
+    draft: Draft
+    axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))
+    last: BeforeAfter | None = None
+    local_tension: np.ndarray | None = None
+    comparison: Comparison | None = None
+    compared_with: Sensor | None = None
+
+    @property
+    def frames(self) -> int:
+        """Count the frames of the source."""
+        return len(self.axis)
+
+    def verdict(self, units: Units) -> Verdict | None:
+        """What the identification is worth, in the operator's units; None before there is one."""
+        if self.draft.found is None:
+            return None
+        from bubbleviz.calibration import judge  # the window starts without
+
+        return judge(self.draft.found, units.gas_pressure.text)
+
+
+def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
+    """Do the work and everything that is shown of it; runs in the calibration thread."""
+    draft = bench.work(work.settings, part_of(progress, 0.0, PICTURES))
+    axis = TimeAxis(bench.source.times_s)
+    if draft.found is None:
+        return Answer(work, draft, axis)
+    progress("pictures", PICTURES)
+    # the window starts without
+    from bubbleviz.calibration import before_after, compare, local_tension_image
+
+    return Answer(
+        work,
+        draft,
+        axis,
+        last=before_after(draft.found),
+        local_tension=local_tension_image(draft.found),
+        comparison=compare(in_use, draft.found),
+        compared_with=in_use,
+    )
+
 
 TOPIC = "calibration"
 """Of messages."""
@@ -254,7 +338,7 @@ class Benches:
 
     def of(self, work: Work, opener: Callable[[Sensor], FrameSource], given: Sensor) -> Workbench:
         """Workbench of a work, made where it is not there yet."""
-        from bubbleviz.calibration.workbench import Workbench  # the window starts without
+        from bubbleviz.calibration import Workbench  # the window starts without
 
         if work.collected is not None:
             if self._collected is None or self._collected[0] is not work.collected:

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.calibration.draft import Settings, Step
-from bubbleviz.calibration.rest.collected_frames import CollectedFrames
-from bubbleviz.frames.frame import Frame
+from bubbleviz.calibration import CollectedFrames, Settings, Step
 from bubbleviz.progress import Progress
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.jobs import Done, Jobs
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration.tension.tension_estimate import Quantity
+    from bubbleviz.calibration import Quantity
+
 
 FIRST_LOOK, LOOK_EVERY = 10, 10
 """Frames before γ0 is first estimated, and between estimates."""
@@ -139,7 +139,7 @@ def _estimate(frames: CollectedFrames, sensor: Sensor) -> Callable[[Progress], Q
     def job(progress: Progress) -> Quantity | None:
         nodes = sensor.membrane.nodes
         settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
-        from bubbleviz.calibration.workbench import Workbench  # the window starts without
+        from bubbleviz.calibration import Workbench  # the window starts without
 
         tension = Workbench(frames, sensor).work(settings, progress).tension
         return tension.tension if tension is not None else None

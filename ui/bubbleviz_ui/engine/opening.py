@@ -11,18 +11,18 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
-from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener, recording, sensor_for
+from bubbleviz_ui.engine.solver_server import NothingOpen, RecordingOpener, recording, sensor_for
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 
 if TYPE_CHECKING:
-    from bubbleviz.frames.frame_source import FrameSource
-    from bubbleviz.inverse.estimator import EstimatorOptions
+    from bubbleviz.inverse import EstimatorOptions
+    from bubbleviz.recordings import FrameSource
     from bubbleviz.sensor import Sensor
 
-    OpenSource = Callable[[Sensor], FrameSource]
     OpenSensor = Callable[[], Sensor]
+    OpenSource = Callable[[Sensor], FrameSource]
 
 
 class Opening(QObject):

@@ -8,12 +8,10 @@ from dataclasses import replace
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.diagnostics.inspector import Inspection
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.gaps import Gap
+from bubbleviz.diagnostics import Inspection
 from bubbleviz.pipeline import OF_OBJECT, FrameOptions, Product
+from bubbleviz.recordings import Frame, Gap
 from bubbleviz.result import Result
-from bubbleviz_ui.engine.request_slots import RequestDelay
 from bubbleviz_ui.engine.requests import (
     Answer,
     Failed,
@@ -22,6 +20,7 @@ from bubbleviz_ui.engine.requests import (
     NewestRequest,
     Opened,
     PatchRequest,
+    RequestDelay,
     SettleRequest,
     Solved,
     Thresholded,
@@ -30,7 +29,7 @@ from bubbleviz_ui.engine.requests import (
 from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import History, grown
-from bubbleviz_ui.model.rate_meter import RateMeter
+from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 

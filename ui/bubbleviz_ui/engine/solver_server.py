@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import time
 import traceback
-from dataclasses import dataclass, field, replace
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field, is_dataclass, replace
+from pathlib import Path
 
-from bubbleviz.calibration.pressure_zero import PressureZero, zero_of, zeroed
-from bubbleviz.diagnostics.frame_numbers import Numbers, numbers_of, patch_numbers
-from bubbleviz.diagnostics.inspector import Inspection
-from bubbleviz.diagnostics.side_by_side import Measured, SideBySide
+import numpy as np
+
+from bubbleviz.calibration import PressureZero, zero_of, zeroed
+from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.recording import Recording
-from bubbleviz.frames.sensor_matching import gas_warning
+from bubbleviz.output import Measured, SideBySide
 from bubbleviz.pipeline import LOOKS, Pipeline, Product
-from bubbleviz.processes.pipeline_process import PipelineProcess
-from bubbleviz.result import Result
+from bubbleviz.processes import PipelineProcess
+from bubbleviz.recordings import Frame, FrameSource, Recording, check_fits, gas_warning, preset_for
+from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation.truth import truth_of
-from bubbleviz_ui.engine.kept_estimates import KeptEstimates
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.simulation import KnownRecording, NoisyLoop, Truth, known_beside, truth_of
 from bubbleviz_ui.engine.requests import (
     Analysed,
     AnalyseRequest,
@@ -42,11 +43,160 @@ from bubbleviz_ui.engine.requests import (
     Thresholded,
     Waited,
 )
-from bubbleviz_ui.engine.source_openers import NothingOpen, RecordingOpener
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
-from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.source_facts import NOTHING_OPEN, SourceFacts
 from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
+
+# Estimates of frames, kept so that another κ needs no solving. No Qt in here.
+
+
+MOST_BYTES = 256 * 2**20
+"""Some 6,000 frames of 1,000 nodes; chosen."""
+
+
+class KeptEstimates:
+    """The estimates that were computed last, as many as fit.
+
+    Parameters
+    ----------
+    most_bytes : int, optional
+    """
+
+    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+        self._kept: OrderedDict[int, tuple[Numbers, Estimate]] = OrderedDict()
+        self._sizes: dict[int, int] = {}
+        self._most = most_bytes
+
+    def get(self, frame: int) -> tuple[Numbers, Estimate] | None:
+        """Numbers and estimate of a frame; None where they are not kept."""
+        return self._kept.get(frame)
+
+    def keep(self, frame: int, numbers: Numbers, estimate: Estimate) -> None:
+        """Keep a frame's in place of what was kept of it, and let go of the oldest."""
+        self._kept.pop(frame, None)
+        self._kept[frame] = numbers, estimate
+        self._sizes[frame] = _bytes(estimate)
+        while sum(self._sizes.values()) > self._most:
+            oldest, _ = self._kept.popitem(last=False)
+            del self._sizes[oldest]
+
+
+def _bytes(held: object) -> int:
+    """Memory of the arrays in something, and in what that holds."""
+    if isinstance(held, np.ndarray):
+        return held.nbytes
+    return sum(map(_bytes, vars(held).values())) if is_dataclass(held) else 0
+
+
+# How the window opens what it can show; called in the solver thread.
+
+
+RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
+"""As file dialogs offer them."""
+LIVE_FINER = 2
+"""Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingOpener:
+    """Opens a recording for a sensor; two are never equal, as each stands for one opening."""
+
+    path: Path
+    truth: Path | None = None
+
+    def __call__(self, sensor: Sensor) -> FrameSource:
+        """Open it, with the truth behind it where it is of a simulation and that is known.
+
+        Raises
+        ------
+        InputError
+            It cannot be opened, does not fit the sensor, or the truth is not its own.
+        """
+        opened = Recording(self.path)
+        try:
+            check_fits(opened, sensor, sensor.name)
+            if self.truth is not None:
+                return KnownRecording(opened, self.truth)
+            return known_beside(opened)
+        except InputError:
+            opened.close()
+            raise
+
+
+def recording(path: Path, truth: Path | None = None) -> Callable[[Sensor], FrameSource]:
+    """Opener of a recording, and of its TRUTH.npz where that is not beside it under its name."""
+    return RecordingOpener(path, truth)
+
+
+def sensor_for(path: Path, present: Sensor) -> Sensor:
+    """Sensor to open a recording with: the present one if it fits, else the preset that does."""
+    with Recording(path) as opened:
+        if opened.size == (present.camera.width, present.camera.height):
+            return present
+        return load_sensor(preset_for(opened))
+
+
+def synthetic(sensor: Sensor) -> FrameSource:
+    """Open the built-in synthetic press, which the window loops as a live sensor.
+
+    All its frames are made now, within seconds: a live sensor does not stutter in its first round.
+    Only the noise is new in every round.
+    """
+    # a recording is opened without the simulator
+    from bubbleviz.simulation import SyntheticSource, default_press
+
+    press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
+    source = CachedSource(
+        SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
+    )
+    for index in range(len(source)):
+        _ = source[index]
+    return NoisyLoop(source, press.camera, press.noise)
+
+
+class NothingOpen:
+    """What is there while nothing is open: one image in which no pixel has a return."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.name, self.times_s = NOTHING_OPEN, np.zeros(1)
+        self._size = sensor.camera.height, sensor.camera.width
+
+    def __len__(self) -> int:
+        return 1
+
+    def __getitem__(self, index: int) -> Frame:
+        return Frame(index, 0.0, np.full(self._size, np.nan, np.float32))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class CachedSource:
+    """Keeps the frames of a short source that computes them, so a loop costs them once."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self._frames: dict[int, Frame] = {}
+        self.name = source.name
+        self.times_s = source.times_s
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Frame:
+        if index not in self._frames:
+            self._frames[index] = self._source[index]
+        return self._frames[index]
+
+    def truth(self, index: int) -> Truth | None:
+        """What is true of a frame."""
+        return truth_of(self._source, index)
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
 
 WAIT_S = 0.05
 """How long the newest frame is waited for before other requests are looked at."""

@@ -7,8 +7,7 @@ from threading import Thread
 from PySide6.QtCore import QCoreApplication, QObject, Qt, Signal
 
 from bubbleviz_ui.engine.jobs import PATIENCE_S
-from bubbleviz_ui.engine.request_slots import RequestSlots
-from bubbleviz_ui.engine.requests import Answer, FrameRequest, Request
+from bubbleviz_ui.engine.requests import Answer, FrameRequest, Request, RequestSlots
 from bubbleviz_ui.engine.solver_server import Server
 
 

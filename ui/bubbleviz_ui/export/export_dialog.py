@@ -19,12 +19,11 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.wording import count_of
-from bubbleviz_ui.export.export_kinds import KINDS, Kind
-from bubbleviz_ui.export.exporting import Exporting
+from bubbleviz_ui.export.exporting import KINDS, Exporting, Kind
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
-from bubbleviz_ui.shell.layouts import fill
 
 RANGE, ALL = False, True
 MOST_STEP = 1000  # frames

@@ -3,25 +3,216 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from queue import Empty, Full, Queue
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QObject, Signal
+import numpy as np
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
-from bubbleviz.output.pose_columns import pose_columns
+from bubbleviz.output import open_mp4, pose_columns
 from bubbleviz.pipeline import FrameOptions
+from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Done, Job, Jobs
 from bubbleviz_ui.engine.requests import Failed, FrameRequest
-from bubbleviz_ui.export.export_kinds import Kind
-from bubbleviz_ui.export.video_export import VideoExport
 from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.view3d.text import text_at
+from bubbleviz_ui.view3d.tools import still
 
 if TYPE_CHECKING:
-    from bubbleviz.files.pose_writer import PoseRow
+    from bubbleviz.output import PoseRow
+    from bubbleviz.progress import Progress
+    from bubbleviz.recordings import Frame
     from bubbleviz_ui.engine.controller import Controller
     from bubbleviz_ui.view3d.render_view import View
+
+
+# What the window exports: how it is called, and what a name for it ends in. No Qt in here.
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of export.
+
+    Attributes
+    ----------
+    title, tip : str
+        As the window calls it.
+    suffixes : dict of str to str
+        What the name of its file may end in, by title; empty: a folder of files.
+    what : str
+        Of `bubbleviz.output.export_plan.KINDS`, for a folder.
+    """
+
+    title: str
+    tip: str
+    suffixes: dict[str, str]
+    what: str = ""
+
+    @property
+    def is_video(self) -> bool:
+        """Pictures of the 3-D view, which only the window can make."""
+        return ".mp4" in self.suffixes.values()
+
+    @property
+    def filters(self) -> str:
+        """What a file dialog offers."""
+        return ";;".join(f"{title} (*{suffix})" for title, suffix in self.suffixes.items())
+
+    def named(self, path: Path, chosen_filter: str) -> Path:
+        """Path with the filter's suffix where it has none of the kind's."""
+        if not self.suffixes or path.suffix.lower() in self.suffixes.values():
+            return path
+        title = chosen_filter.split(" (")[0]
+        suffix = self.suffixes.get(title, next(iter(self.suffixes.values())))
+        return path.with_name(path.name + suffix)
+
+
+KINDS = (
+    Kind("Table", "Numbers of each frame, units in the columns' names; with poses where they "
+         "were found", {"CSV": ".csv", "Parquet": ".parquet"}),
+    Kind("Plots", "Force, gas pressure, patch, residual and times over time, for print",
+         {"PNG": ".png", "SVG": ".svg", "PDF": ".pdf"}),
+    Kind("ParaView series", "Membrane with displacement and pressure, a VTK file a frame", {},
+         "vtk"),
+    Kind("Membrane series", "Deformed membrane, a PLY file a frame", {}, "ply"),
+    Kind("Patch clouds", "Points of the contact patch with pressure, a PLY file a frame", {},
+         "patch"),
+    Kind("Depth pictures", "Depth image, a PNG file a frame", {}, "depth"),
+    Kind("Pressure pictures", "Contact pressure as the camera sees it, a PNG file a frame", {},
+         "pressure"),
+    Kind("Video of the view", "The 3-D view as it is now, frame by frame", {"MP4": ".mp4"}),
+)  # fmt: skip
+"""In the order they are offered."""
+
+
+# A video of the 3-D view: the window draws frame by frame, a thread writes.
+
+
+WAITING = 2
+"""Pictures that may wait for the encoder; 1920×1080 has 6 MB."""
+CAPTION_SIZE = 16  # px
+LOOK_S = 0.1
+"""How often the writer looks whether it is still wanted."""
+
+
+class VideoExport(QObject):
+    """Goes through frames, and hands a picture of each to `write`, which runs in a thread.
+
+    Parameters
+    ----------
+    controller : Controller
+    view : View
+    frames : range
+    size : (int, int)
+        Width and height, pixels.
+    path : Path
+    fps : float
+    captioned : bool
+        Write frame number and time into the pictures.
+    """
+
+    _taken = Signal()
+
+    def __init__(
+        self,
+        controller: Controller,
+        view: View,
+        frames: range,
+        size: tuple[int, int],
+        path: Path,
+        fps: float,
+        *,
+        captioned: bool,
+    ) -> None:
+        super().__init__()
+        self._controller, self._state, self._view = controller, controller.state, view
+        self._frames, self._size, self._path, self._fps = frames, size, path, fps
+        # at the bottom of the picture, where nothing else is written
+        self._caption = text_at(view, CAPTION_SIZE, (0.5, 0.015)) if captioned else None
+        if self._caption is not None:
+            self._caption.GetTextProperty().SetJustificationToCentered()
+        self._drawn = 0
+        self._settling: Frame | None = None
+        self._pictures: Queue[np.ndarray] = Queue(WAITING)
+        self._before = self._state.frame
+        self._active = True
+        self._taken.connect(self._go_on, Qt.ConnectionType.QueuedConnection)
+        controller.shown.connect(self._go_on)
+        self._state.set_playing(False)
+        QTimer.singleShot(0, self._go_on)
+
+    def end(self) -> None:
+        """Draw nothing any more; the cursor goes back to where it was."""
+        if self._active:
+            self._active = False
+            self._controller.shown.disconnect(self._go_on)
+            self._state.seek(self._before)
+
+    def write(self, progress: Progress) -> str:
+        """Write the video; in a thread, while the window draws. What was done, in a sentence.
+
+        Raises
+        ------
+        InputError
+            The file exists or cannot be written.
+        Cancelled
+            By `progress`; nothing is left then.
+        """
+        count = len(self._frames)
+        with open_mp4(self._path, self._fps) as writer:
+            for done in range(count):
+                writer.add(self._picture(progress, done / count))
+                self._taken.emit()
+        return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:g} a second"
+
+    def _picture(self, progress: Progress, done: float) -> np.ndarray:
+        while True:
+            progress("drawing", done)
+            try:
+                return self._pictures.get(timeout=LOOK_S)
+            except Empty:
+                continue
+
+    def _go_on(self, _: object = None) -> None:
+        """Draw the next frame once it is shown, and settled as when one stays at it, else ask.
+
+        Nothing is done while there is no room for its picture.
+        """
+        if not self._active or self._drawn == len(self._frames) or self._pictures.full():
+            return
+        wanted, result = self._frames[self._drawn], self._controller.result
+        if result is None or result.frame.index != wanted:
+            self._state.set_playing(False)
+            self._state.seek(wanted)
+            return
+        if not self._controller.settled:
+            if self._settling is not result.frame:
+                self._settling = result.frame
+                self._controller.settle()
+            return
+        try:
+            self._pictures.put_nowait(self._still(wanted))
+        except Full:
+            return
+        self._drawn += 1
+        QTimer.singleShot(0, self._go_on)
+
+    def _still(self, frame: int) -> np.ndarray:
+        """Picture of the view, with its frame and time where they are wanted."""
+        caption, facts = self._caption, self._state.facts
+        if caption is None or facts is None:
+            return still(self._view, *self._size)
+        time_text = self._state.units.time.text(float(facts.times_s[frame]))
+        caption.SetInput(f"frame {frame} · {time_text}")
+        self._view.renderer.AddViewProp(caption)
+        try:
+            return still(self._view, *self._size)
+        finally:
+            self._view.renderer.RemoveViewProp(caption)
+
 
 STILL_FPS = 30.0
 """Of a video of a single frame."""

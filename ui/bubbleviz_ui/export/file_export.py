@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from bubbleviz.api.exporting import export_frames
 from bubbleviz.api.frames import Frames
-from bubbleviz.inverse.estimator import EstimatorOptions
-from bubbleviz.output.export_plan import ExportPlan
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.output import ExportPlan
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
-    from bubbleviz.frames.frame_source import FrameSource
     from bubbleviz.progress import Progress
+    from bubbleviz.recordings import FrameSource
     from bubbleviz.sensor import Sensor
 
 
@@ -43,7 +43,7 @@ def export_to_files(
     options : FrameOptions
     estimator : EstimatorOptions
     poses : dict
-        Pose columns by frame, see `bubbleviz.output.pose_columns`.
+        Pose columns by frame, see `bubbleviz.output.pose_writer`.
     progress : Progress
 
     Returns

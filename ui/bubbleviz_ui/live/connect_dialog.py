@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import quote
 
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
@@ -22,18 +22,106 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.defaults import SYNTHETIC_SENSOR
-from bubbleviz.files.preset_files import preset_names, presets_folder
-from bubbleviz.frames.sensor_matching import AUTO
-from bubbleviz.live.session_preset import SessionPreset, load_session
-from bubbleviz.live.sources.live_source import OfferedTopic
-from bubbleviz.live.topic_names import DEPTH_TYPES, is_used
-from bubbleviz.sensor import load_sensor
+from bubbleviz.files import SYNTHETIC_SENSOR, preset_names, presets_folder
+from bubbleviz.live import (
+    DEPTH_TYPES,
+    LiveSource,
+    OfferedTopic,
+    SessionOptions,
+    SessionPreset,
+    TopicNames,
+    ZenohSource,
+    is_used,
+    load_session,
+    open_stream,
+    parse_uri,
+)
+from bubbleviz.recordings import AUTO
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.source_discovery import Discovery
+from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
-from bubbleviz_ui.shell.layouts import fill
+
+# What a source offers, found while one chooses it.
+
+
+LOOK_MS = 250  # between looks for new topics
+NOTHING = "\0"
+"""No topic begins with it: topics are looked for and none is subscribed to."""
+
+
+class Discovery(QObject):
+    """Looks at one source at a time, until another one or none is asked for.
+
+    Attributes
+    ----------
+    found : Signal
+        Topics as `OfferedTopic`, and what is wrong, in a sentence; empty while nothing is.
+    """
+
+    found = Signal(object, str)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._source: LiveSource | None = None
+        self._asked = ""
+        self._jobs = Jobs("discovery")
+        self._timer = QTimer(self, interval=LOOK_MS)
+        self._timer.timeout.connect(self._look)
+
+    def look_at(self, text: str, sensor: Sensor) -> None:
+        """Look at a source, given as `--source`."""
+        self.stop()
+        self._asked = text
+
+        def take(done: Done) -> None:
+            source: LiveSource | None = done.answer
+            if text != self._asked:
+                self._let_go(source)
+            elif source is None:
+                self.found.emit((), done.message)
+            else:
+                self._source = source
+                self._timer.start()
+                self._look()
+
+        self._jobs.run(lambda _: _begin(text, sensor), take)
+
+    def stop(self) -> None:
+        """Look at nothing."""
+        self._asked = ""
+        self._timer.stop()
+        source, self._source = self._source, None
+        self._let_go(source)
+
+    def close(self) -> None:
+        """Stop; what is on ends by itself."""
+        self.stop()
+        self._jobs.close(0.0)
+
+    def _let_go(self, source: LiveSource | None) -> None:
+        if source is not None:
+            self._jobs.run(lambda _: source.stop())
+
+    def _look(self) -> None:
+        if self._source is not None:
+            problem = self._source.problem()
+            told = f"{problem} ({self._source.name})" if problem else ""
+            self.found.emit(self._source.topics(), told)
+
+
+def _begin(text: str, sensor: Sensor) -> LiveSource:
+    """The source, started only where its topics are found by that."""
+    uri = parse_uri(text)
+    if uri.scheme != "zenoh":
+        return open_stream(text, sensor, any_size=True).source
+    topics = TopicNames(prefix=NOTHING)
+    source = ZenohSource(SessionOptions.of(uri), topics, uri.options.domain)
+    source.start(lambda _: None)
+    return source
+
 
 ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
 KINDS = {

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.errors import InputError
-from bubbleviz.live.live_session import LiveSession
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.session_preset import SensorPlace, SessionPreset
-from bubbleviz.live.sources.auto_sensor import sensor_for_source
-from bubbleviz.live.sources.open_stream import is_simulated
+from bubbleviz.live import (
+    LiveSession,
+    LiveStream,
+    SensorPlace,
+    SessionPreset,
+    is_simulated,
+    sensor_for_source,
+)
 from bubbleviz.progress import Progress
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.live_frames import LiveFrames

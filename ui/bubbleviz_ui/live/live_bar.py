@@ -4,19 +4,135 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from pathlib import Path
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtCore import QObject, Qt
+from PySide6.QtWidgets import (
+    QDoubleSpinBox,
+    QFileDialog,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
-from bubbleviz.live.counters import Counters
+from bubbleviz.live import Counters, LatencyMeter, LatencyReport
+from bubbleviz.recordings import Frame
+from bubbleviz.result import Result
 from bubbleviz.wording import count_of
+from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.record_controls import RecordControls
+from bubbleviz_ui.live.recording_control import RecordingState, new_name
 from bubbleviz_ui.model.source_facts import Badge
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.control_input import watch_controls
+from bubbleviz_ui.panels.binding import bind, watch_controls
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.layouts import BarLayout, Elided, fill
+from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
+from bubbleviz_ui.shell.file_dialogs import remember
+from bubbleviz_ui.view3d.render_view import View
+
+# Record button, with what is written so far, markers and notes.
+
+
+MOST_PRE_ROLL_S = 60.0  # kept in memory: 1.1 GB of 16-bit 640×480 at 30 Hz
+
+
+class RecordControls(QWidget):
+    """Button, pre-roll, folder; while it records elapsed time, size, messages and a note."""
+
+    def __init__(self, live: LiveController) -> None:
+        super().__init__()
+        self._live = live
+        self.button = QToolButton()
+        self.button.setText("● Record")
+        self.button.setCheckable(True)
+        self.button.setToolTip("Record (Ctrl+R)")
+        self.pre_roll = QDoubleSpinBox(
+            minimum=0.0, maximum=MOST_PRE_ROLL_S, decimals=1, suffix=" s before"
+        )
+        bind(self.pre_roll, live.state, "pre_roll_s")
+        self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
+        self.folder = QToolButton()
+        self.folder.setText("Folder…")
+        self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
+        self.note = QLineEdit()
+        self.note.setPlaceholderText("Note, saved at the moment you began it")
+        self.note.setMinimumWidth(100)
+        self.note.setToolTip("Enter saves the note in the recording")
+        self.note.hide()
+        self._noted_ns: int | None = None
+        fill(
+            QHBoxLayout(self),
+            self.progress,
+            self.note,
+            self.pre_roll,
+            self.folder,
+            self.button,
+            margins=(0, 0, 0, 0),
+        )
+        self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.button.clicked.connect(live.toggle_recording)
+        self.folder.clicked.connect(self.choose_folder)
+        self.note.returnPressed.connect(self._save_note)
+        self.note.editingFinished.connect(self.note.hide)
+        self._show_folder()
+
+    def show_now(self) -> None:
+        """Write how the recording is going."""
+        state, busy = self._live.recording.state(), self._live.recording.busy
+        self._show_folder()
+        self.button.setChecked(busy)
+        self.button.setText("■ Stop" if busy else "● Record")
+        self.button.setToolTip("End the recording (Ctrl+R)" if busy else "Record (Ctrl+R)")
+        for widget in (self.pre_roll, self.folder):
+            widget.setVisible(not busy)
+        self.progress.setVisible(busy)
+        text = "" if state is None else progress(state)
+        self.progress.setText(text)
+        self.progress.setToolTip(text)
+        if not busy:
+            self.note.hide()
+
+    def begin_note(self) -> None:
+        """Write a note about this moment."""
+        if self._live.recording.busy:
+            self._noted_ns = time.time_ns()
+            self.note.clear()
+            self.note.show()
+            self.note.setFocus()
+
+    def choose_folder(self) -> None:
+        """Choose where recordings go."""
+        folder = self._live.recording.folder
+        present = folder if folder.is_dir() else folder.parent  # it is made with the first
+        name = QFileDialog.getExistingDirectory(self, "Record into", str(present))
+        if name:
+            self._live.choose_folder(name)
+            remember("recording", new_name(Path(name)))
+            self._show_folder()
+
+    def _save_note(self) -> None:
+        text = self.note.text().strip()
+        if text:
+            self._live.recording.mark(text, self._noted_ns)
+        self.note.clearFocus()
+
+    def _show_folder(self) -> None:
+        self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")
+
+
+def progress(state: RecordingState) -> str:
+    """Elapsed time, size, messages and what waits for the disk."""
+    minutes, seconds = divmod(int(state.elapsed_s), 60)
+    status = state.status
+    return (
+        f"{minutes:02d}:{seconds:02d} · {status.size_bytes / 1e6:.1f} MB · "
+        f"{count_of(status.messages, 'message')} · {status.waiting_bytes / 1e6:.1f} MB waiting"
+    )
+
 
 BADGES: dict[Badge, str] = {
     "connecting": theme.BLUE,
@@ -204,3 +320,43 @@ def counted(counters: Counters) -> list[str]:
 
 def _problem(counters: Counters) -> list[str]:
     return [counters.problem] if counters.problem else []
+
+
+# How old a live frame is when its picture is on the screen.
+
+
+class PictureAge(QObject):
+    """Measures from stamp to picture; from the arrival where the robot has another clock."""
+
+    def __init__(self, controller: Controller, view: View) -> None:
+        super().__init__()
+        self._shown: Frame | None = None
+        self._meter = LatencyMeter()
+        controller.opened.connect(self._on_opened)
+        controller.shown.connect(self._on_shown)
+        view.rendered.connect(self._on_rendered)
+
+    def begin(self, pictures: int = 600) -> None:
+        """Forget what was measured; from now on the last so many pictures count."""
+        self._shown, self._meter = None, LatencyMeter(pictures)
+
+    def _on_opened(self, _: object) -> None:
+        self.begin()
+
+    @property
+    def ages_s(self) -> list[float]:
+        """Age of each picture that counts, s."""
+        return self._meter.ages_s
+
+    def report(self) -> LatencyReport | None:
+        """Ages of the last pictures; None where none was live."""
+        return self._meter.report()
+
+    def _on_shown(self, result: Result) -> None:
+        fresh = result.frame.arrival_ns > 0 and result.frame is not self._shown
+        self._shown = result.frame if fresh else None
+
+    def _on_rendered(self) -> None:
+        frame, self._shown = self._shown, None
+        if frame is not None:
+            self._meter.add(frame, time.time_ns())

@@ -6,22 +6,19 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from bubbleviz.frames.sensor_matching import gas_warning
-from bubbleviz.live.live_session import LiveSensor
-from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.live import LiveSensor, SessionPreset
+from bubbleviz.recordings import gas_warning
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.live_frames import LiveOpener
-from bubbleviz_ui.live.publishing import Publishing
+from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import OWN_FOLDER, Recording
-from bubbleviz_ui.live.result_sender import PRODUCTS
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import RECORDING_CHOICES
 from bubbleviz_ui.model.messages import OPENING, UserMessage
-from bubbleviz_ui.model.result_text import doubt_text
-from bubbleviz_ui.model.source_facts import Link
+from bubbleviz_ui.model.source_facts import Link, doubt_text
 from bubbleviz_ui.model.undo import SettingsHistory
 from bubbleviz_ui.view3d.render_view import View
 

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.calibration.pressure_zero import PressureZero
+from bubbleviz.calibration import PressureZero
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame import Frame
-from bubbleviz.frames.gaps import Gap, usual_step
-from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.live import LiveStream
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import Frame, Gap, usual_step
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.frame_history import grown

@@ -9,16 +9,63 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.frames.message_encoding import Message
-from bubbleviz.live.raw_message import RawMessage
+from bubbleviz.live import LiveStream, RawMessage, ResultMessages
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.pipeline import Product
+from bubbleviz.recordings import RESULTS, Message
+from bubbleviz.result import Result
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.live.result_sender import ResultSender
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
 
 if TYPE_CHECKING:
-    from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
+    from bubbleviz.live import ZenohPublisher
+
+
+# Sends the results of one sensor as ROS 2 messages. No Qt in here.
+
+
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
+"""What goes out; there is a pose only where an object is followed."""
+DIAGNOSTICS_S = 1.0  # s between messages, as is usual in ROS
+
+
+class ResultSender:
+    """Makes messages of the results of a stream.
+
+    Parameters
+    ----------
+    stream : LiveStream
+    send : callable
+        Takes a message, in any thread.
+    name : str
+        Of the sensor, where there are two; part of the topics, and the frame they are in.
+    """
+
+    def __init__(self, stream: LiveStream, send: Callable[[Message], None], name: str = "") -> None:
+        self._stream, self._send = stream, send
+        self._prefix, self._frame_id = f"{RESULTS}{name}", name or "bubble"
+        self._mesh: MembraneMesh | None = None
+        self._messages: ResultMessages | None = None
+        self._last: Result | None = None
+        self._told = 0.0
+
+    def __call__(self, result: Result, mesh: MembraneMesh) -> None:
+        """Send what there is of a result; in the solver thread."""
+        if self._messages is None or mesh is not self._mesh:
+            self._mesh, self._messages = mesh, ResultMessages(mesh, self._prefix, self._frame_id)
+        self._last = result
+        for message in self._messages.of(result):
+            self._send(message)
+
+    def diagnose(self) -> None:
+        """Say once a second how the source and the estimate are doing."""
+        now = time.monotonic()
+        if self._messages is not None and now - self._told >= DIAGNOSTICS_S:
+            self._told = now
+            status, counters = self._stream.status(), self._stream.counters()
+            self._send(self._messages.diagnostics(time.time_ns(), status, counters, self._last))
 
 
 class Publishing(QObject):
@@ -123,7 +170,6 @@ def _raw(message: Message) -> RawMessage:
 
 def _publisher(endpoint: str) -> ZenohPublisher:
     # the window starts without the network's library
-    from bubbleviz.live.sinks.zenoh_publisher import ZenohPublisher
-    from bubbleviz.live.sources.zenoh_session import SessionOptions
+    from bubbleviz.live import SessionOptions, ZenohPublisher
 
     return ZenohPublisher(SessionOptions(f"publish at {endpoint}", None, endpoint))

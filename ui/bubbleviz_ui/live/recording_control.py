@@ -8,8 +8,8 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.files.output_files import free_name
-from bubbleviz.live.sinks.recorder import Recorder, RecorderStatus
+from bubbleviz.files import free_name
+from bubbleviz.live import Recorder, RecorderStatus
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.model.messages import MessageKind, UserMessage

@@ -27,8 +27,7 @@ from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import PATCH_CHOICES
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.scene import Scene
-from bubbleviz_ui.view3d.second_scene import SecondScene
+from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
 ALONE_S = 0.15
 """A sensor without a picture for this long is not waited for by the other."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal, TypeVar
 
-from bubbleviz.inverse.estimator import EstimatorOptions
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz_ui.model.registry import ASKING, LAYERS
 
 CloudColour = Literal["residual", "patch", "plain"]

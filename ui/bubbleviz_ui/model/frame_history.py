@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bubbleviz.diagnostics.frame_numbers import Numbers
-from bubbleviz.frames.gaps import Gap
-from bubbleviz.frames.measured_force import measured_force
+from bubbleviz.diagnostics import Numbers
 from bubbleviz.pipeline import Product
+from bubbleviz.recordings import Gap, measured_force
 from bubbleviz.result import TRUSTED
 
 SHEAR = ("shear_normal_n", "shear_tangential_n", "shear_tangential_half_n", "slip_share")

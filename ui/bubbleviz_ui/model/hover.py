@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.diagnostics.probe import Pixel, Probe, Probed
+from bubbleviz.diagnostics import Pixel, Probe, Probed
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Opened

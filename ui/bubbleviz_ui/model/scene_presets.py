@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.preset_files import preset_names, presets_folder
-from bubbleviz.files.toml_files import checked, read_toml
+from bubbleviz.files import checked, preset_names, presets_folder, read_toml
 from bubbleviz_ui.model.choices import CloudColour
 from bubbleviz_ui.model.registry import LAYERS, PANELS
 

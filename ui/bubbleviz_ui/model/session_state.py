@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.diagnostics.frame_numbers import Numbers
+from bubbleviz.diagnostics import Numbers
 from bubbleviz_ui.model.choices import PATCH_CHOICES, Choices
 from bubbleviz_ui.model.frame_history import History
 from bubbleviz_ui.model.source_facts import Badge, Link, SourceFacts

@@ -20,22 +20,20 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.diagnostics.side_by_side import Measured
-from bubbleviz.inverse.estimator import MAX_NODES, EstimatorOptions
-from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS
-from bubbleviz.membrane.rubber_model.friction_forward import MOST_FRICTION
+from bubbleviz.inverse import ESTIMATORS, MAX_NODES, EstimatorOptions
+from bubbleviz.membrane import MOST_FRICTION
+from bubbleviz.output import Measured
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared, ComparedOptions, CompareRequest, Failed
 from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
-from bubbleviz_ui.model.result_text import tangential_text
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import tangential_text
 from bubbleviz_ui.model.units import NOTHING, Units
-from bubbleviz_ui.panels.binding import bind, bind_member, options
-from bubbleviz_ui.panels.control_input import watch_controls
+from bubbleviz_ui.panels.binding import bind, bind_member, options, watch_controls
 from bubbleviz_ui.panels.kappa_panel import HIGHEST
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.dock import fill
 
 NODES, STEP = 5_000, 100
 """Most nodes to choose, below MAX_NODES, and a step."""

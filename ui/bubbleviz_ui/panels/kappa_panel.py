@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import (
+    QAbstractItemView,
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
+    QHeaderView,
     QLabel,
     QSlider,
+    QTableWidget,
+    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from bubbleviz.inverse.solvers.inverse_solver import SOLVER_NAMES
+from bubbleviz.diagnostics import KappaCurve
+from bubbleviz.inverse import SOLVER_NAMES, Component
 from bubbleviz.result import Result
+from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.choices import SETTINGS, solver_title
-from bubbleviz_ui.model.result_text import doubt_text, force_text
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind, options
-from bubbleviz_ui.panels.control_input import watch_controls
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.model.source_facts import doubt_text, force_text
+from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.panels.binding import bind, bind_quantity, options, watch_controls
+from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100
@@ -139,3 +150,234 @@ def _to_steps(kappa: float | None) -> int | None:
 
 def _to_kappa(steps: int) -> float:
     return round(10.0 ** (steps / STEPS_PER_DECADE), 2)
+
+
+# Plots over κ with the threshold as a line to drag: areas of pressure, and of the patch.
+#
+# pyqtgraph is imported with the first plot: the window starts 0.2 s earlier.
+
+
+class OverKappa:
+    """A plot over log10 κ.
+
+    Attributes
+    ----------
+    frame : PlotFrame
+    box : pyqtgraph.ViewBox
+    line : pyqtgraph.InfiniteLine
+        At log10 κ; can be dragged.
+    """
+
+    def __init__(self, line_width: int = 1) -> None:
+        import pyqtgraph as pg  # with the first plot
+
+        self.frame = PlotFrame("logarithm")
+        self.box = self.frame.box
+        self.box.setMouseEnabled(x=False, y=False)
+        self.line = pg.InfiniteLine(movable=True)
+        self.box.addItem(self.line, ignoreBounds=True)
+        self._line_width = line_width
+
+    def put_line(self, kappa: float | None) -> None:
+        """Put the line at κ without telling it was moved; away without κ."""
+        self.line.setVisible(kappa is not None)
+        if kappa is not None:
+            self.line.blockSignals(True)
+            self.line.setValue(math.log10(kappa))
+            self.line.blockSignals(False)
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Take the theme's colours."""
+        self.frame.paint(dim, text)
+        self.line.setPen(text, width=self._line_width)
+
+
+def kappa_at(line: Any) -> float:
+    """κ at which a line was put down."""
+    return round(float(10.0 ** line.value()), 2)
+
+
+class KappaHistogram(OverKappa):
+    """Area of the membrane by its contact pressure, in multiples of the mean one.
+
+    Attributes
+    ----------
+    bars : pyqtgraph.BarGraphItem
+    """
+
+    def __init__(self) -> None:
+        import pyqtgraph as pg  # with the first plot
+
+        super().__init__(line_width=2)
+        self.bars = pg.BarGraphItem(x=[0.0], height=[0.0], width=0.05, brush=BLUE, pen=None)
+        self.box.addItem(self.bars)
+
+    def draw(self, curve: KappaCurve | None, kappa: float | None, units: Units) -> None:
+        """Draw the histogram of a frame and the line at κ; none while that is automatic."""
+        if curve is None:
+            self.bars.setOpts(x=[0.0], height=[0.0], width=0.05)
+        else:
+            edges = np.log10(curve.kappa)
+            self.bars.setOpts(
+                x=0.5 * (edges[1:] + edges[:-1]),
+                height=units.area.of(1.0) * curve.histogram_m2,
+                width=0.9 * (edges[1] - edges[0]),
+            )
+        self.put_line(kappa)
+        self.frame.write(f"Area by p_c / mean p_c ({units.area.symbol})")
+
+
+class KappaPlot(OverKappa):
+    """Patch area that another κ would make of the frame; in a simulation the IoU, too.
+
+    Attributes
+    ----------
+    curve, iou : pyqtgraph.PlotDataItem
+    """
+
+    def __init__(self) -> None:
+        import pyqtgraph as pg  # with the first plot
+
+        super().__init__()
+        self.curve = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=1))
+        self.iou = pg.PlotDataItem(pen=pg.mkPen(ORANGE, width=1))
+        for item in (self.curve, self.iou):
+            self.box.addItem(item)
+
+    def draw(
+        self, curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
+    ) -> None:
+        """Draw the curve of a frame and the line at κ; none while that is automatic."""
+        self.curve.setData([], [])
+        self.iou.setData([], [])
+        if curve is not None:
+            area = units.area.of(1.0) * curve.area_m2
+            self.curve.setData(np.log10(curve.kappa), area)
+            if curve.iou is not None:  # as high as the areas: the two share the axis
+                self.iou.setData(np.log10(curve.kappa), float(area.max()) * curve.iou)
+        self.put_line(kappa)
+        text = _heading(curve, result, kappa, units)
+        if curve is not None and curve.iou is not None:
+            best = int(np.argmax(curve.iou))
+            text += (
+                f' · <span style="color:{ORANGE}">IoU ≤ {curve.iou[best]:.2f}'
+                f" at {curve.kappa[best]:.1f}</span>"
+            )
+        self.frame.write(text)
+
+
+def _heading(
+    curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
+) -> str:
+    """The curve's area at κ and what is kept of it without small parts; or the automatic area."""
+    patch = None if result is None else result.trusted_patch
+    area_m2 = None if patch is None else patch.area_m2
+    if kappa is None:
+        return f"auto {units.area.text(area_m2)}"
+    whole_m2 = None if curve is None else curve.area_at(kappa)
+    if area_m2 is not None and whole_m2 is not None and area_m2 < 0.98 * whole_m2:
+        kept = units.area.text(area_m2).split()[0]
+        return f"{kept} of {units.area.text(whole_m2)}"
+    return f"{units.area.text(whole_m2)} at κ"
+
+
+# Threshold panel: where κ cuts the pressure, what that costs, and which parts are too small.
+
+
+ROW = 20
+"""Height of a row of the table, screen pixels."""
+HEIGHT = 300
+"""Of both plots, screen pixels."""
+LARGEST_M2, STEP_M2 = 0.01, 5e-6  # m²: any bubble; 5 mm²
+COLUMNS = ("Area", "Force", "Peak pressure", "")
+TIPS = {
+    "Force": "Length of the force on the part, friction included; as vectors, the forces of all"
+    " parts, removed ones too, add up to the force of the frame"
+}
+
+
+class ThresholdPanel(QWidget):
+    """Histogram and κ-curve with the threshold as a line, and a table of the patch's parts."""
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self.setObjectName("threshold")
+        self._state, self._controller = state, controller
+        self._host = PlotHost(self._make)
+        self._host.setMinimumHeight(HEIGHT)
+        self._host.seen.connect(self._draw)
+        self.histogram: KappaHistogram | None = None
+        self.curve: KappaPlot | None = None
+        self.table = QTableWidget(0, len(COLUMNS))
+        self.least = QDoubleSpinBox()
+        self.least.setSpecialValueText("nothing")
+        self.least.setToolTip("Parts of the patch smaller than this are not contact")
+        self._lay_out()
+        bind_quantity(
+            self.least, state, "least_area_m2", lambda u: u.area, LARGEST_M2, STEP_M2, zero=0.0
+        )
+        controller.shown.connect(self._draw)
+        watch_controls(self)
+        state.choices_changed.connect(self._draw)
+
+    def _lay_out(self) -> None:
+        row = fill(QHBoxLayout(), QLabel("Remove parts below"), (self.least, 1))
+        table = self.table
+        for column, title in enumerate(COLUMNS):
+            header = QTableWidgetItem(title)
+            header.setToolTip(TIPS.get(title, ""))
+            table.setHorizontalHeaderItem(column, header)
+        table.verticalHeader().hide()
+        table.verticalHeader().setDefaultSectionSize(ROW)
+        table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        table.horizontalHeader().setStretchLastSection(True)
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
+        table.setMinimumHeight(96)
+        fill(QVBoxLayout(self), (self._host, 2), row, (table, 1), margins=(8, 6, 8, 8), spacing=6)
+
+    def _make(self) -> list[Part]:
+        self.histogram, self.curve = KappaHistogram(), KappaPlot()
+        self._host.arrange([self.histogram.frame.item, self.curve.frame.item])
+        self.curve.box.setXLink(self.histogram.box)
+        for plot in (self.histogram, self.curve):
+            plot.line.sigPositionChangeFinished.connect(self._on_dragged)
+        return [self.histogram, self.curve]
+
+    # -- events -------------------------------------------------------------------------------
+
+    def _on_dragged(self, line: Any) -> None:
+        self._state.choose(kappa=kappa_at(line))
+
+    # -- drawing ------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        if not self._host.ready:
+            return
+        result, inspection = self._controller.result, self._controller.inspection
+        units = self._state.units
+        kappa = self._state.choices.kappa
+        if self.histogram is not None and self.curve is not None:
+            self.histogram.draw(inspection.kappa_curve, kappa, units)
+            self.curve.draw(inspection.kappa_curve, result, kappa, units)
+        self._fill(inspection.components)
+
+    def _fill(self, parts: tuple[Component, ...]) -> None:
+        units, least = self._state.units, self._state.choices.least_area_m2
+        self.table.setRowCount(len(parts))
+        for row, part in enumerate(parts):
+            texts = (
+                units.area.text(part.area_m2),
+                units.force.text(part.force_magnitude_n),
+                units.pressure.text(part.peak_pa),
+                "contact" if part.area_m2 >= least else "removed",
+            )
+            for column, text in enumerate(texts):
+                item = QTableWidgetItem(text)
+                if part.area_m2 < least:
+                    item.setForeground(self.palette().color(QPalette.ColorRole.PlaceholderText))
+                self.table.setItem(row, column, item)
+        if not parts:
+            self.table.setRowCount(1)
+            self.table.setItem(0, 0, QTableWidgetItem(NOTHING))

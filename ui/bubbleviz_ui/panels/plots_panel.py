@@ -7,25 +7,16 @@ from typing import Any
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, QTimer
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import (
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QPushButton,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import menu_button
-from bubbleviz_ui.panels.control_input import watch_controls
-from bubbleviz_ui.panels.kappa_plots import KappaPlot, kappa_at
+from bubbleviz_ui.panels.binding import menu_button, watch_controls
+from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
-from bubbleviz_ui.playback.range_table import Curve, RangeTable
-from bubbleviz_ui.shell.dock import scrolled
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.playback.range_strip import Curve, RangeTable
+from bubbleviz_ui.shell.dock import fill, scrolled
 
 EVERY_MS = 200
 """Curves take some ms to draw, and nobody reads faster."""

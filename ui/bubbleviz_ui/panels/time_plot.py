@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QGraphicsPathItem
 from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, History, thinned
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.panels.plot_frame import PlotFrame
+from bubbleviz_ui.panels.plot_host import PlotFrame
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import QEvent, Qt, QTimer
-from PySide6.QtGui import QResizeEvent
+from PySide6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer
+from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -19,13 +19,50 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.choices import SPEEDS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
-from bubbleviz_ui.panels.binding import bind, options, tool_button
-from bubbleviz_ui.panels.control_input import watch_controls
-from bubbleviz_ui.playback.playback_icons import icon
+from bubbleviz_ui.panels.binding import bind, options, tool_button, watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.dock import fill
+
+# Playback icons, drawn, so they have the window's colours on every desktop.
+
+
+SIZE = 64
+SHAPES: dict[str, tuple[tuple[str, float], ...]] = {
+    "play": (("right", 0.5),),
+    "pause": (("bar", 0.34), ("bar", 0.66)),
+    "back": (("bar", 0.72), ("left", 0.42)),
+    "forward": (("bar", 0.28), ("right", 0.58)),
+    "first": (("bar", 0.16), ("left", 0.40), ("left", 0.74)),
+    "last": (("right", 0.26), ("right", 0.60), ("bar", 0.84)),
+}
+"""Each icon as triangles and bars with their centres, from left to right."""
+
+
+def icon(name: str, colours: theme.Colours) -> QIcon:
+    """Icon of one playback action."""
+    pixmap = QPixmap(SIZE, SIZE)
+    pixmap.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(pixmap)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(QColor(colours.text))
+    for shape, centre in SHAPES[name]:
+        if shape == "bar":
+            painter.drawRect(QRectF((centre - 0.06) * SIZE, 0.2 * SIZE, 0.12 * SIZE, 0.6 * SIZE))
+        else:
+            painter.drawPolygon(_triangle(centre, 1.0 if shape == "right" else -1.0, name))
+    painter.end()
+    return QIcon(pixmap)
+
+
+def _triangle(centre: float, direction: float, name: str) -> QPolygonF:
+    half = 0.30 if name == "play" else 0.17
+    tip, base = centre + direction * half, centre - direction * half
+    corners = ((base, 0.2), (tip, 0.5), (base, 0.8))
+    return QPolygonF([QPointF(x * SIZE, y * SIZE) for x, y in corners])
+
 
 SOON_MS = 200
 """Between repaints of the timeline while playing, ms; new numbers repaint it besides."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
+from PySide6.QtGui import QColor, QDragEnterEvent, QDropEvent, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
+    QDoubleSpinBox,
     QFormLayout,
+    QGridLayout,
     QHBoxLayout,
     QLabel,
     QPushButton,
@@ -20,27 +22,209 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.mesh_reader import SUFFIXES
-from bubbleviz.files.preset_files import presets_folder
+from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.model.choices import POSE_CHOICES
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import SYSTEMS
-from bubbleviz_ui.panels.binding import bind, bind_member, options
-from bubbleviz_ui.panels.control_input import watch_controls
-from bubbleviz_ui.panels.plot_host import import_plots
-from bubbleviz_ui.pose.fit_curves import Curves
-from bubbleviz_ui.pose.pose_text import NUMBERS, copied_pose, known_pose, pose_words
-from bubbleviz_ui.pose.start_boxes import StartBoxes
+from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
+from bubbleviz_ui.panels.binding import bind, bind_member, options, watch_controls
+from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
+from bubbleviz_ui.panels.time_plot import alone
+from bubbleviz_ui.pose.pose_session import NUMBERS, copied_pose, known_pose, pose_words
+from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 if TYPE_CHECKING:
-    from bubbleviz_ui.pose.fit_curves import Curves
     from bubbleviz_ui.pose.pose_session import PoseSession
+
+
+# Fitness and rmse over the iterations of a fit, and over time.
+
+
+Below = Literal["number", "seconds"]
+HEIGHT = 109
+"""Of a plot with its text, screen pixels."""
+
+
+class Curves(PlotHost):
+    """Fitness and rmse side by side: of the iterations of the fit, and of the frames so far.
+
+    Attributes
+    ----------
+    iterations, frames : (Curve, Curve)
+        Fitness, and rmse in the operator's unit of length.
+    """
+
+    def __init__(self, units: Units) -> None:
+        super().__init__(self._fill)
+        self._units = units
+        self.setMinimumHeight(2 * HEIGHT)
+        self.setToolTip("Above: iterations of the fit, both stages; below: frames so far")
+        self.prepare()
+
+    def _fill(self) -> list[Part]:
+        self.iterations, self.frames = _pair("number"), _pair("seconds")
+        every = [*self.iterations, *self.frames]
+        self.arrange([curve.frame.item for curve in every], columns=2)
+        return list(every)
+
+    def draw_iterations(self, one: np.ndarray, two: np.ndarray) -> None:
+        """Histories (i, 2) of the stages, one after the other."""
+        both = np.concatenate([one, two])
+        self._draw(self.iterations, np.arange(len(both)), both, len(one))
+
+    def draw_frames(self, numbers: np.ndarray, time_s: np.ndarray, values: np.ndarray) -> None:
+        """Fitness, and rmse in m, (f, 2) of frames by their numbers; no line across others."""
+        breaks = np.flatnonzero(np.diff(numbers) > 1) + 1
+        times = np.insert(time_s, breaks, time_s[breaks])
+        self._draw(self.frames, times, np.insert(values, breaks, np.nan, axis=0), None)
+
+    def clear_iterations(self) -> None:
+        """Draw none: the pose was not fitted."""
+        self._draw(self.iterations, np.zeros(0), np.zeros((0, 2)), None)
+
+    def clear(self) -> None:
+        """Draw nothing."""
+        self.clear_iterations()
+        self._draw(self.frames, np.zeros(0), np.zeros((0, 2)), None)
+
+    def _draw(
+        self, curves: tuple[Curve, Curve], x: np.ndarray, values: np.ndarray, change: int | None
+    ) -> None:
+        for k, unit in enumerate((self._units.share, self._units.length)):
+            curves[k].draw(x, values[:, k], unit, change)
+
+
+def _pair(below: Below) -> tuple[Curve, Curve]:
+    return Curve("fitness", BLUE, below, top=1.0), Curve("rmse", ORANGE, below)
+
+
+class Curve:
+    """One quantity in its unit, from 0; its last value is above, a dash where there is none.
+
+    Parameters
+    ----------
+    name, colour : str
+    below : {"number", "seconds"}
+        What the axis below has.
+    top : float, optional
+        Where the axis ends, SI; at the largest value where not given.
+
+    Attributes
+    ----------
+    line : pyqtgraph.PlotDataItem
+    """
+
+    def __init__(self, name: str, colour: str, below: Below, top: float | None = None) -> None:
+        import pyqtgraph as pg  # 0.2 s later than the window
+
+        self._name, self._colour, self._top = name, colour, top
+        self.frame = PlotFrame(below)
+        self.frame.box.setMouseEnabled(x=False, y=False)
+        self.line = pg.PlotDataItem(
+            pen=pg.mkPen(colour, width=1), connect="finite",
+            symbolSize=4, symbolBrush=colour, symbolPen=None,
+        )  # fmt: skip
+        self.change = pg.InfiniteLine()
+        self.frame.box.addItem(self.line)
+        self.frame.box.addItem(self.change, ignoreBounds=True)
+
+    def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
+        """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
+        symbol = "o" if alone(values).any() else None
+        self.line.setData(x, unit.of(1.0) * values, symbol=symbol)
+        top = self._top or float(np.nanmax(values, initial=0.0))
+        if top > 0.0:
+            self.frame.box.setYRange(0.0, unit.of(top), padding=0.05)
+        self.change.setVisible(change is not None)
+        if change is not None:
+            self.change.setValue(change - 0.5)
+        last = f" {unit.text(float(values[-1]))}" if len(values) else ""
+        self.frame.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Take the theme's colours."""
+        self.frame.paint(dim, dim)
+        self.change.setPen(dim)
+
+
+# Six numbers for where the object begins.
+
+
+FARTHEST_M = 0.5  # m from B's origin: beyond any bubble
+NAMES = ("x", "y", "z")
+
+
+class StartBoxes(QWidget):
+    """Position and rotation (about fixed x, then y, then z) of O in B.
+
+    Attributes
+    ----------
+    edited : Signal
+        T_B_O (4, 4) as typed.
+    """
+
+    edited = Signal(object)
+
+    def __init__(self, units: Units) -> None:
+        super().__init__()
+        self._units = units
+        self.places = [self._box(f"start_{name}") for name in NAMES]
+        self.angles = [self._box(f"start_r{name}") for name in NAMES]
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        for column, name in enumerate(NAMES):
+            grid.addWidget(QLabel(name), 0, 2 * column)
+            grid.addWidget(self.places[column], 0, 2 * column + 1)
+            grid.addWidget(QLabel(f"r{name}"), 1, 2 * column)
+            grid.addWidget(self.angles[column], 1, 2 * column + 1)
+            grid.setColumnStretch(2 * column + 1, 1)
+            self.places[column].setToolTip(f"Start of the search: {name} of T_B_O")
+            self.angles[column].setToolTip(f"Start of the search: turn about {name} of B, degrees")
+        for box in self.angles:
+            box.setRange(-180.0, 180.0)
+            box.setDecimals(1)
+            box.setSuffix("°")
+            box.setWrapping(True)
+        self.fit_units()
+
+    def fit_units(self) -> None:
+        """Take the units chosen now."""
+        unit = self._units.length
+        for box in self.places:
+            with QSignalBlocker(box):
+                box.setRange(-unit.of(FARTHEST_M), unit.of(FARTHEST_M))
+                box.setDecimals(max(1, unit.digits - 1))
+                box.setSingleStep(unit.of(1e-3))
+                box.setSuffix(f" {unit.symbol}")
+
+    def show_pose(self, T_B_O: np.ndarray) -> None:
+        """Write a pose (4, 4) into the boxes."""
+        angles = np.degrees(angles_of_pose(T_B_O))
+        place = self._units.length.of(1.0) * T_B_O[:3, 3]
+        values = zip([*self.places, *self.angles], [*place, *angles], strict=True)
+        for box, value in values:
+            with QSignalBlocker(box):
+                box.setValue(float(value))
+
+    def pose(self) -> np.ndarray:
+        """T_B_O (4, 4) as it is in the boxes."""
+        place = np.array([self._units.length.to_si(box.value()) for box in self.places])
+        return pose_of_angles(place, np.radians([box.value() for box in self.angles]))
+
+    def _box(self, name: str) -> QDoubleSpinBox:
+        box = QDoubleSpinBox()
+        box.setObjectName(name)
+        box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
+        box.setKeyboardTracking(False)
+        box.setMinimumWidth(46)
+        box.valueChanged.connect(lambda _: self.edited.emit(self.pose()))
+        return box
+
 
 MESHES = f"Meshes ({' '.join('*' + suffix for suffix in SUFFIXES)});;All files (*)"
 NONE, FROM_FILE = "none", "from a file…"

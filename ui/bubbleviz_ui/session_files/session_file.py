@@ -2,24 +2,64 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from urllib.parse import quote, unquote
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.mesh_reader import SUFFIXES
-from bubbleviz.files.preset_files import presets_folder
-from bubbleviz.inverse.solvers.inverse_solver import ESTIMATORS, SOLVER_NAMES
-from bubbleviz.live.session_preset import SessionPreset
-from bubbleviz.sensor import Sensor
+from bubbleviz.files import SUFFIXES, presets_folder, whole_file
+from bubbleviz.inverse import ESTIMATORS, SOLVER_NAMES
+from bubbleviz.live import SessionPreset
+from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.model.choices import OWN_CHOICES, SETTINGS, SPEEDS, Choices
 from bubbleviz_ui.model.demand import PLOTS
 from bubbleviz_ui.model.registry import ASKING, LAYERS
-from bubbleviz_ui.session_files.live_paths import with_paths
+
+# Live sensors in a session file: what of the disk they name. No Qt in here.
+
+
+ON_DISK = ("replay", "realsense")
+"""Schemes whose place may be a file."""
+SAFE = "/:\\ "
+"""What a place may have as it is."""
+
+Rename = Callable[[str], str]
+
+
+def with_paths(live: SessionPreset, rename: Rename) -> SessionPreset:
+    """The same live sensors with other names for every sensor file and recording."""
+    places = tuple(
+        place.model_copy(
+            update={"sensor": rename(place.sensor), "source": source_with(place.source, rename)}
+        )
+        for place in live.sensors
+    )
+    title = source_with(live.title, rename)  # of a single sensor: its source
+    return live.model_copy(update={"title": title, "sensors": places})
+
+
+def with_sensor(live: SessionPreset, number: int, sensor: str) -> SessionPreset:
+    """The same live sensors, one of them with another sensor file."""
+    places = list(live.sensors)
+    places[number] = places[number].model_copy(update={"sensor": sensor})
+    return live.model_copy(update={"sensors": tuple(places)})
+
+
+def source_with(source: str, rename: Rename) -> str:
+    """A source with another name for the file it plays, where it plays one."""
+    scheme, colon, rest = source.partition(":")
+    place, question, options = rest.partition("?")
+    if scheme not in ON_DISK or not place:
+        return source
+    return f"{scheme}{colon}{quote(rename(unquote(place)), safe=SAFE)}{question}{options}"
+
 
 SYNTHETIC = "synthetic:"
 MOST_RECENT = 10  # in the menu
@@ -262,3 +302,83 @@ def _read(path: Path, kind: type[Any]) -> Any:
         raise InputError(
             f"{path}: is no session of bubbleviz ({where}: {problem['msg']}); choose another file"
         ) from error
+
+
+# A sensor of no file of the user's, kept beside a session file. No Qt in here.
+
+
+FILE = "sensor.toml"
+
+
+def kept_beside(sensor: Sensor, file: Path) -> Path:
+    """Copy a sensor, with the files it names, into a folder beside a session's file.
+
+    The folder is named after the session and what is in it: another sensor gets another folder,
+    and the same one costs nothing.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    file : Path
+        Of the session.
+
+    Returns
+    -------
+    Path
+        The sensor file in that folder.
+
+    Raises
+    ------
+    InputError
+        A file the sensor names is gone, or the copy cannot be written.
+    """
+    content = _content(sensor)
+    digest = hashlib.sha256()
+    for name, data in content.items():
+        digest.update(name.encode() + b"\0" + data)
+    folder = file.absolute().parent / f"{file.stem}_sensor_{digest.hexdigest()[:8]}"
+    if not folder.exists():
+        with whole_file(folder) as temporary:
+            temporary.mkdir()
+            for name, data in content.items():
+                (temporary / name).write_bytes(data)
+    return folder / FILE
+
+
+def is_beside(sensor: Sensor, file: Path) -> bool:
+    """Whether a sensor is one that was kept beside this session."""
+    return sensor.folder.absolute() in _folders(file)
+
+
+def forget_others(file: Path, kept: Path | None) -> None:
+    """Remove the sensors once kept beside a session, but for the one that still is."""
+    for folder in _folders(file):
+        if kept is None or folder != kept.parent:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _folders(file: Path) -> list[Path]:
+    return list(file.absolute().parent.glob(f"{file.stem}_sensor_????????"))
+
+
+def _content(sensor: Sensor) -> dict[str, bytes]:
+    """Bytes by name: the sensor's file and those it names, all in one folder."""
+    membrane, calibration, content = sensor.membrane, sensor.calibration, dict[str, bytes]()
+    if membrane.mesh_file is not None:
+        name = Path(membrane.mesh_file).name
+        content[name] = _read_sensor(sensor.resolve(membrane.mesh_file))
+        membrane = membrane.model_copy(update={"mesh_file": name})
+    if calibration is not None:
+        name = Path(calibration.pixels_file).name
+        content[name] = _read_sensor(sensor.resolve(calibration.pixels_file))
+        calibration = calibration.model_copy(update={"pixels_file": name})
+    alone = sensor.model_copy(update={"membrane": membrane, "calibration": calibration})
+    return {**content, FILE: sensor_to_toml(alone).encode()}
+
+
+def _read_sensor(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({reason}); save the sensor anew") from error

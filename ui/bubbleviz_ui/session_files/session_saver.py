@@ -13,17 +13,15 @@ from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, QTime
 from PySide6.QtWidgets import QMainWindow
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.live.session_preset import SessionPreset
+from bubbleviz.live import SessionPreset
+from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
-from bubbleviz_ui.engine.source_openers import RecordingOpener, recording, sensor_for, synthetic
+from bubbleviz_ui.engine.solver_server import RecordingOpener, recording, sensor_for, synthetic
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import OWN_CHOICES
 from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.session_files.bundled_sensor import forget_others, is_beside, kept_beside
-from bubbleviz_ui.session_files.live_paths import with_paths, with_sensor
 from bubbleviz_ui.session_files.session_file import (
     MOST_RECENT,
     SYNTHETIC,
@@ -32,12 +30,17 @@ from bubbleviz_ui.session_files.session_file import (
     UserFile,
     absolute,
     for_colleague,
+    forget_others,
+    is_beside,
+    kept_beside,
     located,
     missing,
     name_of,
     plain_choices,
     read_session,
     read_user_file,
+    with_paths,
+    with_sensor,
 )
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.window_parts import WindowParts

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 from PySide6.QtCore import QTimer
-from PySide6.QtGui import QGuiApplication
+from PySide6.QtGui import QColor, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -16,16 +19,127 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.diagnostics.shear_numbers import ShearEllipse
-from bubbleviz.membrane.rubber_model.friction_forward import MOST_FRICTION
+from bubbleviz.diagnostics import Measure, ShearEllipse, ShearNumbers
+from bubbleviz.membrane import MOST_FRICTION
+from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import NOTHING, SYSTEMS
-from bubbleviz_ui.panels.binding import bind, options
-from bubbleviz_ui.panels.control_input import watch_controls
-from bubbleviz_ui.shear.shear_plot import ShearPlot
-from bubbleviz_ui.shear.shear_text import NUMBERS, TIPS, copied_shear, shear_words
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.model.units import NOTHING, SYSTEMS, Unit, Units
+from bubbleviz_ui.panels.binding import bind, options, watch_controls
+from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.theme import BLUE
+
+# The tangential force and its 95 % region, seen along z of the bubble frame.
+
+
+HEIGHT = 170
+"""Screen pixels."""
+
+
+class ShearPlot(PlotHost):
+    """An arrow's line from no force to the tangential force, and an ellipse around its end.
+
+    Attributes
+    ----------
+    force, outline : pyqtgraph.PlotDataItem
+    """
+
+    def __init__(self) -> None:
+        super().__init__(self._fill)
+        self.setFixedHeight(HEIGHT)
+        self.setToolTip("Tangential force along x and y of the bubble frame, with its 95 % region")
+
+    def _fill(self) -> list[Part]:
+        import pyqtgraph as pg  # 0.2 s later than the window
+
+        self._frame = PlotFrame("number")
+        self._frame.box.setMouseEnabled(x=False, y=False)
+        self._frame.box.setAspectLocked(True)
+        self.force = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=2))
+        self.outline = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=1))
+        for item in (self.force, self.outline):
+            self._frame.box.addItem(item)
+        self.arrange([self._frame.item])
+        return [self]
+
+    def draw(self, ellipse: ShearEllipse | None, unit: Unit) -> None:
+        """Draw it in a unit of force, or nothing."""
+        if not self.ready:
+            return
+        self._frame.write(f"Tangential y over x, {unit.symbol}")
+        for item, points in (
+            (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
+            (self.outline, None if ellipse is None else ellipse.outline_n),
+        ):
+            item.setData(unit.of(1.0) * (np.empty((0, 2)) if points is None else points))
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Take the theme's colours."""
+        self._frame.paint(dim, text)
+
+
+# Force with friction and slip in words and numbers; ± is half of the 95 % interval.
+
+
+NUMBERS = {
+    "force": "Force |F|", "normal": "Normal", "tangential": "Tangential",
+    "direction": "Direction", "torque": "Torque", "displacement": "Displacement", "slip": "Slip",
+}  # fmt: skip
+"""Titles of the numbers by name."""
+TIPS = {
+    "force": "Length of the force of the object on the membrane",
+    "normal": "Along the mean normal of the contact, into the sensor",
+    "tangential": "Across the mean normal of the contact",
+    "direction": "Of the tangential force, from x towards y of the bubble frame, seen along z",
+    "torque": "About the mean normal through the contact's centre",
+    "displacement": "Largest displacement along the membrane where it is touched",
+    "slip": "Share of the patch that moved against the rest of it, over the frames that were"
+    " looked at since contact; none where too little of it sticks to tell",
+}
+UNVERIFIED = "not verified on real sensors"
+STATES = {
+    "ok": "depth and texture",
+    "no_contact": "nothing touches the membrane",
+    "depth_alone": "depth alone",
+    "no_data": "no depth image to trust",
+    "not_converged": "no solution to trust",
+}
+
+
+def shear_words(result: Result | None, units: Units) -> dict[str, str]:
+    """Texts by name, `state` among them."""
+    traction = None if result is None else result.traction
+    if result is None or traction is None:
+        return dict.fromkeys(("state", *NUMBERS), NOTHING)
+    numbers = ShearNumbers.of(traction, result.slip)
+    angle = _text(numbers.direction_deg, units.angle)
+    known = math.isfinite(numbers.direction_deg[0])
+    reason = f": {traction.reason}" if traction.reason else ""
+    return {
+        "state": STATES[traction.status] + reason,
+        "force": _text(numbers.force_n, units.force),
+        "normal": _text(numbers.normal_n, units.force),
+        "tangential": _text(numbers.tangential_n, units.force),
+        "direction": f"{angle}, {UNVERIFIED}" if known else NOTHING,
+        "torque": _text(numbers.torque_nm, units.torque),
+        "displacement": _text(numbers.displacement_m, units.length),
+        "slip": _text(numbers.slip_share, units.share),
+    }
+
+
+def copied_shear(result: Result, units: Units) -> str:
+    """The same as lines of text, for other programs."""
+    words = shear_words(result, units)
+    lines = [f"frame {result.frame.index}, {units.time.text(result.frame.time_s)}"]
+    lines += [f"status: {words['state']}"]
+    lines += [f"{title}: {words[name]}" for name, title in NUMBERS.items()]
+    return "\n".join(lines)
+
+
+def _text(measure: Measure, unit: Unit) -> str:
+    return unit.with_interval(*measure)
+
 
 EVERY_MS = 150
 """Numbers are written this often: nobody reads faster."""

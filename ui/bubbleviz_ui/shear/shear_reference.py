@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bubbleviz.errors import InputError
-from bubbleviz.frames.frame_source import FrameSource
-from bubbleviz.frames.recording import Recording
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
+from bubbleviz.inverse import RubberEstimator
 from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.recordings import FrameSource, Recording
 from bubbleviz.result import Result
 from bubbleviz_ui.model.demand import Demand, ShearOptions
 
 if TYPE_CHECKING:
-    from bubbleviz.shear.passing_texture import PassingTexture
+    from bubbleviz.calibration import PassingTexture
+
 
 LONG = 3000
 """Frames beyond which a recording is not searched: the solver would wait for minutes."""
@@ -68,9 +68,8 @@ class ShearReference:
 
     def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
         # what shear needs takes long to load, and nobody else needs it
-        from bubbleviz.shear.passing_texture import PassingTexture
-        from bubbleviz.shear.recorded_texture import watch_recorded_texture
-        from bubbleviz.shear.traction_estimator import TractionOptions
+        from bubbleviz.calibration import PassingTexture, watch_recorded_texture
+        from bubbleviz.shear import TractionOptions
 
         self._possible = isinstance(pipeline.estimator, RubberEstimator)
         if not self._possible:

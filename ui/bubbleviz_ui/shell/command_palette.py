@@ -6,9 +6,8 @@ from PySide6.QtCore import QEvent, QObject, Qt
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QDialog, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
-from bubbleviz_ui.shell.fuzzy_search import ranked
-from bubbleviz_ui.shell.layouts import fill
-from bubbleviz_ui.shell.shortcuts import Shortcuts
+from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.shortcuts import Shortcuts, ranked
 
 WIDTH, HEIGHT = 520, 340
 TOP = 60

@@ -12,7 +12,7 @@ from PySide6.QtCore import QSettings
 from PySide6.QtGui import QImageWriter
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
-from bubbleviz.files.output_files import free_name
+from bubbleviz.files import free_name
 from bubbleviz_ui.model.messages import UserMessage
 
 Answer = Literal["save", "discard", "cancel"]

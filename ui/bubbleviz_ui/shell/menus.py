@@ -9,19 +9,12 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, SignalInstance, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import (
-    QDockWidget,
-    QInputDialog,
-    QMenu,
-    QMenuBar,
-    QMessageBox,
-)
+from PySide6.QtWidgets import QDockWidget, QInputDialog, QMenu, QMenuBar, QMessageBox
 from vtkmodules.vtkCommonCore import vtkVersion
 
 import bubbleviz
-from bubbleviz.files.defaults import SESSION_SUFFIX
-from bubbleviz.files.preset_files import preset_names
-from bubbleviz_ui.engine.source_openers import RECORDINGS
+from bubbleviz.files import SESSION_SUFFIX, preset_names
+from bubbleviz_ui.engine.solver_server import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
@@ -30,14 +23,9 @@ from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
-from bubbleviz_ui.shell.file_dialogs import (
-    SENSOR_FILES,
-    file_to_open,
-    file_to_save,
-    folder_to_open,
-)
+from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, file_to_save, folder_to_open
 from bubbleviz_ui.shell.shortcuts import UNLISTED
-from bubbleviz_ui.view3d.tools.view_tools_panel import VIEWS
+from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
 
 NO_CONTACT = "No such contact in the frames computed so far; Analyse all frames (Plots) finds all"

@@ -2,13 +2,97 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 
-from PySide6.QtCore import QObject, Signal
+from PySide6.QtCore import QObject, Qt, Signal
 from PySide6.QtGui import QAction, QKeySequence
-from PySide6.QtWidgets import QMenu, QMenuBar
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QDialog,
+    QHBoxLayout,
+    QHeaderView,
+    QKeySequenceEdit,
+    QLabel,
+    QLineEdit,
+    QMenu,
+    QMenuBar,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
-from bubbleviz_ui.shell.fuzzy_search import STEP
+from bubbleviz_ui.shell.dock import fill
+
+# Fuzzy search: letters in order, better close together and where words begin.
+
+
+STEP = " › "
+"""Between the names of menus and of what is in them."""
+AT_WORD, NEXT_TO, GAP = 3.0, 2.0, 0.05  # scores of a letter; chosen
+
+
+def score(query: str, text: str) -> float | None:
+    """How well a text fits what was typed; None when its letters are not there in this order."""
+    wanted, there = query.lower().replace(" ", ""), text.lower()
+    best: list[float | None] = [None] * len(there)  # of matches that end at each letter
+    if not wanted:
+        return 0.0
+    for k, letter in enumerate(wanted):
+        now: list[float | None] = [None] * len(there)
+        before: float | None = 0.0 if k == 0 else None  # best that ended further left, with gaps
+        for i, other in enumerate(there):
+            if other == letter:
+                candidates = [] if before is None else [before]
+                if k and i and (last := best[i - 1]) is not None:
+                    candidates.append(last + NEXT_TO)
+                if candidates:
+                    starts = i == 0 or not there[i - 1].isalnum()
+                    now[i] = max(candidates) + 1.0 + AT_WORD * starts
+            if k and (ended := best[i]) is not None:
+                before = ended if before is None else max(before - GAP, ended)
+            elif before is not None and k:
+                before -= GAP
+        best = now
+    found = [value for value in best if value is not None]
+    return max(found) - GAP * len(there) if found else None
+
+
+def ranked(query: str, paths: list[str]) -> list[str]:
+    """Paths of items that fit, the best first; equally good ones in the order given.
+
+    Words of an item's own name come before those of its path, and words before scattered letters.
+    """
+    ranks = {path: rank for path in paths if (rank := _rank(query, path)) is not None}
+    return sorted(ranks, key=lambda path: ranks[path])
+
+
+def _rank(query: str, path: str) -> tuple[int, float] | None:
+    """Kind of the match and how poor it is among its kind; None for no match."""
+    name = path.split(STEP)[-1]
+    of_name, of_path = score(query, name), score(query, path)
+    typed = query.lower().split()
+    if of_path is None:
+        return None
+    if of_name is not None and set(typed) <= set(_words(name)):
+        return 0, -of_name
+    if of_name is not None and _begin(typed, name):
+        return 1, -of_name
+    if _begin(typed, path):
+        return 2, -of_path
+    return (4, -of_path) if of_name is None else (3, -of_name)
+
+
+def _begin(typed: list[str], text: str) -> bool:
+    """Whether each word that was typed begins a word of the text."""
+    return all(any(word.startswith(part) for word in _words(text)) for part in typed)
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"\w+", text.lower())
+
 
 UNLISTED = "unlisted"
 """Property of a menu whose actions come and go, such as recent files."""
@@ -109,3 +193,97 @@ def _named(menu: QMenuBar | QMenu, path: str) -> Iterator[tuple[str, QAction]]:
                 yield from _named(inner, name + STEP)
         elif not action.isSeparator():
             yield name, action
+
+
+# The dialog that lists the keys of every action and changes them.
+
+
+SIZE = (560, 520)  # px: fits a screen of 1024×700
+
+
+class ShortcutsDialog(QDialog):
+    """Find an action, press new keys for it. Keys that are taken are refused with a sentence."""
+
+    def __init__(self, parent: QWidget, shortcuts: Shortcuts) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle("Keyboard shortcuts")
+        self.resize(*SIZE)
+        self._shortcuts = shortcuts
+        self.search = QLineEdit()
+        self.search.setPlaceholderText("Find an action")
+        self.search.setClearButtonEnabled(True)
+        self.table = QTableWidget(len(shortcuts.actions), 2)
+        self.keys = QKeySequenceEdit()
+        self.keys.setToolTip("Press the new keys here")
+        self.set = QPushButton("&Set")
+        self.clear = QPushButton("&No keys")
+        self.reset = QPushButton("&Default")
+        self.reset_all = QPushButton("Default for &all")
+        self.problem = QLabel(wordWrap=True)
+        self.problem.setObjectName("problem")
+        self._lay_out()
+        self._fill()
+        self._connect()
+        self.table.selectRow(0)
+
+    @property
+    def name(self) -> str:
+        """The action that is chosen."""
+        item = self.table.item(self.table.currentRow(), 0)
+        return item.text() if item is not None else ""
+
+    def _lay_out(self) -> None:
+        table = self.table
+        table.setHorizontalHeaderLabels(["Action", "Keys"])
+        table.verticalHeader().hide()
+        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setTabKeyNavigation(False)
+        table.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        table.horizontalHeader().setSectionResizeMode(1, QHeaderView.ResizeMode.ResizeToContents)
+        row = QHBoxLayout()
+        row.addWidget(self.keys, 1)
+        for button in (self.set, self.clear, self.reset, self.reset_all):
+            button.setAutoDefault(False)
+            row.addWidget(button)
+        fill(QVBoxLayout(self), self.search, table, self.problem, row)
+
+    def _connect(self) -> None:
+        self.search.textChanged.connect(self._filter)
+        self.table.currentCellChanged.connect(lambda *_: self._show_keys())
+        self.table.cellDoubleClicked.connect(lambda *_: self.keys.setFocus())
+        self.set.clicked.connect(lambda: self._set(self.keys.keySequence()))
+        self.clear.clicked.connect(lambda: self._set(QKeySequence()))
+        self.reset.clicked.connect(lambda: self._say(self._shortcuts.reset(self.name)))
+        self.reset_all.clicked.connect(self._shortcuts.reset_all)
+        self._shortcuts.edited.connect(self._fill)
+
+    def _set(self, keys: QKeySequence) -> None:
+        if self.name:
+            self._say(self._shortcuts.set_keys(self.name, keys))
+
+    def _say(self, problem: str) -> None:
+        self.problem.setText(problem)
+
+    def _fill(self) -> None:
+        for row, name in enumerate(self._shortcuts.actions):
+            for column, text in enumerate((name, self._shortcuts.keys(name))):
+                self.table.setItem(row, column, QTableWidgetItem(text))
+        self._show_keys()
+
+    def _show_keys(self) -> None:
+        self._say("")
+        action = self._shortcuts.actions.get(self.name)
+        if action is not None:
+            self.keys.setKeySequence(action.shortcut())
+
+    def _filter(self, text: str) -> None:
+        for row, name in enumerate(self._shortcuts.actions):
+            keys = self._shortcuts.keys(name)
+            hidden = score(text, name) is None and text.lower() not in keys.lower()
+            self.table.setRowHidden(row, hidden)
+        shown = [r for r in range(self.table.rowCount()) if not self.table.isRowHidden(r)]
+        if shown:
+            self.table.selectRow(shown[0])

@@ -21,10 +21,10 @@ from bubbleviz.api.frames import info
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.source_openers import RecordingOpener
+from bubbleviz_ui.engine.solver_server import RecordingOpener
 from bubbleviz_ui.model.messages import Messages, UserMessage
-from bubbleviz_ui.sensor.sensor_text import title_text
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.sensor.sensor_panel import title_text
+from bubbleviz_ui.shell.dock import fill
 
 SIZE = (640, 360)  # px: fits a screen of 1024×700
 PAGES_SIZE = (860, 620)

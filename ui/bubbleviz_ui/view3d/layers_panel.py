@@ -16,9 +16,8 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options
-from bubbleviz_ui.panels.control_input import watch_controls
-from bubbleviz_ui.shell.layouts import fill
+from bubbleviz_ui.panels.binding import bind, bind_member, bind_quantity, options, watch_controls
+from bubbleviz_ui.shell.dock import fill
 
 CLOUD_POINTS = {
     5_000: "up to 5 000",

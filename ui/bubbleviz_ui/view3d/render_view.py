@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import re
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyvista as pv
@@ -13,9 +16,12 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
 from PySide6.QtGui import (
     QDragEnterEvent,
     QDropEvent,
+    QGuiApplication,
     QImage,
     QKeyEvent,
     QMouseEvent,
+    QOffscreenSurface,
+    QOpenGLContext,
     QPaintEvent,
     QResizeEvent,
     QShowEvent,
@@ -24,10 +30,121 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QWidget
 from pyvistaqt import QtInteractor
 
-from bubbleviz_ui.model.rate_meter import RateMeter
+from bubbleviz.errors import InputError
+from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d import direct_swap
-from bubbleviz_ui.view3d.render_quality import RenderQuality
+from bubbleviz_ui.view3d import render_view as direct_swap
+
+if TYPE_CHECKING:
+    from PySide6.QtOpenGLWidgets import QOpenGLWidget
+
+
+# How well the 3-D view is drawn, by what draws it: a GPU, or the processor that also solves.
+
+
+VARIABLE = "BUBBLEVIZ_RENDERING"
+"""Environment variable that chooses in place of the renderer."""
+SAMPLES = 4
+"""Samples a pixel, which every GPU has."""
+
+_SOFTWARE = re.compile(
+    r"\b(llvmpipe|softpipe|swrast|swr|software|mesa offscreen|gdi generic|basic render)\b",
+    re.IGNORECASE,
+)
+_GL_RENDERER = 0x1F01
+_BRIGHT = {"ambient": 0.5, "diffuse": 0.6, "specular": 0.0}
+"""Of balls: their colour means something, so it is not shaded far."""
+
+
+@dataclass(frozen=True)
+class RenderQuality:
+    """What the 3-D view spends on a picture.
+
+    Attributes
+    ----------
+    name : str
+        What `BUBBLEVIZ_RENDERING` calls it.
+    samples : int
+        Samples a pixel, for smooth edges; 0 for none.
+    round_points : bool
+        Points are shaded balls instead of flat squares.
+    thinned : int
+        One in so many points of the cloud is drawn while frames follow each other.
+    own_swap : bool
+        The view puts its pictures on the screen itself, see `direct_swap`; else Qt does.
+    renderer : str
+        What the driver calls itself; empty where it was not asked.
+    """
+
+    name: str
+    samples: int
+    round_points: bool
+    thinned: int
+    own_swap: bool
+    renderer: str = ""
+
+    @property
+    def points(self) -> dict[str, Any]:
+        """How points look, as `View.add_mesh` takes it."""
+        balls = self.round_points
+        looks = {"style": "points", "render_points_as_spheres": balls, "lighting": balls}
+        return looks | (_BRIGHT if balls else {})
+
+    @property
+    def text(self) -> str:
+        """The quality, and what draws."""
+        return f"{self.name}, by {self.renderer}" if self.renderer else self.name
+
+
+FAST = RenderQuality("fast", samples=0, round_points=False, thinned=4, own_swap=True)
+SMOOTH = RenderQuality("smooth", samples=SAMPLES, round_points=True, thinned=1, own_swap=False)
+
+
+def quality_for(renderer: str, wanted: str = "") -> RenderQuality:
+    """Fast for software or an unknown renderer, smooth for any other, unless one is wanted.
+
+    Parameters
+    ----------
+    renderer : str
+        OpenGL's name of it.
+    wanted : str
+        Name of a quality; empty for the renderer's.
+
+    Raises
+    ------
+    InputError
+        There is no such quality.
+    """
+    known = {quality.name: quality for quality in (FAST, SMOOTH)}
+    if wanted and wanted not in known:
+        raise InputError(
+            f"{VARIABLE} is {wanted!r}; set it to {' or '.join(known)}, or leave it unset"
+        )
+    by_renderer = SMOOTH if renderer and not _SOFTWARE.search(renderer) else FAST
+    return replace(known.get(wanted, by_renderer), renderer=renderer)
+
+
+def quality_here() -> RenderQuality:
+    """The quality for this machine's renderer, or the one `BUBBLEVIZ_RENDERING` names.
+
+    Raises
+    ------
+    InputError
+        The variable names none.
+    """
+    return quality_for(renderer_name(), os.environ.get(VARIABLE, ""))
+
+
+def renderer_name() -> str:
+    """What OpenGL's driver calls itself; empty without OpenGL. The Qt application exists."""
+    surface, context = QOffscreenSurface(), QOpenGLContext()
+    surface.create()
+    if not (context.create() and context.makeCurrent(surface)):
+        return ""
+    name = context.functions().glGetString(_GL_RENDERER)
+    context.doneCurrent()
+    return str(name or "")
+
 
 POINTS_PER_INCH = 72
 """Resolution of a picture in which text has as many pixels as its font size says."""
@@ -303,3 +420,66 @@ class View(QtInteractor):  # type: ignore[misc]
             self.ren_win.Render()
         else:
             self.refresh()
+
+
+# VTK's picture straight to the screen, without Qt putting the whole window together around it.
+#
+# Qt composes a window that has an OpenGL widget anew, all of it, for every picture. Where there is
+# no GPU that takes longer than the picture. A widget with a native window of its own can be swapped
+# alone, and the panels around it are painted as in any other window.
+
+
+PLATFORMS = frozenset({"xcb"})
+"""Qt's names of those where native windows inside others were tried."""
+
+_LEQUAL, _BACK, _SCISSOR_TEST, _COLOR_BUFFER_BIT, _NEAREST = 0x0203, 0x0405, 0x0C11, 0x4000, 0x2600
+_READ_FRAMEBUFFER, _DRAW_FRAMEBUFFER, _COLOR_ATTACHMENT0 = 0x8CA8, 0x8CA9, 0x8CE0
+
+
+def prepare(widget: QOpenGLWidget) -> None:
+    """Give a widget, and none beside it, a native window of its own, before it has any."""
+    if QGuiApplication.platformName() in PLATFORMS:
+        QGuiApplication.setAttribute(Qt.ApplicationAttribute.AA_DontCreateNativeWidgetSiblings)
+        widget.setAttribute(Qt.WidgetAttribute.WA_DontCreateNativeAncestors)
+        widget.setAttribute(Qt.WidgetAttribute.WA_NativeWindow)
+
+
+def can_show(widget: QOpenGLWidget) -> bool:
+    """Whether the widget is on the screen with a window of its own; Qt has painted it once."""
+    if not widget.testAttribute(Qt.WidgetAttribute.WA_NativeWindow) or widget.context() is None:
+        return False
+    window = widget.windowHandle()
+    return window is not None and window.isExposed()
+
+
+def render(render_window: Any) -> None:
+    """Have VTK render with the context that is current, which Qt has used meanwhile."""
+    state = render_window.GetState()
+    state.Reset()
+    state.Push()
+    state.vtkglDepthFunc(_LEQUAL)
+    render_window.Render()
+    state.Pop()
+
+
+def show(widget: QOpenGLWidget, render_window: Any) -> None:
+    """Put what VTK has rendered on the screen.
+
+    Parameters
+    ----------
+    widget : QOpenGLWidget
+        Of which `can_show` is true.
+    render_window : vtkGenericOpenGLRenderWindow
+        Has rendered with the widget's context.
+    """
+    context, window = widget.context(), widget.windowHandle()
+    context.makeCurrent(window)
+    gl = context.extraFunctions()  # VTK's own blit would make its off-screen surface current
+    gl.glBindFramebuffer(_READ_FRAMEBUFFER, render_window.GetDisplayFramebuffer().GetFBOIndex())
+    gl.glReadBuffer(_COLOR_ATTACHMENT0)
+    gl.glBindFramebuffer(_DRAW_FRAMEBUFFER, 0)
+    gl.glDrawBuffers(1, [_BACK])
+    gl.glDisable(_SCISSOR_TEST)
+    width, height = render_window.GetSize()
+    gl.glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, _COLOR_BUFFER_BIT, _NEAREST)
+    context.swapBuffers(window)

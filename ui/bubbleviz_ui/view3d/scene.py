@@ -3,29 +3,143 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import Any, TypeVar
 
 import numpy as np
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
+from vtkmodules.vtkRenderingCore import vtkAssembly, vtkProp3D
 
-from bubbleviz.camera.depth_camera import DepthCamera
-from bubbleviz.diagnostics.probe import Probed
-from bubbleviz.diagnostics.side_by_side import Measured
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.camera import DepthCamera
+from bubbleviz.diagnostics import Probed
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.output import Measured
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.colour_bar import LOWEST, WIDTH
-from bubbleviz_ui.view3d.drawn_layers import DrawnLayers
-from bubbleviz_ui.view3d.layers.contour_layer import ComparedLayer
-from bubbleviz_ui.view3d.layers.object_layer import ObjectLayer
-from bubbleviz_ui.view3d.layers.probe_marks import ProbeMarks
-from bubbleviz_ui.view3d.layers.rim_layer import RimLayer
-from bubbleviz_ui.view3d.place_text import PlaceText
+from bubbleviz_ui.view3d.colours import HeldRanges
+from bubbleviz_ui.view3d.contact_layers import (
+    ComparedLayer,
+    ContourLayer,
+    ForceLayer,
+    MembraneLayer,
+    ObjectPatchLayer,
+    ReadoutLayer,
+    TextureLayer,
+    TractionLayer,
+    VectorsLayer,
+    WireframeLayer,
+)
+from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, Surface
+from bubbleviz_ui.view3d.object_layers import FitLayer, ObjectLayer, ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.scale_ranges import HeldRanges
-from bubbleviz_ui.view3d.tools.picker import Picker
-from bubbleviz_ui.view3d.tools.section_plane import Section
-from bubbleviz_ui.view3d.tools.viewpoints import DIRECTIONS, Viewpoint, look_along, look_as
+from bubbleviz_ui.view3d.sensor_layers import AxesLayer, CloudLayer, FrustumLayer, RimLayer
+from bubbleviz_ui.view3d.text import LOWEST, WIDTH, PlaceText
+from bubbleviz_ui.view3d.tools import DIRECTIONS, Picker, Section, Viewpoint, look_along, look_as
+
+# The layers of one sensor, drawn together.
+
+
+CLASSES: tuple[type[Layer], ...] = (
+    MembraneLayer,
+    TextureLayer,
+    WireframeLayer,
+    ContourLayer,
+    ObjectPatchLayer,
+    ComparedLayer,
+    CloudLayer,
+    ForceLayer,
+    ReadoutLayer,
+    FrustumLayer,
+    RimLayer,
+    VectorsLayer,
+    TractionLayer,
+    ObjectLayer,
+    FitLayer,
+    AxesLayer,
+)
+"""What draws the layers of the registry."""
+
+
+L = TypeVar("L", bound=Layer)
+
+
+class DrawnLayers:
+    """Actors are made once; a result changes arrays in place.
+
+    Parameters
+    ----------
+    view : View
+    units : Units
+    ranges : HeldRanges
+        Scales to draw with.
+    names : collection of str
+        Layers to make, of the registry.
+
+    Attributes
+    ----------
+    by_name : dict of Layer
+    surface : Surface
+        The membrane as it is drawn.
+    """
+
+    def __init__(
+        self,
+        view: View,
+        units: Units,
+        ranges: HeldRanges,
+        names: frozenset[str] = frozenset(LAYERS),
+    ) -> None:
+        self.surface, self._ranges = Surface(units), ranges
+        canvas = Canvas(view, self.surface, units)
+        self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
+        for layer in self.by_name.values():
+            layer.set_visible(False)  # until there is a result
+        self._picture: Picture | None = None
+        view.rendering.connect(self._keep_scale)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take the geometry of another sensor."""
+        self.hide()
+        self.surface.set_mesh(mesh)
+        for layer in self.by_name.values():
+            layer.set_sensor(sensor, mesh)
+
+    def draw(self, result: Result, choices: Choices) -> None:
+        """Draw a result with what the user chose to see."""
+        self._ranges.take(self, result)
+        self._draw(result, choices)
+
+    def hide(self) -> None:
+        """Show nothing, and have no say in the scales."""
+        self._picture = None
+        self._ranges.leave(self)
+
+    def _keep_scale(self) -> None:
+        """Draw once more where another sensor has changed the scales since."""
+        drawn = self._picture
+        if drawn is not None and drawn.ranges != self._ranges.of(drawn.choices):
+            self._draw(drawn.result, drawn.choices)
+
+    def _draw(self, result: Result, choices: Choices) -> None:
+        shape = None
+        if any(layer.cut for name, layer in self.by_name.items() if name in choices.layers):
+            shape = self.surface.shape_of(result.estimate, choices.exaggeration)
+        if shape is not None:
+            self.surface.draw(shape)
+        self._picture = picture = Picture(result, shape, self._ranges.of(choices), choices)
+        for name, layer in self.by_name.items():
+            layer.set_visible(name in choices.layers)
+            if name in choices.layers:
+                layer.draw(picture)
+
+    def of(self, kind: type[L]) -> L:
+        """The layer of a class."""
+        layer = self.by_name[kind.name]
+        assert isinstance(layer, kind)
+        return layer
+
 
 MARGIN = 1.0
 """Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
@@ -172,3 +286,67 @@ def _bounds(mesh: MembraneMesh, sensor: Sensor, beside_m: np.ndarray) -> list[fl
     low = np.minimum(low, sensor.camera.position_m) - margin
     high = np.maximum(high, sensor.camera.position_m) + margin
     return [float(end) for pair in zip(low, high, strict=True) for end in pair]
+
+
+# The sensor beside the one that the scene is about: the same layers, placed by one matrix.
+
+
+BESIDE = frozenset({"membrane", "contour", "cloud", "force", "rim"})
+
+
+class SecondScene:
+    """Draws the results of a second sensor into the view, on the scales of the first.
+
+    Parameters
+    ----------
+    view : View
+    units : Units
+    ranges : HeldRanges
+        Of the scene, which has the colour bars.
+    """
+
+    def __init__(self, view: View, units: Units, ranges: HeldRanges) -> None:
+        self._view = view
+        before = set(view.renderer.GetViewProps())
+        self._drawn = DrawnLayers(view, units, ranges, BESIDE)
+        made = [prop for prop in view.renderer.GetViewProps() if prop not in before]
+        self._assembly = _gathered(view, made)
+        self._assembly.SetVisibility(False)
+
+    def set_sensor(
+        self, sensor: Sensor, mesh: MembraneMesh, T_B_here: np.ndarray, colour: str
+    ) -> None:
+        """Take the sensor, and where it is in the bubble frame of the scene's."""
+        matrix = vtkMatrix4x4()
+        matrix.DeepCopy(T_B_here.ravel().tolist())
+        self._assembly.SetUserMatrix(matrix)
+        self._assembly.SetVisibility(False)
+        self._drawn.set_sensor(sensor, mesh)
+        self._drawn.of(RimLayer).paint(colour)
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is in the view."""
+        return bool(self._assembly.GetVisibility())
+
+    def show(self, result: Result, choices: Choices) -> None:
+        """Have the next picture show a result with what the user chose to see."""
+        self._drawn.draw(result, choices)
+        self._assembly.SetVisibility(True)
+
+    def hide(self) -> None:
+        """Show nothing."""
+        self._drawn.hide()
+        self._assembly.SetVisibility(False)
+        self._view.refresh()
+
+
+def _gathered(view: View, props: list[Any]) -> Any:
+    """Assembly of the actors among some props; the rest, which are colour bars, is taken out."""
+    assembly = vtkAssembly()
+    for prop in props:
+        view.renderer.RemoveViewProp(prop)
+        if isinstance(prop, vtkProp3D):
+            assembly.AddPart(prop)
+    view.renderer.AddViewProp(assembly)
+    return assembly

@@ -1,0 +1,121 @@
+from .bootstrap import (
+    ScoreTable as ScoreTable,
+    draw_errors as draw_errors,
+    score_table as score_table,
+    tile_numbers as tile_numbers,
+    tile_side as tile_side,
+)
+from .contact_free import (
+    LAG as LAG,
+    SIGNIFICANT as SIGNIFICANT,
+    ContactFree as ContactFree,
+    find_contact_free as find_contact_free,
+    held_frames as held_frames,
+    tile_depths as tile_depths,
+)
+from .identification import (
+    Identification as Identification,
+    collect_press as collect_press,
+    identify as identify,
+    rest_gauge_pressure as rest_gauge_pressure,
+    rest_gauge_sigma as rest_gauge_sigma,
+    with_rubber as with_rubber,
+)
+from .pixel_images import (
+    BeforeAfter as BeforeAfter,
+    before_after as before_after,
+    local_tension_image as local_tension_image,
+)
+from .pressure_zero import (
+    ENOUGH as ENOUGH,
+    PASSED as PASSED,
+    PressureZero as PressureZero,
+    zero_of as zero_of,
+    zeroed as zeroed,
+)
+from .rectification import (
+    Level as Level,
+    fit_lines as fit_lines,
+    rectify as rectify,
+)
+from .report import (
+    check_outputs as check_outputs,
+    save as save,
+    summary as summary,
+)
+from .rest_frames import (
+    CollectedFrames as CollectedFrames,
+    PixelStatistics as PixelStatistics,
+    Ranges as Ranges,
+    as_ranges as as_ranges,
+    collect as collect,
+    in_words as in_words,
+    numbers as numbers,
+    tidy as tidy,
+    without as without,
+)
+from .rubber_estimate import (
+    RubberEstimate as RubberEstimate,
+)
+from .rubber_fit import (
+    Vented as Vented,
+)
+from .segmentation import (
+    rim_height as rim_height,
+)
+from .sensor_comparison import (
+    Comparison as Comparison,
+    Kind as Kind,
+    compare as compare,
+)
+from .sensor_writer import (
+    Origin as Origin,
+    file_hash as file_hash,
+    write_sensor as write_sensor,
+)
+from .surface import (
+    NAMES as NAMES,
+    Ellipsoid as Ellipsoid,
+    Name as Name,
+    Surfaces as Surfaces,
+    fit_ellipsoid as fit_ellipsoid,
+    fit_sphere as fit_sphere,
+    mean_points as mean_points,
+)
+from .temporal_lag import (
+    TemporalLag as TemporalLag,
+    lag_between as lag_between,
+    temporal_lag as temporal_lag,
+)
+from .tension import (
+    Quantity as Quantity,
+    balance_gradient as balance_gradient,
+    cap_tension as cap_tension,
+    ellipsoid_curvature as ellipsoid_curvature,
+    local_tension as local_tension,
+)
+from .texture_flow import (
+    COLLECTED as COLLECTED,
+    PassingTexture as PassingTexture,
+    TextureFlow as TextureFlow,
+    recorded_texture as recorded_texture,
+    watch_recorded_texture as watch_recorded_texture,
+)
+from .validation import (
+    KnownPress as KnownPress,
+    Validation as Validation,
+    mean_frame as mean_frame,
+    validate as validate,
+)
+from .verdict import (
+    Verdict as Verdict,
+    judge as judge,
+    rubber_advice as rubber_advice,
+    validation_advice as validation_advice,
+)
+from .workbench import (
+    Draft as Draft,
+    Settings as Settings,
+    Step as Step,
+    Workbench as Workbench,
+)

@@ -1,0 +1,241 @@
+"""Find the contact-free frames at the start of a recording, with or without gas pressure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.calibration.bootstrap import tile_numbers, tile_side
+from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.surface import fit_sphere
+from bubbleviz.errors import InputError
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import MIN_FRAMES, FrameSource, robust_sigma
+from bubbleviz.wording import count_of
+
+SIGNIFICANT = 6.0
+"""Standard deviations: noise does not get there in a recording's lifetime."""
+
+_TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
+_COVERED = 0.01  # share of the view that a contact must move to count
+_SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
+LAG = 5
+"""Frames: apart enough for the camera's temporal filter to have forgotten."""
+
+
+@dataclass(frozen=True)
+class ContactFree:
+    """The leading contact-free frames of a recording.
+
+    Attributes
+    ----------
+    frames : range
+        Indices 0 … end − 1.
+    depth_score : (F,) array
+        How many standard deviations the most changed 1 % of the view is from rest, per frame.
+    pressure_score : (F,) array or None
+        The same for the gas pressure; None where the recording has none.
+    ended_by : {"depth", "pressure", "recording"}
+        What saw the contact first; `recording`: none came.
+    """
+
+    frames: range
+    depth_score: np.ndarray
+    pressure_score: np.ndarray | None
+    ended_by: str
+
+
+def find_contact_free(source: FrameSource, progress: Progress = quiet) -> ContactFree:
+    """Leading frames in which neither the depth nor the gas pressure has left its rest state.
+
+    The recording must start without contact: a contact that is there from the first frame and
+    never changes cannot be told from the dome's own shape.
+
+    Raises
+    ------
+    InputError
+        Fewer than 5 frames before something moves.
+    """
+    tiles, pressures = _summaries(source, progress)
+    depth_score = _score(tiles)
+    depth_end = _first_change(depth_score)
+    end, ended_by = (depth_end, "depth") if depth_end < len(tiles) else (len(tiles), "recording")
+    pressure_score = None
+    if pressures is not None:
+        pressure_score = _score(pressures[:, None])
+        pressure_end = _first_change(pressure_score)
+        if pressure_end < end:
+            end, ended_by = pressure_end, "pressure"
+    if end < MIN_FRAMES:
+        raise InputError(
+            f"{source.name}: only {end} contact-free frames at its start; record at least"
+            f" {MIN_FRAMES} before touching the sensor, or name them"
+        )
+    return ContactFree(range(end), depth_score, pressure_score, ended_by)
+
+
+def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.ndarray | None]:
+    """Depth of every tile (F, K) in m and gas pressure (F,) in Pa, None if a frame lacks it."""
+    if len(source) < MIN_FRAMES:
+        raise InputError(
+            f"{source.name}: {count_of(len(source), 'frame')}; record at least {MIN_FRAMES}"
+        )
+    tiles, pressures = [], []
+    for k in range(len(source)):
+        frame = source[k]
+        tiles.append(tile_depths(frame.depth_m))
+        pressures.append(frame.gas_pressure_pa)
+        progress("finding contact-free frames", (k + 1) / len(source))
+    known = np.array([np.nan if p is None else p for p in pressures])
+    return np.array(tiles), known if np.isfinite(known).all() else None
+
+
+def tile_depths(depth: np.ndarray) -> np.ndarray:
+    """Interquartile mean of the depth in each 8×8 tile, m; NaN where half of it has no return.
+
+    As safe from false returns as the median, and not tied to the camera's quantum.
+    """
+    rows, columns = (side // _TILE_PX * _TILE_PX for side in depth.shape)
+    blocks = depth[:rows, :columns].reshape(rows // _TILE_PX, _TILE_PX, -1, _TILE_PX)
+    samples = np.sort(blocks.transpose(0, 2, 1, 3).reshape(-1, _TILE_PX**2), axis=1)
+    count = np.isfinite(samples).sum(axis=1)[:, None]
+    order = np.arange(_TILE_PX**2)
+    middle = (order >= count // 4) & (order < count - count // 4)
+    total = np.sum(samples, axis=1, where=middle, dtype=np.float64)
+    mean = total / np.maximum(middle.sum(axis=1), 1)
+    return np.where(2 * count[:, 0] >= _TILE_PX**2, mean, np.nan)
+
+
+def _score(values: np.ndarray) -> np.ndarray:
+    """Standard deviations by which the most changed 1 % of the columns are from rest, (F,)."""
+    values = values[:, np.isfinite(values).all(axis=0)]
+    if values.shape[1] == 0:
+        return np.zeros(len(values))
+    lag = min(LAG, len(values) - 1)
+    differences = values[lag:] - values[:-lag]
+    sigma = np.array([robust_sigma(column, center=0.0) for column in differences.T]) / np.sqrt(2.0)
+    typical = float(np.median(sigma))
+    # Quantised columns may never change at all: they are no better than their like, and a
+    # simulated one that never does is no better than its digits.
+    sigma = np.maximum(sigma, max(typical, np.finfo(float).eps * float(np.abs(values).max())))
+    end = MIN_FRAMES
+    score = np.zeros(len(values))
+    for _ in range(4):  # the rest state from more and more frames, as they prove to be at rest
+        rest = np.median(values[:end], axis=0)
+        score = np.quantile(np.abs(values - rest) / sigma, 1.0 - _COVERED, axis=1)
+        found = max(MIN_FRAMES, _first_change(score))
+        if found == end:
+            break
+        end = found
+    return score
+
+
+def _first_change(score: np.ndarray) -> int:
+    """First frame of a sustained departure from rest; the number of frames where there is none."""
+    high = score > SIGNIFICANT
+    runs = np.lib.stride_tricks.sliding_window_view(high, min(_SUSTAINED, len(high))).all(axis=1)
+    starts = np.flatnonzero(runs)
+    if not len(starts):
+        return len(score)
+    end = int(starts[0])
+    before = max(0, end - 2 * LAG)
+    usual = float(score[: max(before, 1)].max())
+    while end > before and score[end - 1] > usual:  # its beginning, before it was certain
+        end -= 1
+    return end
+
+
+# Find the frames of a press that is held, by the gas pressure.
+
+
+_HELD = 0.9
+"""Share of the largest rise of the gas pressure from which on a press counts as held."""
+_CLEAR = 10.0
+"""Standard deviations of the gas pressure by which a press must move it."""
+
+
+def held_frames(source: FrameSource, samples: Samples, progress: Progress = quiet) -> list[int]:
+    """Frames after the contact-free ones in which the gas pressure is near its largest.
+
+    None of them where there is no gas pressure, or no press that moves it ten times its noise.
+    """
+    free = samples.gas_pressure_pa
+    if free is None:
+        return []
+    rest = float(np.median(free))
+    later = range(max(samples.frames) + 1, len(source))
+    rises = []
+    for k in later:
+        value = source[k].gas_pressure_pa
+        rises.append(np.nan if value is None else value - rest)
+        progress("finding the press", (k - later.start) / len(later))
+    rise = np.array(rises)
+    if not np.isfinite(rise).any() or np.nanmax(rise) < _CLEAR * max(robust_sigma(free), 1e-9):
+        return []
+    return [later[k] for k in np.flatnonzero(rise > _HELD * np.nanmax(rise))]
+
+
+def settled(frames: list[int]) -> list[int]:
+    """Those whose images a camera's temporal filter has cleared of what was before them."""
+    known = set(frames)
+    return [k for k in frames if k - LAG in known]
+
+
+# Check that the dome does not move relative to the camera while frames are collected.
+
+
+_PIXELS = 20_000  # fitted in each frame; chosen for run time
+_ROUNDS = 5  # outliers give way to the motion
+_LOUD = 4.0  # standard deviations that noise does not reach in some hundred frames
+_WANDER = 5e-3  # of the dome's radius: the error it would put on γ0
+
+
+def check_still(samples: Samples) -> float:
+    """Refuse frames between which the dome moves as a whole; how far it does beyond noise, m."""
+    centres, noise, radius = dome_motion(samples)
+    wander = np.linalg.norm(np.maximum(np.abs(centres) - _LOUD * noise, 0.0), axis=1)
+    worst = int(np.argmax(wander))
+    if wander[worst] > _WANDER * radius:
+        raise InputError(
+            f"{samples.source_name}: the dome moves by {1e3 * wander[worst]:.2g} mm against the"
+            f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fix the"
+            " camera, let the gas settle, or name frames without contact"
+        )
+    return float(wander[worst])
+
+
+def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
+    """Centre of the dome's sphere in every frame about its mean (F, 3), its noise (3,), radius, m.
+
+    The noise is that of the residuals after the motion, over tiles, since neighbours share it.
+    """
+    statistics, camera = samples.statistics, samples.camera
+    known = np.flatnonzero(statistics.validity >= statistics.regular_validity)
+    known = known[:: max(1, len(known) // _PIXELS)]
+    ranges = statistics.range_m.ravel()[known]
+    points = camera.center + ranges[:, None] * camera.directions[known]
+    sphere = fit_sphere(points).ellipsoid
+    near = np.abs(sphere.distance(points)) < 0.1 * sphere.semi_axes_m[0]
+    known, points, ranges = known[near], points[near], ranges[near]
+    J = sphere.derivatives(points, "sphere")[:, :3]  # of one size, wherever it is
+    facing = np.einsum("ij,ij->i", sphere.normals(points), camera.directions[known])
+    to_range = camera.range_per_depth.ravel()[known]
+    # Derivatives are of the distance for motion of the sphere, so that −distance moves it there.
+    solve = -np.linalg.pinv(J)
+    depth = samples.depth_m.reshape(len(samples.depth_m), -1)[:, known]
+    change = np.nan_to_num((depth * to_range - ranges) * facing)
+    moved = np.zeros((len(change), 3))
+    for _ in range(_ROUNDS):
+        left = change + moved @ J.T
+        limit = _LOUD * np.array([robust_sigma(row, center=0.0) for row in left])[:, None]
+        moved = moved + np.clip(left, -limit, limit) @ solve.T
+    left = np.clip(change + moved @ J.T, -limit, limit)
+    side = tile_side(len(known), statistics.correlation_length_px)
+    tile = tile_numbers(known, camera.intrinsics.width, max(side, 8))
+    variance = np.zeros((len(left), 3))
+    for k in range(3):
+        cells = np.stack([np.bincount(tile, row * solve[k]) for row in left])
+        variance[:, k] = np.sum(cells**2, axis=1)
+    noise = np.sqrt(np.median(variance, axis=0))
+    return moved[:, :3], noise, float(sphere.semi_axes_m[0])

@@ -1,0 +1,232 @@
+"""Free-form reference surface: the fitted cap plus a smooth correction.
+
+Nodes move along the line from the centre of the rim plane, so that those of the rim stay in it.
+The correction c is the P1 field that minimises
+
+    Σ w (measured − cast range)² + λ cᵀ Q c,   Q = (M/ℓ² + L) M⁻¹ (M/ℓ² + L)
+
+with mass M and stiffness L of the mesh: bending at scales below ℓ, back to the cap (zero) where
+nothing is seen. λ is the one under which tiles of pixels left out are predicted best: smaller
+follows the camera's fixed pattern, which is no shape; larger misses the shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.camera import DepthCamera, RayCaster, range_jacobian
+from bubbleviz.membrane import MembraneMesh, cotangent_laplacian, symmetric_lu
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
+
+FOLDS = 5  # of the cross-validation; the usual number
+_DECADES = np.arange(-4.0, 4.5, 0.5)  # of λ around the one at which data and prior weigh alike
+_RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones change nothing
+
+
+@dataclass(frozen=True)
+class FreeForm:
+    """A free-form surface and the numbers behind it.
+
+    Attributes
+    ----------
+    mesh : MembraneMesh
+        The corrected surface in B.
+    correction_m : (n,) array
+        Motion of each node from the cap, along the line from the origin of B, m.
+    smoothing : float
+        λ, relative to the one at which data and prior weigh alike.
+    left_out_rms_m : float
+        Robust rms error of ranges in tiles left out of the fit, m.
+    residual_m : (H, W) array
+        Measured minus cast range, m; NaN where there is no return or the ray misses the mesh.
+    left_out_m : (H, W) array
+        Measured minus predicted range of pixels whose tile was left out, m; NaN elsewhere.
+    system : System
+    """
+
+    mesh: MembraneMesh
+    correction_m: np.ndarray
+    smoothing: float
+    left_out_rms_m: float
+    residual_m: np.ndarray
+    left_out_m: np.ndarray
+    system: System
+
+    def influence(self, gradients: np.ndarray) -> np.ndarray:
+        """Change of numbers per change of each pixel's range, (P, Q), unit/m.
+
+        Parameters
+        ----------
+        gradients : (n, Q) array
+            Change of each number per motion of each node along its arm, unit/m.
+        """
+        system = self.system
+        adjoint = symmetric_lu(system.matrix).solve(np.ascontiguousarray(gradients))
+        return system.efficiency * system.weights[:, None] * (system.D @ adjoint)
+
+
+@dataclass(frozen=True)
+class System:
+    """The fit's last linear system, in the pixels that took part.
+
+    Attributes
+    ----------
+    pixels : (P,) int array
+        Flat indices.
+    D : (P, n) sparse array
+        Derivative of their ranges for motion of the nodes along the arms.
+    weights : (P,) array
+    matrix : (n, n) sparse array
+        Normal matrix with the prior.
+    efficiency : float
+        Mean weight over mean slope of the robust loss: by how much the matrix overstates what
+        it takes to move the fit.
+    """
+
+    pixels: np.ndarray
+    D: sparse.csr_array
+    weights: np.ndarray
+    matrix: sparse.csc_array
+    efficiency: float
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Normal equations of one fold (or of all pixels): matrix n×n and right side (n,)."""
+
+    matrix: sparse.csc_array
+    right: np.ndarray
+
+
+def fit_free_form(
+    start: MembraneMesh,
+    camera: DepthCamera,
+    range_m: np.ndarray,
+    use: np.ndarray,
+    scale_m: float,
+    tile_px: int,
+    progress: Progress = quiet,
+) -> FreeForm:
+    """Correct a cap's mesh so that its modelled ranges fit the measured ones.
+
+    Parameters
+    ----------
+    start : MembraneMesh
+        Mesh of the fitted cap in B.
+    camera : DepthCamera
+    range_m : (H, W) array
+        Mean contact-free range, m; NaN: no return.
+    use : (H, W) bool array
+        Pixels of the membrane that may take part.
+    scale_m : float
+        Length ℓ beyond which a correction is the cap's business, m.
+    tile_px : int
+        Side of the tiles left out in turn, pixels; several times the noise's correlation
+        length, or what is left out is still known from its neighbours.
+    """
+    arms = start.nodes / np.linalg.norm(start.nodes, axis=1, keepdims=True)
+    caster = RayCaster(camera.center, camera.directions, start.triangles)
+    pixels = np.flatnonzero((use & np.isfinite(range_m)).ravel())
+    prior = _prior(start, scale_m)
+    fold = fold_of(pixels, use.shape[1], tile_px)
+    correction = np.zeros(len(start.nodes))
+    smoothing = left_out = float("nan")
+    left_out_image = np.full(range_m.size, np.nan)
+    for k in range(_RELINEARISATIONS):
+        nodes = start.nodes + correction[:, None] * arms
+        hits = caster.cast(nodes, arms, pixels)
+        hit = np.searchsorted(pixels, hits.ray)
+        D = range_jacobian(hits, start.triangles, len(nodes))
+        residual = range_m.ravel()[hits.ray] - hits.range_m
+        target = residual + D @ correction
+        about = residual - np.median(residual)
+        sigma = robust_sigma(residual)
+        weights = tukey_weights(about, sigma)
+        unit = _balance(D, weights, prior)
+        if k < 2:  # later rounds move by micrometres: the choice stands
+            smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit)
+            left_out_image[hits.ray] = missed
+        normal = _normal(D, target, weights)
+        matrix = (normal.matrix + prior * (smoothing * unit)).tocsc()
+        correction = symmetric_lu(matrix).solve(normal.right)
+        progress("free-form surface", (k + 1) / _RELINEARISATIONS)
+    mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
+    return FreeForm(
+        mesh=mesh,
+        correction_m=correction,
+        smoothing=smoothing,
+        left_out_rms_m=left_out,
+        residual_m=range_residual(mesh, camera, range_m),
+        left_out_m=left_out_image.reshape(range_m.shape),
+        system=System(hits.ray, D, weights, matrix, _efficiency(about, sigma)),
+    )
+
+
+def _efficiency(residuals: np.ndarray, sigma: float) -> float:
+    slope = float(tukey_slopes(residuals, sigma).mean())
+    return float(tukey_weights(residuals, sigma).mean()) / slope if slope > 0.0 else 1.0
+
+
+def range_residual(mesh: MembraneMesh, camera: DepthCamera, range_m: np.ndarray) -> np.ndarray:
+    """Measured range (H, W) minus that of the rays cast on the mesh, m; NaN where either lacks."""
+    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
+        mesh.nodes, mesh.normals
+    )
+    cast = np.full(range_m.size, np.nan)
+    cast[hits.ray] = hits.range_m
+    return range_m - cast.reshape(range_m.shape)
+
+
+def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:
+    """Q = (M/ℓ² + L) M⁻¹ (M/ℓ² + L), n×n."""
+    operator = sparse.diags_array(mesh.areas / scale_m**2) + cotangent_laplacian(mesh)
+    return (operator @ sparse.diags_array(1.0 / mesh.areas) @ operator).tocsc()
+
+
+def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
+    """Fold 0 … 4 of each pixel: whole tiles, offset by a knight's move from row to row."""
+    row, column = np.divmod(pixels, width)
+    return (row // tile_px * 2 + column // tile_px) % FOLDS
+
+
+def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> _Normal:
+    weighted = D.multiply(weights[:, None]).tocsr()
+    return _Normal((weighted.T @ D).tocsc(), weighted.T @ target)
+
+
+def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) -> float:
+    """λ at which data and prior have equal trace."""
+    return float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
+
+
+def _solve(normal: _Normal, prior: sparse.csc_array) -> np.ndarray:
+    return symmetric_lu((normal.matrix + prior).tocsc()).solve(normal.right)
+
+
+def _choose(
+    D: sparse.csr_array,
+    target: np.ndarray,
+    weights: np.ndarray,
+    fold: np.ndarray,
+    prior: sparse.csc_array,
+    unit: float,
+) -> tuple[float, float, np.ndarray]:
+    """λ / unit that predicts the tiles left out best, its rms error and errors (k,), m."""
+    parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(FOLDS)]
+    whole = _normal(D, target, weights)
+    errors = np.zeros(len(_DECADES))
+    missed = np.empty((len(_DECADES), len(target)), np.float32)
+    for k, part in enumerate(parts):
+        rest = _Normal(whole.matrix - part.matrix, whole.right - part.right)
+        rows, wanted, weight = D[fold == k], target[fold == k], weights[fold == k]
+        for j, decade in enumerate(_DECADES):
+            error = wanted - rows @ _solve(rest, prior * (10.0**decade * unit))
+            errors[j] += float(np.sum(weight * error**2))
+            missed[j, fold == k] = error
+    errors /= float(weights.sum())
+    best = int(np.argmin(errors))
+    return float(10.0 ** _DECADES[best]), float(np.sqrt(errors[best])), missed[best]

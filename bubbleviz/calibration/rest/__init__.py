@@ -1,1 +1,0 @@
-"""The sensor at rest: contact-free frames, depth statistics, pixels to trust."""

@@ -1,0 +1,322 @@
+"""Contact-free frames of an identification with their per-pixel statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.calibration.segmentation import away_from_edges
+from bubbleviz.camera import DepthCamera, PixelModel
+from bubbleviz.errors import InputError
+from bubbleviz.membrane import build_mesh
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import (
+    MIN_FRAMES,
+    DepthStatistics,
+    Frame,
+    FrameSource,
+    measure_depth,
+    robust_sigma,
+    upper_fence,
+)
+from bubbleviz.sensor import Sensor
+from bubbleviz.wording import count_of
+
+MAX_FRAMES = 150
+"""Frames above which more of them only cost memory: every so many-th is used then."""
+
+_WRONG_UNIT = np.sqrt(10.0)  # half way, in ratio, to a unit ten times as large
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Contact-free frames of one camera.
+
+    Attributes
+    ----------
+    source_name : str
+    frames : tuple of int
+        Their numbers in the recording.
+    depth_m : (F, H, W) float32 array
+        z-depth, m; NaN: no return.
+    gas_pressure_pa : (F,) array or None
+        Absolute; None where a frame lacks it.
+    camera : DepthCamera
+        As the sensor file has it in B, with the recording's intrinsics.
+    statistics : DepthStatistics
+    """
+
+    source_name: str
+    frames: tuple[int, ...]
+    depth_m: np.ndarray
+    gas_pressure_pa: np.ndarray | None
+    camera: DepthCamera
+    statistics: DepthStatistics
+
+
+def collect(
+    source: FrameSource, sensor: Sensor, chosen: Sequence[int], progress: Progress = quiet
+) -> Samples:
+    """Read the chosen frames and measure every pixel over them.
+
+    Parameters
+    ----------
+    source : FrameSource
+    sensor : Sensor
+        Camera pose, intrinsics where the recording has none, and how far away a membrane is.
+    chosen : sequence of int
+        Contact-free frames: any, so that one can be taken out again.
+
+    Raises
+    ------
+    InputError
+        Fewer than 5 frames, frames of another camera, no returns, or depth in a wrong unit.
+    """
+    if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
+        raise InputError(
+            f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are outside its"
+            f" {count_of(len(source), 'frame')}; name others"
+        )
+    if len(chosen) < MIN_FRAMES:
+        raise InputError(
+            f"{source.name}: {count_of(len(chosen), 'contact-free frame')}; name at least"
+            f" {MIN_FRAMES}"
+        )
+    chosen = list(chosen)[:: -(-len(chosen) // MAX_FRAMES)]
+    images: list[np.ndarray] = []
+    pressures: list[float] = []
+    for number, k in enumerate(chosen):
+        frame = source[k]
+        if images and frame.depth_m.shape != images[0].shape:
+            raise InputError(f"{source.name}: frame {k} differs in size; record one camera mode")
+        images.append(frame.depth_m)
+        pressures.append(np.nan if frame.gas_pressure_pa is None else frame.gas_pressure_pa)
+        if number == 0:
+            camera = DepthCamera.of(sensor.camera, frame.intrinsics)
+            _check_unit(source.name, frame.depth_m, sensor, camera)
+        progress("reading frames", (number + 1) / len(chosen))
+    progress("measuring pixels", 0.0)
+    depth = np.stack(images).astype(np.float32, copy=False)
+    gas = np.array(pressures)
+    return Samples(
+        source_name=source.name,
+        frames=tuple(chosen),
+        depth_m=depth,
+        gas_pressure_pa=gas if np.isfinite(gas).all() else None,
+        camera=camera,
+        statistics=measure_depth(depth, camera.range_per_depth),
+    )
+
+
+def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCamera) -> None:
+    """Refuse depths whose scale differs from the sensor file's by a power of ten (mm for m)."""
+    valid = depth_m[np.isfinite(depth_m)]
+    if not valid.size:
+        return  # measure_depth says so, over all frames
+    drawn = (build_mesh(sensor).nodes - camera.center) @ camera.T_B_C[:3, 2]
+    measured, expected = float(np.median(valid)), float(np.median(drawn))
+    if not expected / _WRONG_UNIT < measured < expected * _WRONG_UNIT:
+        raise InputError(
+            f"{name}: depth of {measured:.3g} m, but the sensor file has its membrane"
+            f" {expected:.3g} m from the camera: wrong unit? record 16UC1 in millimetres or 32FC1"
+            " in metres"
+        )
+
+
+# Pixel selection: which pixels to use, with the bias and noise of each.
+
+
+_MICROMETRE = 1e-6
+"""Step of the stored images: far below the noise, and it makes them compress to a third."""
+
+_SAMPLE_SCALE = 3.0  # robust standard deviations: 1 in 370 of a normal population lies outside
+
+
+@dataclass(frozen=True)
+class PixelStatistics(PixelModel):
+    """Bias and noise of each pixel from contact-free frames; bias 0 and noise inf outside the mask.
+
+    Attributes
+    ----------
+    removed : dict of str to int
+        Pixels that each reason removed; the first that applies counts.
+    """
+
+    removed: dict[str, int] = field(default_factory=dict)
+
+    def save(self, path: str | Path) -> None:
+        """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images.
+
+        `PixelModel.load` reads it.
+        """
+        with Path(path).open("wb") as file:
+            np.savez_compressed(
+                file,
+                mask=self.mask,
+                bias_m=_half(self.bias_m),
+                noise_m=_half(self.noise_m),
+                correlated_pixels=np.float32(self.correlated_pixels),
+                removed_reasons=np.array(list(self.removed), dtype=str),
+                removed_pixels=np.array(list(self.removed.values()), dtype=np.int64),
+                **self._line_images(),
+            )
+
+    def _line_images(self) -> dict[str, Any]:
+        if self.line is None:
+            return {}
+        images = {
+            name: getattr(self.line, name).astype(np.float32)
+            for name in ("slope", "rest_m", "nearest_m", "farthest_m")
+        }
+        return images | {"levels": np.int64(self.line.levels)}
+
+
+def select_pixels(
+    statistics: DepthStatistics,
+    membrane: np.ndarray,
+    residual_m: np.ndarray,
+    min_validity: float | None = None,
+    deviations: float = _SAMPLE_SCALE,
+) -> PixelStatistics:
+    """Choose the pixels to use, and estimate the bias of each.
+
+    Reasons to leave a pixel out, in this order: `never_valid` and `rarely_valid` (returns in
+    fewer than `min_validity` of the frames), `false_return` (not part of the membrane),
+    `outside_rim` (its ray misses the membrane), `edge` (its matching window reaches past the
+    membrane's edge or into a hole), `unstable` (σ beyond what the other pixels have) and
+    `biased` (glare and rim bias: further from the surface than the other pixels are).
+
+    Parameters
+    ----------
+    statistics : DepthStatistics
+        Of the contact-free frames.
+    membrane : (H, W) bool array
+        Pixels that see the membrane (`segment.membrane_pixels`).
+    residual_m : (H, W) array
+        Measured minus modelled range, m; NaN where the ray misses the model.
+    min_validity : float, optional
+        Share of the frames in which a pixel must have a return; nine tenths of what is usual.
+    deviations : float
+        Robust standard deviations beyond which a pixel is `unstable` or `biased`.
+    """
+    if min_validity is None:
+        min_validity = statistics.regular_validity
+    validity, sigma = statistics.validity, statistics.noise_m
+    inner = away_from_edges(membrane, 0.5 * statistics.correlation_length_px)
+    typical = membrane & np.isfinite(residual_m)
+    fence = upper_fence(sigma[typical], deviations)
+    middle = float(np.median(residual_m[typical])) if typical.any() else 0.0
+    spread = robust_sigma(residual_m[typical])
+    # NaN compares false: what has no residual was taken out by an earlier reason.
+    with np.errstate(invalid="ignore"):
+        reasons = {
+            "never_valid": validity <= 0.0,
+            "rarely_valid": validity < min_validity,
+            "false_return": ~membrane,
+            "outside_rim": ~np.isfinite(residual_m),
+            "edge": ~inner,
+            "unstable": ~(sigma <= fence),
+            "biased": np.abs(residual_m - middle) > deviations * spread,
+        }
+    mask = np.ones(validity.shape, bool)
+    removed = {}
+    for name, out in reasons.items():
+        removed[name] = int(np.count_nonzero(mask & out))
+        mask &= ~out
+    return PixelStatistics(
+        mask=mask,
+        bias_m=np.where(mask, residual_m, 0.0).astype(np.float32),
+        noise_m=np.where(mask, sigma, np.inf).astype(np.float32),
+        removed=removed,
+        correlated_pixels=statistics.correlated_pixels,
+    )
+
+
+def _half(image: np.ndarray) -> np.ndarray:
+    """Image in m rounded to micrometres, half precision."""
+    return (np.rint(image / _MICROMETRE) * _MICROMETRE).astype(np.float16)
+
+
+# Frames collected from a live source, as a frame source.
+
+
+class CollectedFrames:
+    """Frames kept in memory, in the order in which they came.
+
+    Parameters
+    ----------
+    name : str
+        Of the live source.
+    frames : sequence of Frame
+
+    Raises
+    ------
+    InputError
+        There are none.
+    """
+
+    def __init__(self, name: str, frames: Sequence[Frame]) -> None:
+        if not frames:
+            raise InputError(f"{name}: no frame was collected; wait for the source")
+        self.name = name
+        self._frames = tuple(frames)
+        self.times_s = np.array([frame.time_s for frame in frames])
+
+    def __len__(self) -> int:
+        """Count the frames."""
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return self._frames[index]
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+# Sets of frames as ranges, as selected on the timeline.
+
+
+Ranges = tuple[tuple[int, int], ...]
+"""First frame and the one after the last of each range; in order, apart, none empty."""
+
+
+def tidy(ranges: Iterable[tuple[int, int]], frames: int) -> Ranges:
+    """Ranges inside 0 … frames, in order, with those that touch joined."""
+    joined: list[tuple[int, int]] = []
+    for start, stop in sorted((max(a, 0), min(b, frames)) for a, b in ranges):
+        if start >= stop:
+            continue
+        if joined and start <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(joined[-1][1], stop))
+        else:
+            joined.append((start, stop))
+    return tuple(joined)
+
+
+def without(ranges: Ranges, start: int, stop: int) -> Ranges:
+    """Ranges less the frames start … stop − 1."""
+    parts = [part for a, b in ranges for part in ((a, min(b, start)), (max(a, stop), b))]
+    return tidy([(a, b) for a, b in parts if a < b], max((b for _, b in ranges), default=0))
+
+
+def numbers(ranges: Ranges) -> list[int]:
+    """Every frame in the ranges."""
+    return [k for start, stop in ranges for k in range(start, stop)]
+
+
+def as_ranges(frames: Iterable[int]) -> Ranges:
+    """Ranges of single frames."""
+    listed = list(frames)
+    return tidy([(k, k + 1) for k in listed], max(listed, default=-1) + 1)
+
+
+def in_words(ranges: Ranges) -> str:
+    """Ranges as text such as "0–59, 80–99", last frames included."""
+    return ", ".join(f"{a}–{b - 1}" if b - a > 1 else f"{a}" for a, b in ranges) or "none"

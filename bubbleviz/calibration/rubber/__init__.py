@@ -1,1 +1,0 @@
-"""What inflation or a press tells of the rubber: pre-stretch, gauge and atmospheric pressure."""

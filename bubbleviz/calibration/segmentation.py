@@ -1,0 +1,89 @@
+"""Which pixels are the membrane: the largest piece of the cloud without a step in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.sparse.csgraph import connected_components
+
+from bubbleviz.recordings import robust_sigma
+
+_STEP_SIGMA = 6.0  # of neighbours' differences: a step, and no noise
+
+
+def membrane_pixels(distance_m: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Pixels of the largest connected piece of the measured surface, (H, W) bool.
+
+    Neighbours belong together unless their distances from the fitted cap differ by a step:
+    what a false return, or the housing seen past the rim, is separated by.
+
+    Parameters
+    ----------
+    distance_m : (H, W) array
+        Distance of each pixel's point from the fitted cap, m.
+    known : (H, W) bool array
+        Pixels with a return to speak of.
+    """
+    index = np.arange(known.size).reshape(known.shape)
+    pairs = []
+    for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:, :], np.s_[:-1, :])):
+        both = known[a] & known[b]
+        step = np.abs(distance_m[a] - distance_m[b])[both]
+        pairs.append((index[a][both], index[b][both], step))
+    first, second, steps = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    together = steps <= _STEP_SIGMA * max(robust_sigma(steps, center=0.0), 1e-9)
+    graph = sparse.coo_array(
+        (np.ones(int(together.sum()), bool), (first[together], second[together])),
+        shape=(known.size, known.size),
+    )
+    labels = connected_components(graph, directed=False)[1]
+    sizes = np.bincount(labels[known.ravel()])
+    return (labels == np.argmax(sizes)).reshape(known.shape) & known
+
+
+def away_from_edges(region: np.ndarray, distance_px: float) -> np.ndarray:
+    """Pixels of a region (H, W) further from its edges than so many pixels.
+
+    The image's border is no edge: the surface goes on behind it.
+    """
+    inside = ndimage.distance_transform_edt(np.pad(region, 1, mode="edge"))[1:-1, 1:-1]
+    return region & (inside > distance_px)
+
+
+def outer_edge(region: np.ndarray) -> np.ndarray:
+    """Pixels (H, W) on the outer edge of a region, holes and the image's border left out."""
+    filled = ndimage.binary_fill_holes(region)
+    return region & filled & ~ndimage.binary_erosion(filled, border_value=1)
+
+
+# Where the rim is: from the edge of the measured membrane.
+
+
+def rim_height(edge_heights_m: np.ndarray) -> tuple[float, float]:
+    """Height of the rim and its uncertainty, m, from heights of the cloud's outer edge.
+
+    The edge of the cloud is the rim, or only the edge of what the camera could match. The
+    latter lies anywhere above the rim, the former at one height: the mode of the heights, found
+    by halving to the densest half again and again. The uncertainty is half the width of the
+    densest quarter.
+
+    Parameters
+    ----------
+    edge_heights_m : (k,) array
+        Heights of the edge's points along the dome's axis, m.
+    """
+    heights = np.sort(edge_heights_m[np.isfinite(edge_heights_m)])
+    if not len(heights):
+        return float("nan"), float("nan")
+    spread = 0.5 * float(np.ptp(_densest(heights, max(2, len(heights) // 4))))
+    while len(heights) > 3:
+        heights = _densest(heights, (len(heights) + 1) // 2)
+    return float(heights.mean()), spread
+
+
+def _densest(ordered: np.ndarray, count: int) -> np.ndarray:
+    """The `count` consecutive values of a sorted array that span least."""
+    count = min(count, len(ordered))
+    spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    start = int(np.argmin(spans))
+    return ordered[start : start + count]

@@ -1,1 +1,0 @@
-"""The reference surface: membrane pixels, cap fits, free form, rim."""

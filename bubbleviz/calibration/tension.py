@@ -1,0 +1,486 @@
+"""γ0 and the dome's dimensions with 95 % intervals and their contributions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.special import ndtri
+
+from bubbleviz.calibration.bootstrap import DRAWS, draw_errors, frames_block, samples_scores
+from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.surface import (
+    Ellipsoid,
+    Freedom,
+    Name,
+    Surfaces,
+    cap_over_rim,
+    fit_ellipsoid,
+    fit_sphere,
+    mean_points,
+)
+from bubbleviz.errors import SolveError
+from bubbleviz.membrane import (
+    Inflation,
+    MembraneMesh,
+    RubberMembrane,
+    area_and_bending,
+    area_shares,
+    balance_tension,
+    cotangent_laplacian,
+    inverse_metric,
+    mean_curvature,
+    mesh_cap,
+    symmetric_lu,
+)
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.wording import decimals_of, rounded
+
+# What statics leaves open of the mean tension: that of a sheet which was flat over the same rim.
+#
+# Over a round rim shape and pressure determine the stress. Over an oval one fields that pull on the
+# rim alone remain: a bulged flat sheet is tighter across the oval than along it, a film is not.
+
+
+_PRESTRETCH = 1.005
+"""λ of that sheet: the slacker it was, the more it differs from a film."""
+_NEAR = 0.02
+"""Share of the height to which the sheet is inflated."""
+_ROUNDS = 12  # pressures tried for that height
+
+
+def sheet_excess(mesh: MembraneMesh) -> float:
+    """Mean tension of a sheet that was flat over its tension by balance, less 1.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Surface whose rim and height the sheet has.
+
+    Returns
+    -------
+    float
+        0 where the surface overhangs its rim, so that no sheet lies below it.
+    """
+    flat = replace(mesh, nodes=mesh.nodes * [1.0, 1.0, 0.0])
+    if not (flat.facet_vectors[:, 2] > 0.0).all():
+        return 0.0
+    rubber = RubberMembrane(flat, 0.0, _PRESTRETCH**2 * inverse_metric(flat), 1.0)
+    inflation = Inflation(rubber, np.zeros_like(flat.nodes))
+    height = float(mesh.nodes[:, 2].max())
+    x, held = flat.nodes, 0.0
+    stretch = _PRESTRETCH * float(np.sqrt(mesh.facet_areas.sum() / flat.facet_areas.sum()))
+    pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # as if all were stretched alike
+    for _ in range(_ROUNDS):
+        try:
+            x, held = inflation.at(pressure, x), pressure
+        except SolveError:
+            pressure *= 0.7
+            continue
+        missing = height / float(x[:, 2].max())
+        if abs(missing - 1.0) < _NEAR:
+            break
+        pressure *= float(np.clip(missing, 0.6, 1.5))
+    bulged = replace(flat, nodes=x)
+    half_trace = 0.5 * np.trace(rubber.stress(x), axis1=1, axis2=2)
+    mean = float(half_trace @ bulged.facet_areas / bulged.facet_areas.sum())
+    return mean * mean_curvature(bulged) / held - 1.0
+
+
+# γ0 of a measured surface: Young–Laplace in a form that bumps do not bias.
+
+
+def least_squares_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
+    """γ0 in N/m by least squares of γ0 (L x)·n̂ against A P over the free nodes: for comparison.
+
+    It divides by the sum of squares of the curvature, which every bump makes larger: on the Punyo
+    sensor it falls from 130 to 112 N/m as the mesh is refined, `balance_tension` stays within 1 %.
+    """
+    free = mesh.free
+    curvature = np.einsum("ij,ij->i", cotangent_laplacian(mesh) @ mesh.nodes, mesh.normals)[free]
+    return float(gauge_pressure_pa * np.sum(curvature) / np.sum(curvature**2 / mesh.areas[free]))
+
+
+def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndarray) -> np.ndarray:
+    """Derivative of `balance_tension` for motion of each node along its arm (n, 3); (n,), Pa.
+
+    Σ (L x)·n̂ over the free nodes is the rate at which the area grows when they move along their
+    normals, so that its derivative is the area's second derivative in that direction: L x is the
+    gradient of the area, taken here at two surfaces a little outside and inside. That the
+    normals turn as well changes nothing to first order, because L x is parallel to them.
+    """
+    area, bending = area_and_bending(mesh)
+    outward = area_shares(mesh)[:, None] * mesh.normals
+    step = 1e-4 * float(np.sqrt(mesh.areas.sum()))
+
+    def area_gradient(shift: float) -> np.ndarray:
+        moved = MembraneMesh(mesh.nodes + shift * outward, mesh.triangles, mesh.rim)
+        return cotangent_laplacian(moved) @ moved.nodes
+
+    of_bending = (area_gradient(step) - area_gradient(-step)) / (2.0 * step)
+    of_area = cotangent_laplacian(mesh) @ mesh.nodes
+    gradient = of_area / bending - area / bending**2 * of_bending
+    return gauge_pressure_pa * np.einsum("ij,ij->i", gradient, arms)
+
+
+def cap_tension(
+    ellipsoid: Ellipsoid, facets: np.ndarray, areas: np.ndarray, gauge_pressure_pa: float
+) -> float:
+    """γ0 in N/m by balance over the part of an ellipsoid that facets stand for: P / mean(κ1 + κ2).
+
+    Parameters
+    ----------
+    ellipsoid : Ellipsoid
+    facets : (m, 3) array
+        Centres of the facets of a mesh of it, m.
+    areas : (m,) array
+        Their areas, m².
+    gauge_pressure_pa : float
+    """
+    curvature = ellipsoid_curvature(ellipsoid, facets)
+    return gauge_pressure_pa * float(areas.sum() / (areas @ curvature))
+
+
+def ellipsoid_curvature(ellipsoid: Ellipsoid, points: np.ndarray) -> np.ndarray:
+    """κ1 + κ2 in 1/m of an ellipsoid below or above points (k, 3), on the line to its centre.
+
+    2H = (Σa² − Σx²) / (Πa² (Σx²/a⁴)^{3/2}) (Gray, Modern Differential Geometry, 3rd ed., 13.5).
+    """
+    a = ellipsoid.semi_axes_m
+    local = (points - ellipsoid.centre_m) @ ellipsoid.axes
+    local = local / np.linalg.norm(local / a, axis=1, keepdims=True)
+    q = np.sum(local**2 / a**4, axis=1)
+    return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
+
+
+def local_tension(mesh: MembraneMesh, gauge_pressure_pa: float, scale_m: float) -> np.ndarray:
+    """γ0 by balance over the neighbourhood of every node, (n,), N/m; NaN on the rim, where flat.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    gauge_pressure_pa : float
+    scale_m : float
+        Length over which the balance is averaged (one step of implicit diffusion), m.
+    """
+    free, laplacian = mesh.free, cotangent_laplacian(mesh)
+    bending = np.einsum("ij,ij->i", laplacian @ mesh.nodes, mesh.normals)[free]
+    mass = sparse.diags_array(mesh.areas[free])
+    blur = symmetric_lu((mass + scale_m**2 * laplacian[free][:, free]).tocsc())
+    smooth, ones = blur.solve(bending), blur.solve(mesh.areas[free])
+    tension = np.full(len(mesh.nodes), np.nan)
+    with np.errstate(divide="ignore"):
+        tension[free] = np.where(smooth > 0.0, gauge_pressure_pa * ones / smooth, np.nan)
+    return tension
+
+
+_FINE_NODES = 2_000  # of a mesh to integrate an analytic surface on
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its 95 % interval, all in one SI unit."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval's width."""
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of a normal error with this interval."""
+        return self.half_width / float(ndtri(0.975))
+
+    def texts(self, most: int) -> tuple[str, str, str]:
+        """Value and ends, to the digits that the interval leaves and `most` decimals at most."""
+        decimals = decimals_of(self.half_width, most)
+        value, low, high = (rounded(each, decimals) for each in (self.value, self.low, self.high))
+        return value, low, high
+
+    @classmethod
+    def normal(cls, value: float, sigma: float) -> Quantity:
+        """The number with a normal error of standard deviation `sigma`."""
+        half = float(ndtri(0.975)) * sigma
+        return cls(value, value - half, value + half)
+
+    @classmethod
+    def of(cls, value: float, errors: np.ndarray) -> Quantity:
+        """The number with the middle 95 % of drawn errors."""
+        low, high = np.percentile(errors, [2.5, 97.5])
+        return cls(value, value + float(low), value + float(high))
+
+
+@dataclass(frozen=True)
+class TensionEstimate:
+    """γ0 of the contact-free shape by Young–Laplace.
+
+    Attributes
+    ----------
+    tension : Quantity
+        γ0, N/m, of the chosen surface.
+    dimensions : dict of str to Quantity
+        `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
+        `rim_semi_axis_x_m` … of an ellipsoid, m.
+    parts : dict of str to float
+        Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
+        pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
+        zero), `facets` (of the mesh that γ0 is used on), `surface` (shape that was not seen or is
+        finer than the fit, the whole difference between free form and cap, and, where a cap was
+        chosen, between that and one fitted to the upper half alone), `statics`
+        (what shape and pressure leave open of the mean tension: anything between that of a film
+        and that of a sheet that was flat) and, where that has an interval, `gauge_pressure`.
+    by_surface : dict of str to float
+        γ0 of every surface, N/m.
+    least_squares_n_per_m : float
+        γ0 of the mesh by least squares in place of the balance; less where the mean curvature
+        is not the same everywhere, so that no one tension is right.
+    gauge_pressure_pa : float
+    tiles, block : int
+        Tiles of pixels, and frames in each block, that were drawn.
+    """
+
+    tension: Quantity
+    dimensions: dict[str, Quantity]
+    parts: dict[str, float]
+    by_surface: dict[Name, float]
+    least_squares_n_per_m: float
+    gauge_pressure_pa: float
+    tiles: int
+    block: int
+
+    @property
+    def per_pascal(self) -> float:
+        """Change of γ0 per pascal by which the gauge pressure is wrong, m: γ0 is linear in it."""
+        return self.tension.value / self.gauge_pressure_pa
+
+    def under(self, gauge: Quantity) -> TensionEstimate:
+        """The same for a gauge pressure with an interval of its own."""
+        scale = gauge.value / self.gauge_pressure_pa
+        value, relative = self.tension.value * scale, gauge.half_width / gauge.value
+        low, high = (
+            value + sign * float(np.hypot(scale * (end - self.tension.value), relative * value))
+            for sign, end in ((-1.0, self.tension.low), (1.0, self.tension.high))
+        )
+        parts = {name: scale * part for name, part in self.parts.items()}
+        return replace(
+            self,
+            tension=Quantity(value, low, high),
+            parts=parts | {"gauge_pressure": relative * value / float(ndtri(0.975))},
+            by_surface={name: scale * each for name, each in self.by_surface.items()},
+            least_squares_n_per_m=scale * self.least_squares_n_per_m,
+            gauge_pressure_pa=gauge.value,
+        )
+
+
+def estimate_tension(
+    samples: Samples,
+    surfaces: Surfaces,
+    gauge_pressure_pa: float,
+    progress: Progress = quiet,
+) -> TensionEstimate:
+    """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
+
+    Raises
+    ------
+    InputError
+        No tension holds the surface.
+    """
+    names, values, pixels, influence, residual, parameters = _linear(
+        samples, surfaces, gauge_pressure_pa
+    )
+    by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
+    table = samples_scores(samples, pixels, influence, residual, parameters, progress)
+    block = frames_block(samples.statistics)
+    draws = draw_errors(table, block)
+    rng = np.random.default_rng([0, 1])
+    facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
+    other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
+    moved = by_surface["free-form"] - by_surface[other]
+    unseen = _shape_error(samples, surfaces, gauge_pressure_pa)
+    half = 0.0
+    if surfaces.chosen != "free-form":
+        half = _upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other]
+    shape = float(np.linalg.norm([unseen, moved, half]))
+    parts = {
+        "pixels": draws.tiles[:, 0],
+        "frames": draws.frames[:, 0],
+        "gas_pressure": values[0] / gauge_pressure_pa * _gas_error(samples) * _normal(rng),
+        "facets": 0.5 * gauge_pressure_pa * facets,
+        "surface": shape * _normal(rng),
+        "statics": values[0] * sheet_excess(surfaces.mesh) * rng.uniform(size=DRAWS),
+    }
+    total = draws.total + facets[:, None]
+    total[:, 0] = sum(parts.values())
+    quantities = {
+        name: Quantity.of(value, total[:, k])
+        for k, (name, value) in enumerate(zip(names, values, strict=True))
+    }
+    return TensionEstimate(
+        tension=quantities.pop("tension_n_per_m"),
+        dimensions=quantities,
+        parts={name: float(part.std()) for name, part in parts.items()},
+        by_surface=by_surface,
+        least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
+        gauge_pressure_pa=gauge_pressure_pa,
+        tiles=table.static.shape[0],
+        block=block,
+    )
+
+
+def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Name, float]:
+    """γ0 of every surface, N/m."""
+    fits = surfaces.fits
+    return {
+        "sphere": _sphere_numbers(gauge_pressure_pa)(fits.sphere.ellipsoid)["tension_n_per_m"],
+        "ellipsoid": _cap_numbers(fits.cap.ellipsoid, gauge_pressure_pa)(fits.cap.ellipsoid)[
+            "tension_n_per_m"
+        ],
+        "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
+    }
+
+
+Linear = tuple[list[str], list[float], np.ndarray, np.ndarray, np.ndarray, int]
+"""Names and values of Q numbers, pixels (P,), influence (P, Q), residual range (P,) and count of
+fitted parameters."""
+
+
+def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+    fits = surfaces.fits
+    freedom: Freedom = "aligned" if surfaces.chosen == "ellipsoid" else "sphere"
+    if surfaces.chosen == "free-form":
+        return _linear_free_form(samples, surfaces, gauge_pressure_pa)
+    if surfaces.chosen == "sphere":
+        own = fits.sphere.ellipsoid
+        numbers = _sphere_numbers(gauge_pressure_pa)
+    else:
+        own = fits.cap.ellipsoid
+        numbers = _cap_numbers(own, gauge_pressure_pa)
+    pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
+    now = numbers(own)
+    rows, facing, distance = _parameter_influence(samples, surfaces, own, freedom, pixels)
+    centre, _, _ = _parameter_influence(samples, surfaces, fits.sphere.ellipsoid, "sphere", pixels)
+    influence = np.concatenate([rows @ _gradient(numbers, own, freedom), centre[:, :3]], axis=1)
+    count = rows.shape[1]
+    return list(now), list(now.values()), pixels, influence, distance / facing, count
+
+
+def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+    free_form, mesh = surfaces.free_form, surfaces.free_form.mesh
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    apex = int(np.argmax(mesh.nodes[:, 2]))
+    gradients = np.zeros((len(mesh.nodes), 2))
+    gradients[:, 0] = balance_gradient(mesh, gauge_pressure_pa, arms)
+    gradients[apex, 1] = arms[apex, 2]
+    pixels = free_form.system.pixels
+    influence = free_form.influence(gradients)
+    influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
+    values = [balance_tension(mesh, gauge_pressure_pa), float(mesh.nodes[apex, 2])]
+    residual = np.nan_to_num(free_form.residual_m.ravel()[pixels])
+    return ["tension_n_per_m", "height_m"], values, pixels, influence, residual, 2
+
+
+def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
+    """Standard deviation of γ0, N/m, from the free form's own prior and noise.
+
+    Wahba's (1983) Bayesian interval of a smoothing spline, whose λ predicts what it has not
+    seen: it covers the rim and the unseen part, where only the prior speaks. Correlated pixels
+    count as fewer.
+    """
+    free_form = surfaces.free_form
+    mesh = free_form.mesh
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    gradient = balance_gradient(mesh, gauge_pressure_pa, arms)
+    variance = float(gradient @ symmetric_lu(free_form.system.matrix).solve(gradient))
+    together = max(1.0, samples.statistics.correlated_pixels)
+    return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
+
+
+def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
+    """γ0, N/m, of the cap fitted to the upper half of the points alone.
+
+    Of a sphere or an ellipsoid it is that of the whole, up to noise. A bulged sheet departs from
+    either by microns; the error of γ0 by that is about as large as this differs.
+    """
+    points = mean_points(samples, surfaces.camera, np.flatnonzero(surfaces.usable))
+    upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
+    if surfaces.chosen == "sphere":
+        return _sphere_numbers(gauge_pressure_pa)(fit_sphere(upper).ellipsoid)["tension_n_per_m"]
+    numbers = _cap_numbers(surfaces.fits.cap.ellipsoid, gauge_pressure_pa)
+    return numbers(fit_ellipsoid(upper, np.eye(3)).ellipsoid)["tension_n_per_m"]
+
+
+def _parameter_influence(
+    samples: Samples, surfaces: Surfaces, surface: Ellipsoid, freedom: Freedom, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Change of the parameters per change of range (P, p); cosine of ray on normal; distance."""
+    points = mean_points(samples, surfaces.camera, pixels)
+    distance, J = surface.distance(points), surface.derivatives(points, freedom)
+    sigma = robust_sigma(distance, center=0.0)
+    weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
+    slope = J.T @ (J * slopes[:, None])
+    facing = np.einsum("ij,ij->i", surface.normals(points), surfaces.camera.directions[pixels])
+    rows = -np.linalg.solve(slope, J.T).T * (weights * facing)[:, None]
+    return rows, facing, distance
+
+
+Numbers = Callable[[Ellipsoid], dict[str, float]]
+
+
+def _sphere_numbers(gauge_pressure_pa: float) -> Numbers:
+    def numbers(sphere: Ellipsoid) -> dict[str, float]:
+        radius, height = float(sphere.semi_axes_m[0]), float(sphere.centre_m[2])
+        return {
+            "tension_n_per_m": 0.5 * gauge_pressure_pa * radius,
+            "height_m": height + radius,
+            "radius_m": radius,
+            "rim_radius_m": float(np.sqrt(max(radius**2 - height**2, 0.0))),
+        }
+
+    return numbers
+
+
+def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float) -> Numbers:
+    mesh = mesh_cap(cap_over_rim(at), _FINE_NODES)
+    facets = mesh.nodes[mesh.triangles].mean(axis=1) + at.centre_m * (1.0, 1.0, 0.0)
+
+    def numbers(cap: Ellipsoid) -> dict[str, float]:
+        x, y, z = (float(a) for a in cap.semi_axes_m)
+        at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
+        return {
+            "tension_n_per_m": cap_tension(cap, facets, mesh.facet_areas, gauge_pressure_pa),
+            "height_m": float(cap.centre_m[2]) + z,
+            "semi_axis_x_m": x,
+            "semi_axis_y_m": y,
+            "semi_axis_z_m": z,
+            "rim_semi_axis_x_m": x * at_rim,
+            "rim_semi_axis_y_m": y * at_rim,
+        }
+
+    return numbers
+
+
+def _gradient(numbers: Numbers, at: Ellipsoid, freedom: Freedom) -> np.ndarray:
+    """Derivative of the numbers with respect to the parameters, (p, Q), by central differences."""
+    parameters = 4 if freedom == "sphere" else 6
+    columns = []
+    for step in 1e-6 * np.eye(parameters):
+        up, down = numbers(at.moved(step, freedom)), numbers(at.moved(-step, freedom))
+        columns.append((np.array(list(up.values())) - np.array(list(down.values()))) / 2e-6)
+    return np.array(columns)
+
+
+def _gas_error(samples: Samples) -> float:
+    """Standard error of the mean gas pressure, Pa."""
+    gas = samples.gas_pressure_pa
+    return 0.0 if gas is None else error_of_mean(gas)
+
+
+def _normal(rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal(DRAWS)

@@ -1,1 +1,0 @@
-"""The tension γ0 with its interval."""

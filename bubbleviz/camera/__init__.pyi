@@ -1,0 +1,37 @@
+from .colour_image import (
+    COMPRESSED_ENCODINGS as COMPRESSED_ENCODINGS,
+    MAX_SIDE as MAX_SIDE,
+    ColourCamera as ColourCamera,
+    ColourImage as ColourImage,
+    EncodedImage as EncodedImage,
+    check_rows as check_rows,
+    readable as readable,
+)
+from .intrinsics import (
+    DepthCamera as DepthCamera,
+    DistortionModel as DistortionModel,
+    Intrinsics as Intrinsics,
+)
+from .observer import (
+    MAD as MAD,
+    SURELY as SURELY,
+    BlockSquares as BlockSquares,
+    Linearisation as Linearisation,
+    Measured as Measured,
+    Misfit as Misfit,
+    Observation as Observation,
+    RangeObserver as RangeObserver,
+    ShapeRanges as ShapeRanges,
+    facet_error as facet_error,
+    median as median,
+    sagittas as sagittas,
+)
+from .pixel_model import (
+    PixelModel as PixelModel,
+    RangeLine as RangeLine,
+)
+from .raycast import (
+    MembraneView as MembraneView,
+    RayCaster as RayCaster,
+    range_jacobian as range_jacobian,
+)

@@ -1,1 +1,0 @@
-"""What the colour camera sees: images decoded when asked for, and the motion in them."""

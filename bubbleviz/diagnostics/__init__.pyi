@@ -1,0 +1,21 @@
+from .frame_numbers import (
+    Measure as Measure,
+    Numbers as Numbers,
+    ShearEllipse as ShearEllipse,
+    ShearNumbers as ShearNumbers,
+    ShearSummary as ShearSummary,
+    ShearTally as ShearTally,
+    numbers_of as numbers_of,
+    patch_numbers as patch_numbers,
+    shear_line as shear_line,
+)
+from .inspector import (
+    Inspection as Inspection,
+    KappaCurve as KappaCurve,
+    Pixel as Pixel,
+    Probe as Probe,
+    Probed as Probed,
+    Statistics as Statistics,
+    inspection as inspection,
+    statistics as statistics,
+)

@@ -1,0 +1,42 @@
+from .meshes import (
+    SUFFIXES as SUFFIXES,
+    read_triangles as read_triangles,
+    write_ply as write_ply,
+)
+from .output_files import (
+    cannot_write as cannot_write,
+    free_name as free_name,
+    out_folder as out_folder,
+    refuse_existing as refuse_existing,
+    set_aside as set_aside,
+    table as table,
+    to_json as to_json,
+    whole_file as whole_file,
+    write_csv as write_csv,
+    write_json as write_json,
+    write_rows as write_rows,
+)
+from .poses import (
+    COLUMNS as COLUMNS,
+    angles_of_pose as angles_of_pose,
+    parse_pose as parse_pose,
+    pose_matrix as pose_matrix,
+    pose_numbers as pose_numbers,
+    pose_of_angles as pose_of_angles,
+    read_path as read_path,
+    read_rows as read_rows,
+)
+from .preset_files import (
+    MOST_COLOUR_DELAY_S as MOST_COLOUR_DELAY_S,
+    SESSION_SUFFIX as SESSION_SUFFIX,
+    SYNTHETIC_SENSOR as SYNTHETIC_SENSOR,
+    TRUTH_SUFFIX as TRUTH_SUFFIX,
+    pages_folder as pages_folder,
+    preset_names as preset_names,
+    presets_folder as presets_folder,
+)
+from .toml_files import (
+    checked as checked,
+    named_file as named_file,
+    read_toml as read_toml,
+)

@@ -1,0 +1,294 @@
+"""Triangle meshes from PLY, OBJ, STL and VTK files, as they are in the file.
+
+VTK is imported only for the formats that need it: it comes with the window's extra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from bubbleviz.errors import InputError
+
+# PLY files: any element and property order, ASCII or binary of either byte order.
+#
+# By hand because the readers at hand refuse files that are right: trimesh binary files that mix
+# triangles with other polygons, VTK faces before vertices, Open3D x, y, z in another order. And
+# trimesh takes an ASCII file that was cut off for a whole one, and a quarter of a second to import.
+
+
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_FACES = ("vertex_indices", "vertex_index")
+
+_Property = tuple[str, np.dtype, np.dtype | None]
+"""Name, type, and type of the length where it is a list."""
+_Element = tuple[str, int, list[_Property]]  # name, number of rows, properties
+_Columns = Mapping[str, np.ndarray | list[np.ndarray]]
+"""The values of each row by property: one, or as many as a list has."""
+
+
+def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Vertices (n, 3) and polygons, each an int array grouped by size (k, corners).
+
+    Raises ValueError: not a PLY, truncated, or without vertices and faces.
+    """
+    header, body = _split(path.read_bytes())
+    is_ascii, elements = _parse_header(header)
+    if is_ascii:
+        body = np.array(body.split(), dtype=np.float64).tobytes()
+    vertices, polygons = None, None
+    at = 0
+    for name, count, properties in elements:
+        columns, at = _read_element(properties, count, body, at)
+        if name == "vertex":
+            missing = [axis for axis in "xyz" if axis not in columns]
+            if missing:
+                raise ValueError(f"vertices without {missing[0]}")
+            vertices = np.hstack([np.reshape(columns[a], (-1, 1)) for a in "xyz"]).astype(float)
+        if name == "face":
+            polygons = next((columns[key] for key in _FACES if key in columns), None)
+    if vertices is None or polygons is None:
+        raise ValueError("no vertices or no faces")
+    sizes = np.array([len(p) for p in polygons], dtype=int)
+    groups = [
+        np.array([polygons[i] for i in np.flatnonzero(sizes == s)], dtype=np.int64)
+        for s in np.unique(sizes[sizes > 2])
+    ]
+    return vertices, groups
+
+
+def _split(data: bytes) -> tuple[list[list[str]], bytes]:
+    end = data.find(b"end_header")
+    newline = data.find(b"\n", end)
+    if not data.startswith(b"ply") or end < 0 or newline < 0:
+        raise ValueError("no PLY header")
+    text = data[:end].decode("ascii", errors="replace")
+    return [line.split() for line in text.splitlines()], data[newline + 1 :]
+
+
+def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
+    """Whether the file is ASCII, which is read as doubles throughout, and its elements."""
+    formats = [_ORDERS.get(words[1]) for words in lines if words[0:1] == ["format"] and words[1:]]
+    if not formats or formats[0] is None:
+        raise ValueError("no known format line")
+    order, elements = formats[0], list[_Element]()
+    for words in lines:
+        if words[:1] == ["element"] and len(words) == 3:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"] and elements:
+            is_list = words[1:2] == ["list"]
+            kinds = words[1 + is_list : -1]
+            if len(kinds) != 1 + is_list or any(kind not in _TYPES for kind in kinds):
+                raise ValueError(f"property not understood: {' '.join(words)}")
+            *length, kind = [np.dtype(order + _TYPES[kind] if order else "f8") for kind in kinds]
+            elements[-1][2].append((words[-1], kind, length[0] if length else None))
+    return order == "", elements
+
+
+def _read_element(
+    properties: list[_Property], count: int, body: bytes, at: int
+) -> tuple[_Columns, int]:
+    """Columns of an element and where it ends; all rows at once where they have one length."""
+    first, _ = _read_rows(properties, min(count, 1), body, at)
+    if count < 1 or not properties:
+        return first, at
+    row = np.dtype(
+        [
+            item
+            for name, kind, length in properties
+            for item in (
+                *([(f"#{name}", length)] if length else []),
+                (name, kind, (len(first[name][0]),)),
+            )
+        ]
+    )
+    if count <= (len(body) - at) // row.itemsize:
+        table = np.frombuffer(body, row, count, at)
+        if all((table[f"#{p[0]}"] == len(first[p[0]][0])).all() for p in properties if p[2]):
+            return {name: table[name] for name in first}, at + count * row.itemsize
+    return _read_rows(properties, count, body, at)
+
+
+def _read_rows(
+    properties: list[_Property], count: int, body: bytes, at: int
+) -> tuple[dict[str, list[np.ndarray]], int]:
+    """Rows one by one, whose lists may differ in length, and where they end."""
+    rows: dict[str, list[np.ndarray]] = {name: [] for name, _, _ in properties}
+    for _ in range(count):
+        for name, kind, length in properties:
+            size = 1
+            if length:
+                told = _values(body, length, 1, at)[0]
+                size = int(told)
+                if size != told:
+                    raise ValueError(f"a list of {told} values")
+                at += length.itemsize
+            rows[name].append(_values(body, kind, size, at))
+            at += size * kind.itemsize
+    return rows, at
+
+
+def _values(body: bytes, kind: np.dtype, count: int, at: int) -> np.ndarray:
+    if not 0 <= count <= (len(body) - at) // kind.itemsize:
+        raise ValueError("truncated")
+    return np.frombuffer(body, kind, count, at)
+
+
+SUFFIXES = (".ply", ".obj", ".stl", ".vtk", ".vtp")
+
+
+def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) and triangles (m, 3) of a mesh file, in the file's own unit.
+
+    Polygons are cut into triangles and coinciding vertices (STL has three per triangle) merged.
+
+    Raises InputError: no such file, another format, unreadable, without triangles, or with NaN
+    coordinates.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file; check the path")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: not a mesh format this reads; give {', '.join(SUFFIXES)}")
+    try:
+        vertices, triangles = _read(path)
+    except ModuleNotFoundError:
+        raise  # the command line says what to install
+    except Exception as error:  # trimesh raises whatever a damaged file leads to
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again") from error
+    if not len(triangles):
+        raise InputError(f"{path}: holds no triangles; export a surface mesh")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise InputError(f"{path}: a triangle names a vertex that is not there; export it again")
+    wrong = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(wrong):
+        raise InputError(f"{path}: vertex {wrong[0]} is not a finite number; repair the mesh")
+    return _merge(vertices, triangles)
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Polygons of the file, triangulated."""
+    if path.suffix.lower() in (".obj", ".stl"):
+        return _read_trimesh(path)
+    if path.suffix.lower() != ".ply":
+        return _read_vtk(path)
+    vertices, polygons = read_ply(path)
+    fans = [
+        np.stack([p[:, 0], p[:, k], p[:, k + 1]], axis=1)
+        for p in polygons
+        for k in range(1, p.shape[1] - 1)
+    ]
+    return vertices, np.concatenate(fans) if fans else np.zeros((0, 3), dtype=np.int64)
+
+
+def _read_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """OBJ and STL through trimesh, which needs a quarter of a second to load."""
+    from trimesh import load_mesh
+
+    mesh = load_mesh(path, process=False, maintain_order=True)
+    return np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+
+
+def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """VTK's own formats through VTK, which is there where the window is."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+
+    complaints: list[str] = []
+    reader = _vtk_reader(path)
+    for speaker in (reader, reader.GetExecutive()):  # VTK prints errors without an observer
+        speaker.AddObserver("ErrorEvent", lambda *_: complaints.append("damaged"))
+        speaker.AddObserver("WarningEvent", lambda *_: None)
+    reader.SetFileName(str(path))
+    reader.Update()
+    surface = reader.GetOutput()
+    if complaints or not hasattr(surface, "GetPolys"):
+        raise ValueError("damaged or of another format")
+    split = vtkTriangleFilter()
+    split.SetInputData(surface)
+    split.PassLinesOff()
+    split.PassVertsOff()
+    split.Update()
+    data = split.GetOutput()
+    if not data.GetNumberOfPolys():
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    vertices = vtk_to_numpy(data.GetPoints().GetData()).astype(np.float64)
+    flat = vtk_to_numpy(data.GetPolys().GetConnectivityArray())
+    return vertices, flat.astype(np.int64).reshape(-1, 3)
+
+
+def _vtk_reader(path: Path) -> Any:
+    with path.open("rb") as file:
+        is_xml = file.read(64).lstrip().startswith(b"<")
+    if is_xml:
+        from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+        return vtkXMLPolyDataReader()
+    from vtkmodules.vtkIOLegacy import vtkPolyDataReader
+
+    return vtkPolyDataReader()
+
+
+def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices closer than 1e-7 of the mesh's size made one, unused ones dropped; order kept."""
+    size = float(np.ptp(vertices, axis=0).max())
+    pairs = cKDTree(vertices).query_pairs(1e-7 * size, output_type="ndarray")
+    n = len(vertices)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    used = np.zeros(n, dtype=bool)
+    used[triangles] = True
+    first = np.full(n, n)
+    np.minimum.at(first, label[used], np.flatnonzero(used))
+    kept = np.unique(first[first < n])
+    new = np.full(n, -1)
+    new[kept] = np.arange(len(kept))
+    return vertices[kept], new[first[label[triangles]]]
+
+
+# Binary PLY files of points or triangles with any number of values a point.
+
+
+def write_ply(
+    path: Path,
+    points: np.ndarray,  # (k, 3)
+    # mapping of (k,) array, properties of the points after x, y, z
+    values: Mapping[str, np.ndarray],
+    triangles: np.ndarray | None = None,  # (m, 3) int
+    comment: str = "",  # one line
+) -> None:
+    """Little-endian PLY, double precision."""
+    names = ["x", "y", "z", *values]
+    vertices = np.empty(len(points), dtype=[(name, "<f8") for name in names])
+    for name, column in zip(names, [*points.T, *values.values()], strict=True):
+        vertices[name] = column
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment {comment}"] if comment else []
+    header += [f"element vertex {len(points)}", *(f"property double {name}" for name in names)]
+    body = vertices.tobytes()
+    if triangles is not None:
+        header += [
+            f"element face {len(triangles)}",
+            "property list uchar int vertex_indices",
+        ]
+        faces = np.empty(len(triangles), dtype=[("count", "u1"), ("nodes", "<i4", 3)])
+        faces["count"], faces["nodes"] = 3, triangles
+        body += faces.tobytes()
+    path.write_bytes(("\n".join([*header, "end_header"]) + "\n").encode("ascii") + body)

@@ -1,1 +1,0 @@
-"""Frames of data: recordings and live sources in, recorder out."""

@@ -1,1 +1,0 @@
-"""Solvers of the inverse problem behind one protocol."""

@@ -1,0 +1,247 @@
+"""What all live sources share: a thread that delivers messages and can be stopped immediately."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+from urllib.parse import parse_qsl, unquote, urlsplit, urlunsplit
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.topic_names import RawMessage
+from bubbleviz.recordings import Encoding
+
+Link = Literal["connecting", "up", "lost", "ended"]
+"""`lost`: it was up; the source reconnects automatically."""
+
+Deliver = Callable[[RawMessage], None]
+
+
+class OfferedTopic(NamedTuple):
+    """A published topic: its name and its type."""
+
+    name: str
+    type: str
+
+
+class LiveSource:
+    """Delivers messages from its own thread, in order of arrival and without gaps.
+
+    Parameters
+    ----------
+    name : str
+        What the window's title shows.
+    """
+
+    closing_s: float | None = None
+    """How long to wait for the thread to end, s."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._link: Link = "connecting"
+        self._offered: tuple[OfferedTopic, ...] = ()
+        self._missed, self._problem = 0, ""
+        self._with_colour = False
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, deliver: Deliver) -> None:
+        """Begin; InputError when that is impossible. `deliver` must not raise."""
+        self._thread = threading.Thread(
+            target=self._main, args=(deliver,), name=self.name, daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; nothing is delivered after it returned."""
+        self._stopped.set()
+        if self._thread not in (None, threading.current_thread()):
+            self._thread.join(self.closing_s)
+        self._link = "ended"
+
+    def follow_colour(self, on: bool = True) -> None:
+        """Deliver colour images, too, from now on, or no more; they are many bytes."""
+        self._with_colour = on
+
+    def link(self) -> Link:
+        """How the connection stands."""
+        return self._link
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        """Topics found so far, of the types that are used here."""
+        return self._offered
+
+    def missed(self) -> int:
+        """Messages lost on the way, by the publishers' sequence numbers; 0 without those."""
+        return self._missed
+
+    def problem(self) -> str:
+        """Failure of the source itself as text; empty without one."""
+        return self._problem
+
+    def _run(self, deliver: Deliver) -> None:
+        """Deliver until the end, or until `_wait_until` says no."""
+        raise NotImplementedError
+
+    def _wait_until(self, time_s: float) -> bool:
+        """Sleep until a time of `time.monotonic`; False when stopped, True when it is due."""
+        return not self._stopped.wait(max(time_s - time.monotonic(), 0.0))
+
+    def _main(self, deliver: Deliver) -> None:
+        try:
+            self._run(deliver)
+        except BaseException as error:  # shown by whoever looks at the source
+            self._problem = " ".join(str(error).split()) or type(error).__name__
+        finally:
+            self._link = "ended"
+
+
+# URIs of live sources: `scheme:place?option=value&…`.
+
+
+class SourceOptions(BaseModel):
+    """Options of every scheme.
+
+    Attributes
+    ----------
+    depth, info, pressure, wrench, colour : str or None
+        Topics; None for the first that fits.
+    prefix : str
+        What the sensor's topics begin with.
+    lag : float
+        How much later the stamps of gas pressure and wrench are than the images', s.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    depth: str | None = None
+    info: str | None = None
+    pressure: str | None = None
+    wrench: str | None = None
+    colour: str | None = None
+    prefix: str = ""
+    lag: float = Field(0.0, ge=-1.0, le=1.0)
+
+
+class SyntheticOptions(SourceOptions):
+    """Options of `synthetic:`; the noise is relative to the range, the sensor's by default."""
+
+    rate: float = Field(30.0, ge=0.1, le=1000.0)
+    frames: int = Field(150, ge=1, le=100_000)
+    noise: float | None = Field(None, ge=0.0, le=0.5)
+    seed: int = Field(0, ge=0, le=2**31)
+    ahead: bool = True
+    encoding: Encoding = "32FC1"
+
+
+class ReplayOptions(SourceOptions):
+    """Options of `replay:`."""
+
+    speed: float = Field(1.0, ge=1e-3, le=1e3)
+    loop: bool = False
+
+
+class ZenohOptions(SourceOptions):
+    """Options of `zenoh:`; `listen` is an endpoint, `domain` ROS 2's, the files are credentials."""
+
+    listen: str | None = None
+    ca: str | None = None
+    cert: str | None = None
+    key: str | None = None
+    login: str | None = None
+    domain: int = Field(0, ge=0, le=232)
+
+
+class RealSenseOptions(SourceOptions):
+    """Options of `realsense:`."""
+
+    rate: int = Field(30, ge=1, le=300)
+    loop: bool = False
+
+
+_SCHEMES: dict[str, tuple[type[SourceOptions], str]] = {
+    "synthetic": (SyntheticOptions, "synthetic:[object][?rate=HZ&noise=RELATIVE]"),
+    "replay": (ReplayOptions, "replay:REC[?speed=X&loop=1]"),
+    "zenoh": (ZenohOptions, "zenoh:[tcp/HOST:PORT][?depth=/topic]"),
+    "realsense": (RealSenseOptions, "realsense:[SERIAL | FILE.bag]"),
+}
+"""Options of each scheme, and an example."""
+
+
+@dataclass(frozen=True)
+class SourceUri:
+    """A parsed source.
+
+    Attributes
+    ----------
+    text : str
+        As given.
+    scheme, place : str
+        Before and behind the colon.
+    options : SourceOptions
+        Of the scheme's own type.
+    """
+
+    text: str
+    scheme: str
+    place: str
+    options: Any
+
+    def refusal(self, what: str) -> InputError:
+        """The error to raise about this source."""
+        return _refusal(self.text, what)
+
+
+def parse_uri(text: str) -> SourceUri:
+    """Parse a source URI.
+
+    Raises
+    ------
+    InputError
+        It begins with none of the schemes, an option is not `name=value`, is given twice or
+        unknown to the scheme, or its value is none of those it may have.
+    """
+    text = text.strip()
+    try:
+        parts = urlsplit(text, allow_fragments=False)
+        pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)
+    except ValueError as error:
+        raise _refusal(text, f"{error}; write name=value&name=value") from error
+    if parts.scheme not in _SCHEMES:
+        examples = ", ".join(example for _, example in _SCHEMES.values())
+        raise _refusal(text, f"begin with one of {examples}")
+    given = dict(pairs)
+    if len(given) < len(pairs):
+        raise _refusal(text, "an option is given twice")
+    model, _ = _SCHEMES[parts.scheme]
+    try:
+        options = model.model_validate(given)
+    except ValidationError as error:
+        raise _refusal(text, _first_problem(error, model, parts.scheme)) from error
+    place = urlunsplit(("", parts.netloc, parts.path, "", ""))
+    return SourceUri(text, parts.scheme, unquote(place), options)
+
+
+def _first_problem(error: ValidationError, model: type[SourceOptions], scheme: str) -> str:
+    problem = error.errors()[0]
+    name = str(problem["loc"][0])
+    options = model.model_json_schema()["properties"]
+    if name not in options:
+        return f"{name}: no such option of {scheme}; there are {', '.join(sorted(options))}"
+    may_be = options[name].get("anyOf", [options[name]])[0]
+    if "enum" in may_be:
+        what = f"choose one of {', '.join(may_be['enum'])}"
+    elif may_be["type"] == "boolean":
+        what = "give 1 or 0"
+    else:
+        kind = "whole number" if may_be["type"] == "integer" else "number"
+        what = f"give a {kind} from {may_be['minimum']:g} to {may_be['maximum']:g}"
+    return f"{name}={problem['input']}: {what}"
+
+
+def _refusal(text: str, what: str) -> InputError:
+    return InputError(f'--source "{text}": {what}')

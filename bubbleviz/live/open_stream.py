@@ -1,0 +1,333 @@
+"""Opening a live stream from a source URI."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.calibration import PressureZero
+from bubbleviz.camera import DepthCamera
+from bubbleviz.errors import InputError
+from bubbleviz.files import (
+    MOST_COLOUR_DELAY_S,
+    SYNTHETIC_SENSOR,
+    checked,
+    named_file,
+    presets_folder,
+    read_toml,
+)
+from bubbleviz.live.assembler import FrameAssembler
+from bubbleviz.live.live_source import LiveSource, SourceUri, SyntheticOptions, parse_uri
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.recorder import Recorder
+from bubbleviz.live.replay import Replay
+from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.recordings import AUTO, FrameMessages, preset_of_size
+from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
+
+FIRST_MESSAGE_S = 10.0
+SIMULATED_S = 120.0
+"""Patience with a robot's network, and with a simulation that is made before it is sent."""
+DEFAULT_PREFIX = "/bubble"
+"""Of the topics of a source that has none itself."""
+
+
+def is_simulated(text: str) -> bool:
+    """Tell a simulation from what measures, or has measured."""
+    return text.strip().startswith("synthetic:")
+
+
+def patience_s(text: str) -> float:
+    """How long the first message of a source may take, s: all of a simulation is made before it."""
+    return SIMULATED_S if is_simulated(text) else FIRST_MESSAGE_S
+
+
+def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStream:
+    """Stream of a source, not started yet.
+
+    Parameters
+    ----------
+    text : str
+        `scheme:place?option=value&…`, see `parse_uri`.
+    sensor : Sensor
+        Simulated by `synthetic:`; its image size is the one that counts.
+    any_size : bool
+        Accept images of any size: recording alone needs no sensor file.
+
+    Raises
+    ------
+    InputError
+        The source is not well-formed, or what it names is not there.
+    """
+    uri = parse_uri(text)
+    options = uri.options
+    names = TopicNames(
+        options.depth,
+        options.info,
+        options.pressure,
+        options.wrench,
+        options.colour,
+        options.prefix,
+    )
+    source = _MAKERS[uri.scheme](uri, sensor, names)
+    camera = sensor.camera
+    assembler = FrameAssembler(
+        names,
+        size=None if any_size else (camera.width, camera.height),
+        camera=DepthCamera.of(camera).intrinsics,
+        lag_s=options.lag,
+        colour_delay_s=camera.colour_delay_s,
+    )
+    return LiveStream(source, assembler)
+
+
+def _synthetic(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    # recording a real sensor starts without the solver that simulates one
+    from bubbleviz.live.replay import SyntheticLive
+    from bubbleviz.simulation import simulation
+
+    options: SyntheticOptions = uri.options
+    noise = sensor.camera.noise_relative if options.noise is None else options.noise
+    make = simulation(uri.place, sensor, options.frames, noise, options.rate, options.seed)
+    messages = FrameMessages(options.encoding, names.prefix or DEFAULT_PREFIX)
+    return SyntheticLive(uri.text, make, options.rate, ahead=options.ahead, messages=messages)
+
+
+def _replay(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    if not uri.place:
+        raise uri.refusal("name the recording, replay:REC")
+    return Replay(uri.place, speed=uri.options.speed, loop=uri.options.loop)
+
+
+def _zenoh(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    # the window starts without the network's library
+    from bubbleviz.live.zenoh_session import SessionOptions
+    from bubbleviz.live.zenoh_source import ZenohSource
+
+    return ZenohSource(SessionOptions.of(uri), names, uri.options.domain)
+
+
+def _realsense(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    from bubbleviz.live.realsense import open_realsense  # the window starts without
+
+    size = (sensor.camera.width, sensor.camera.height)
+    return open_realsense(uri, size, names.prefix or DEFAULT_PREFIX)
+
+
+_Maker = Callable[[SourceUri, Sensor, TopicNames], LiveSource]
+
+_MAKERS: dict[str, _Maker] = {
+    "synthetic": _synthetic,
+    "replay": _replay,
+    "zenoh": _zenoh,
+    "realsense": _realsense,
+}
+
+
+# The sensor preset that fits a live source, by the size of its images.
+
+
+LOOK_S = 0.1  # s between calls of `waiting`
+
+
+def sensor_for_source(
+    text: str,
+    name: str,
+    patience_s: float = float("inf"),
+    waiting: Callable[[LiveStream], None] = lambda _: None,
+) -> str:
+    """Name of the sensor for a live source: as given, or for `auto` the one preset that fits.
+
+    The source is opened for its first image, and closed again.
+
+    Parameters
+    ----------
+    text : str
+        As `--source`.
+    name : str
+    patience_s : float
+        How long the first image may take, s.
+    waiting : callable
+        Called with the stream now and then until the image is there; what it raises ends the
+        waiting.
+
+    Raises
+    ------
+    InputError
+        The source cannot be opened, no image came, or its size is of no or of several presets.
+    """
+    uri = parse_uri(text)
+    if name != AUTO:
+        return name
+    if uri.scheme == "synthetic":  # any sensor fits: it is what is simulated
+        return SYNTHETIC_SENSOR
+    if uri.scheme == "realsense":
+        raise uri.refusal("its images have the size that the sensor file asks for; give --sensor")
+    with open_stream(text, load_sensor(SYNTHETIC_SENSOR), any_size=True) as stream:
+        return preset_of_size(_image_size(stream, text, patience_s, waiting), f"--source {text}")
+
+
+def _image_size(
+    stream: LiveStream, text: str, patience_s: float, waiting: Callable[[LiveStream], None]
+) -> tuple[int, int]:
+    deadline = time.monotonic() + patience_s
+    while (frame := stream.take(LOOK_S)) is None:
+        waiting(stream)
+        if stream.source.link() == "ended" or time.monotonic() > deadline:
+            why = stream.source.problem() or stream.counters().problem or "give --sensor"
+            raise InputError(f"--source {text}: no depth image arrived; {why}")
+    height, width = frame.depth_m.shape
+    return width, height
+
+
+# Session presets: which sensors are shown at once, and where they are in the world.
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SensorPlace(_Strict):
+    """One sensor of a session.
+
+    Attributes
+    ----------
+    name : str
+        Also what its topics begin with.
+    sensor : str
+        Sensor file or preset.
+    source : str
+        As `--source`.
+    position_m, quaternion_xyzw
+        T_W_B.
+    colour : str
+        Of what is drawn of it, as #rrggbb.
+    colour_delay_s : float or None
+        In place of the sensor file's `camera.colour_delay_s`.
+    """
+
+    name: str = Field(min_length=1)
+    sensor: str
+    source: str
+    position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    quaternion_xyzw: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    colour: str = Field(default="#4f8fd0", pattern="^#[0-9a-fA-F]{6}$")
+    colour_delay_s: float | None = Field(
+        default=None, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S
+    )
+
+    @model_validator(mode="after")
+    def _unit(self) -> SensorPlace:
+        if abs(np.linalg.norm(self.quaternion_xyzw) - 1.0) > 1e-3:
+            raise ValueError("quaternion_xyzw: not of length 1; normalise it")
+        return self
+
+    @property
+    def T_W_B(self) -> np.ndarray:
+        """Pose of the bubble in the world, (4, 4)."""
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_quat(self.quaternion_xyzw).as_matrix()
+        T[:3, 3] = self.position_m
+        return T
+
+
+class SessionPreset(_Strict):
+    """A session file: one or two sensors."""
+
+    schema_version: Literal[1] = 1
+    title: str = Field(min_length=1)
+    sensors: tuple[SensorPlace, ...] = Field(min_length=1, max_length=2)
+
+
+def load_session(name: str | Path) -> SessionPreset:
+    """Session of a TOML file or, where there is no such file, the preset of that name.
+
+    Raises
+    ------
+    InputError
+        There is none, it is not TOML, or breaks the schema; names the key.
+    """
+    path = named_file(name, presets_folder("sessions"), "session")
+    return checked(SessionPreset, read_toml(path), path, "session")
+
+
+# One or two sensors at once, each with its own source; one recorder, one clock.
+
+
+@dataclass(frozen=True)
+class LiveSensor:
+    """A sensor of a session; two of them share nothing.
+
+    Attributes
+    ----------
+    place : SensorPlace
+        Name, colour and T_W_B.
+    sensor : Sensor
+    stream : LiveStream
+    zero : PressureZero
+        For whoever solves this sensor's frames.
+    """
+
+    place: SensorPlace
+    sensor: Sensor
+    stream: LiveStream
+    zero: PressureZero
+
+
+class LiveSession:
+    """The sensors of a session preset, live; a context manager.
+
+    Parameters
+    ----------
+    preset : SessionPreset
+    pre_roll_s : float
+        Seconds before recording starts that are recorded, too.
+
+    Attributes
+    ----------
+    sensors : tuple of LiveSensor
+    recorder : Recorder
+        Gets every message of every sensor.
+
+    Raises
+    ------
+    InputError
+        A sensor file or a source is not there.
+    """
+
+    def __init__(self, preset: SessionPreset, pre_roll_s: float = 0.0) -> None:
+        self.recorder = Recorder(pre_roll_s)
+        self.sensors = tuple(_open(place) for place in preset.sensors)
+        for each in self.sensors:
+            self.recorder.listen_to(each.stream)
+
+    def __enter__(self) -> LiveSession:
+        try:
+            for each in self.sensors:
+                each.stream.start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each in self.sensors:
+            each.stream.stop()
+        if self.recorder.recording:
+            self.recorder.stop()
+
+
+def _open(place: SensorPlace) -> LiveSensor:
+    sensor = with_colour_delay(load_sensor(place.sensor), place.colour_delay_s)
+    zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
+    return LiveSensor(place, sensor, open_stream(place.source, sensor), zero)

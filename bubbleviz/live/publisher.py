@@ -1,0 +1,303 @@
+"""ROS 2 messages out over Zenoh, as ROS 2 nodes and the window expect them."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import zenoh
+from scipy.spatial.transform import Rotation
+from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publisher
+
+from bubbleviz.live.assembler import Counters
+from bubbleviz.live.live_stream import Status
+from bubbleviz.live.zenoh_session import (
+    Attachment,
+    Layout,
+    SessionOptions,
+    announcement,
+    connected,
+    open_session,
+    pack_attachment,
+    publication,
+)
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import (
+    POINT_CLOUD,
+    WRENCH,
+    Message,
+    are_static_poses,
+    make_header,
+    make_wrench,
+    ros2_types,
+    serialise,
+)
+from bubbleviz.result import Estimate, Patch, Result, Traction
+
+_STATIC_KEPT = 100  # messages of a topic; chosen: robots have a few
+_COUNTED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
+"""Of what is kept for later subscribers; without, Zenoh would have to stamp all messages."""
+
+
+class ZenohPublisher:
+    """Publishes serialised messages, each topic announced with its first one.
+
+    Parameters
+    ----------
+    options : SessionOptions
+        Where to listen, or the router to publish through.
+    layout : {"rmw", "dds"}
+        As `rmw_zenoh` publishes, or as the ROS 2 DDS bridge does.
+    domain : int
+        ROS_DOMAIN_ID.
+    wait : bool
+        Wait for a subscriber that is too slow, so that nothing is lost; else leave it behind.
+    """
+
+    def __init__(
+        self,
+        options: SessionOptions,
+        *,
+        layout: Layout = "rmw",
+        domain: int = 0,
+        wait: bool = False,
+    ) -> None:
+        self._session = open_session(options)
+        self._layout, self._domain, self._wait = layout, domain, wait
+        self._publishers: dict[tuple[str, str], Any] = {}
+        self._tokens: list[Any] = []
+        self._sent: dict[tuple[str, str], int] = {}
+        self._identity = secrets.token_bytes(16)
+
+    def __enter__(self) -> ZenohPublisher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def announce(self, topic: str, kind: str) -> None:
+        """Announce a topic before its first message."""
+        if (topic, kind) in self._publishers:
+            return
+        type_hash = ros2_types().hash_rihs01(kind)
+        control = zenoh.CongestionControl.BLOCK if self._wait else zenoh.CongestionControl.DROP
+        key = publication(topic, kind, type_hash, self._layout, self._domain)
+        if are_static_poses(topic, kind):  # who subscribes later gets them, too
+            self._publishers[topic, kind] = declare_advanced_publisher(
+                self._session,
+                key,
+                congestion_control=control,
+                cache=CacheConfig(_STATIC_KEPT),
+                sample_miss_detection=_COUNTED,
+                publisher_detection=True,
+            )
+        else:
+            self._publishers[topic, kind] = self._session.declare_publisher(
+                key, congestion_control=control
+            )
+        number = len(self._publishers)
+        session = str(self._session.zid())
+        token = announcement(topic, kind, type_hash, self._layout, self._domain, session, number)
+        self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def put(self, topic: str, kind: str, payload: bytes, stamp_ns: int = 0) -> None:
+        """Publish a message."""
+        self.announce(topic, kind)
+        sequence = self._sent.get((topic, kind), 0) + 1
+        self._sent[topic, kind] = sequence
+        stamp = stamp_ns or time.time_ns()
+        attachment = pack_attachment(Attachment(sequence, stamp, self._identity))
+        self._publishers[topic, kind].put(payload, attachment=attachment)
+
+    @property
+    def subscribed(self) -> int:
+        """To how many of the announced topics somebody subscribes."""
+        return sum(
+            each.matching_status.matching
+            for place, each in self._publishers.items()
+            if not are_static_poses(*place)
+        )
+
+    @property
+    def connected(self) -> bool:
+        """Whether anybody is there."""
+        return connected(self._session)
+
+    def close(self) -> None:
+        """Close the session."""
+        self._session.close()
+
+
+# Traction with friction and slip as ROS 2 messages.
+
+
+POINT = "geometry_msgs/msg/PointStamped"
+NUMBER = "std_msgs/msg/Float64"
+
+
+def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]]:
+    """Name, type and message of what is known of friction in a result; of depth alone, nothing.
+
+    The torque is about B's origin, as transform libraries take it to be; the contact's centre goes
+    out beside it. The standard deviation of a wrench is a message like the wrench itself.
+    """
+    traction, slip = result.traction, result.slip
+    if traction is None or result.trusted_estimate is None:
+        return
+    if traction.status == "no_contact":
+        yield "traction_wrench", WRENCH, make_wrench(header, np.zeros(6))
+    if traction.status != "ok":
+        return
+    wrench, sigma = _wrenches(traction)
+    yield "traction_wrench", WRENCH, make_wrench(header, wrench)
+    yield "traction_wrench_sigma", WRENCH, make_wrench(header, sigma)
+    yield "traction_center", POINT, _point(header, traction.center_m)
+    if slip is not None:
+        number = ros2_types().types[NUMBER]
+        yield "slip_share", NUMBER, number(float(slip.share))
+        yield "slip_share_sigma", NUMBER, number(float(slip.share_sigma))
+
+
+def _wrenches(traction: Traction) -> tuple[np.ndarray, np.ndarray]:
+    """Force and torque about B's origin, and their standard deviations, (6,) each."""
+    origin = np.zeros(3)
+    return (
+        np.concatenate([traction.force_n, traction.torque_about(origin)]),
+        np.concatenate([traction.force_sigma_n, traction.torque_sigma_about(origin)]),
+    )
+
+
+def _point(header: Any, point_m: np.ndarray) -> Any:
+    kinds = ros2_types().types
+    return kinds[POINT](header, kinds["geometry_msgs/msg/Point"](*(float(c) for c in point_m)))
+
+
+# Results as ROS 2 messages: patch, force, pose and diagnostics.
+
+
+POSE = "geometry_msgs/msg/PoseStamped"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+_LEVELS = {"ok": _OK, "no_contact": _OK, "no_data": _WARN}
+_FLOAT32 = 7  # datatype of sensor_msgs/PointField
+
+
+class ResultMessages:
+    """Makes the messages of results; everything is in the bubble's frame B.
+
+    Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
+    deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
+    membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found), those of
+    `shear_messages` and `/diagnostics`. Of an estimate that is not to be trusted only the last,
+    which says why.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+        Of the pipeline that makes the results.
+    prefix : str
+        What the topic names begin with.
+    frame_id : str
+        Name of B in the headers.
+    """
+
+    def __init__(
+        self, mesh: MembraneMesh, prefix: str = "/bubble", frame_id: str = "bubble"
+    ) -> None:
+        self._mesh, self._prefix, self._frame_id = mesh, prefix.rstrip("/"), frame_id
+
+    def of(self, result: Result) -> Iterator[Message]:
+        """Messages of what there is of a result, stamped as its frame."""
+        stamp = result.frame.stamp_ns
+        header = make_header(max(stamp, 0), self._frame_id)
+        estimate, patch = result.trusted_estimate, result.trusted_patch
+        if estimate is not None and patch is not None:
+            cloud = self._patch(header, estimate, patch)
+            yield self._message("contact_patch", POINT_CLOUD, cloud, stamp)
+            wrench = make_wrench(header, _wrench(patch))
+            yield self._message("contact_wrench", WRENCH, wrench, stamp)
+        if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
+            yield self._message("object_pose", POSE, _pose(header, result.pose.T_B_O), stamp)
+        for name, kind, message in shear_messages(header, result):
+            yield self._message(name, kind, message, stamp)
+
+    def diagnostics(
+        self, now_ns: int, status: Status, counters: Counters, result: Result | None
+    ) -> Message:
+        """How the source and the estimate are doing."""
+        kinds = ros2_types().types
+        entry, pair = (
+            kinds["diagnostic_msgs/msg/DiagnosticStatus"],
+            kinds["diagnostic_msgs/msg/KeyValue"],
+        )
+        estimate = None if result is None else result.estimate
+        values = {name: str(value) for name, value in counters.as_dict().items()}
+        if estimate is not None and result is not None:
+            values["residual_rms_m"] = f"{estimate.residual_rms_m:.3g}"
+            values["total_ms"] = f"{result.times_ms.get('total', np.nan):.3g}"
+        if result is not None and (traction := result.traction) is not None:
+            values["traction"] = ": ".join(filter(None, (traction.status, traction.reason)))
+        level, text = _level(status, estimate)
+        body = entry(
+            level=level,
+            name=f"{self._prefix.strip('/')}: contact",
+            message=text,
+            hardware_id=self._frame_id,
+            values=[pair(key=key, value=value) for key, value in values.items()],
+        )
+        message = kinds[DIAGNOSTICS](make_header(now_ns, ""), [body])
+        return Message("/diagnostics", DIAGNOSTICS, serialise(message, DIAGNOSTICS), now_ns)
+
+    def _message(self, name: str, kind: str, message: Any, stamp: int) -> Message:
+        return Message(f"{self._prefix}/{name}", kind, serialise(message, kind), stamp)
+
+    def _patch(self, header: Any, estimate: Estimate, patch: Patch) -> Any:
+        """Nodes of the patch where they are now: x, y, z, pressure, as float32."""
+        inside = patch.node_mask
+        points = self._mesh.deformed(estimate.motion_m)[inside]
+        table = np.column_stack([points, estimate.contact_pressure_pa[inside]]).astype("<f4")
+        field = ros2_types().types["sensor_msgs/msg/PointField"]
+        names = ("x", "y", "z", "pressure")
+        return ros2_types().types[POINT_CLOUD](
+            header=header,
+            height=1,
+            width=len(table),
+            fields=[field(name, 4 * k, _FLOAT32, 1) for k, name in enumerate(names)],
+            is_bigendian=False,
+            point_step=16,
+            row_step=16 * len(table),
+            data=np.ascontiguousarray(table).view(np.uint8).reshape(-1),
+            is_dense=True,
+        )
+
+
+def _wrench(patch: Patch) -> np.ndarray:
+    """Force of the patch and its torque about B's origin, (6,); zero without contact."""
+    center = patch.center_of_pressure_m
+    torque = np.zeros(3)
+    if np.isfinite(center).all():
+        torque = patch.torque_nm + np.cross(center, patch.force_n)
+    return np.concatenate([patch.force_n, torque])
+
+
+def _pose(header: Any, T_B_O: np.ndarray) -> Any:
+    kinds = ros2_types().types
+    point, quaternion = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
+    x, y, z, w = (float(q) for q in Rotation.from_matrix(T_B_O[:3, :3]).as_quat())
+    place = point(*(float(p) for p in T_B_O[:3, 3]))
+    return kinds[POSE](header, kinds["geometry_msgs/msg/Pose"](place, quaternion(x, y, z, w)))
+
+
+def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:
+    if status.state == "connecting":
+        return _WARN, status.text
+    if status.state != "live":
+        return _STALE, status.text
+    if estimate is None:
+        return _OK, status.text
+    text = f"{estimate.status}: {estimate.reason}" if estimate.reason else estimate.status
+    return _LEVELS.get(estimate.status, _ERROR), text

@@ -1,0 +1,252 @@
+"""Records every message of one or more sources; skips none."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.topic_names import RawMessage
+from bubbleviz.recordings import MARKERS, STRING, McapFile, are_static_poses, ros2_types, serialise
+from bubbleviz.wording import count_of
+
+SYNC_S = 0.4
+"""Interval of fsync, s: the most that a crash can lose."""
+FLUSH_BYTES = 1 << 20
+"""Messages written before they are handed to the system: the most that a full disk can lose."""
+QUEUE_BYTES = 256 << 20
+"""Messages that may wait for the disk; beyond it the source is made to wait."""
+PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
+
+
+@dataclass(frozen=True)
+class RecorderStatus:
+    """How recording is going.
+
+    Attributes
+    ----------
+    path : Path
+    messages : int
+        Messages written.
+    waiting_bytes, most_waiting_bytes : int
+        Messages that wait for the disk now, and the most there ever were.
+    stalls : int
+        How often a source had to wait because the disk is too slow.
+    size_bytes : int
+        Of the file, as far as it survives a crash.
+    problem : str
+        Why recording ended early, in words; empty while all is well.
+    """
+
+    path: Path
+    messages: int
+    waiting_bytes: int
+    most_waiting_bytes: int
+    stalls: int
+    size_bytes: int
+    problem: str
+
+
+class Recorder:
+    """Keeps the last seconds of messages as pre-roll, and writes a recording when started.
+
+    Parameters
+    ----------
+    pre_roll_s : float
+        Seconds before `start` that are recorded, too.
+    """
+
+    def __init__(self, pre_roll_s: float = 0.0) -> None:
+        self.pre_roll_s = pre_roll_s
+        self._before: deque[RawMessage] = deque()
+        self._before_bytes = 0
+        self._static: dict[bytes, RawMessage] = {}
+        self._session: _Session | None = None
+        self._streams: list[LiveStream] = []
+        self._let_go_of_colour: list[Callable[[], None]] = []
+        self._lock = threading.Lock()
+
+    def listen_to(self, stream: LiveStream) -> None:
+        """Record every message of a stream; it sends colour images while it is recorded."""
+        self._streams.append(stream)
+        stream.listen(self.push)
+        if self.recording:
+            self._let_go_of_colour.append(stream.follow_colour())
+
+    @property
+    def recording(self) -> bool:
+        """Whether messages are being written."""
+        return self._session is not None
+
+    def push(self, message: RawMessage) -> None:
+        """Take a message; from any thread. Does not raise, and waits only for a disk too slow."""
+        with self._lock:
+            if are_static_poses(message.topic, message.type):
+                self._static[message.payload] = message  # sent once: every recording needs it
+            session = self._session
+            if session is None:
+                self._keep(message)
+                return
+        session.put(message)
+
+    def start(self, path: str | Path) -> None:
+        """Begin to write, with the pre-roll.
+
+        Raises
+        ------
+        InputError
+            The path exists or cannot be written, or something is being recorded already.
+        """
+        with self._lock:
+            if self._session is not None:
+                raise InputError(f"{path}: something is being recorded already; stop it first")
+            file = McapFile(path, compression="lz4")
+            session = _Session(file, tuple(self._static.values()))
+            for message in self._before:
+                session.put(message)
+            self._before.clear()
+            self._before_bytes = 0
+            self._session = session
+        self._let_go_of_colour = [stream.follow_colour() for stream in self._streams]
+
+    def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
+        """Write a marker or note into the recording, at a time (ns since 1970), by default now."""
+        content = ros2_types().types[STRING](data=text)
+        when = time.time_ns() if at_ns is None else at_ns
+        self.push(RawMessage(MARKERS, STRING, serialise(content, STRING), 0, when))
+
+    def status(self) -> RecorderStatus | None:
+        """State of the present recording; None without one."""
+        session = self._session
+        return None if session is None else session.status()
+
+    def stop(self) -> RecorderStatus:
+        """End the recording and return its final state. Without a message no file stays."""
+        with self._lock:
+            session, self._session = self._session, None
+        if session is None:
+            raise InputError("nothing is being recorded")
+        for let_go in self._let_go_of_colour:
+            let_go()
+        session.finish()
+        return session.status()
+
+    def _keep(self, message: RawMessage) -> None:
+        if self.pre_roll_s <= 0.0:
+            return
+        self._before.append(message)
+        self._before_bytes += len(message.payload)
+        oldest = message.arrival_ns - round(self.pre_roll_s * 1e9)
+        while self._before[0].arrival_ns < oldest or self._before_bytes > PRE_ROLL_BYTES:
+            self._before_bytes -= len(self._before.popleft().payload)
+
+
+class _Session:
+    """One recording: a queue, and a thread that writes it down.
+
+    The messages `before`, however old, are logged with the first one.
+    """
+
+    def __init__(self, file: McapFile, before: tuple[RawMessage, ...]) -> None:
+        self._file = file
+        self._queue: deque[RawMessage] = deque()
+        self._before = before
+        self._bytes = sum(len(message.payload) for message in before)
+        self._most = self._stalls = 0
+        self._ending = False
+        self._problem = ""
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def put(self, message: RawMessage) -> None:
+        with self._changed:
+            if self._bytes > QUEUE_BYTES and not self._problem:
+                self._stalls += 1
+                self._changed.wait_for(lambda: self._bytes <= QUEUE_BYTES or bool(self._problem))
+            if self._problem:
+                return
+            self._queue.append(message)
+            self._bytes += len(message.payload)
+            self._most = max(self._most, self._bytes)
+            self._changed.notify_all()
+
+    def finish(self) -> None:
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def status(self) -> RecorderStatus:
+        with self._changed:
+            return RecorderStatus(
+                self._file.path,
+                self._file.count,
+                self._bytes,
+                self._most,
+                self._stalls,
+                self._file.synced_bytes,
+                self._problem,
+            )
+
+    def _run(self) -> None:
+        try:
+            self._write_all()
+            self._file.close() if self._file.count else self._file.discard()
+        except (OSError, InputError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            with self._changed:
+                self._problem = f"{self._file.path}: recording ended ({reason}); {self._left()}"
+                self._queue.clear()
+                self._bytes = 0
+                self._changed.notify_all()
+            self._file.abandon()
+
+    def _left(self) -> str:
+        """What the file has in spite of a failed write, in words."""
+        kept = self._file.kept
+        if not kept.messages:
+            return "nothing could be kept, as there was no room for a megabyte"
+        return (
+            f"its first {kept.duration_s:.1f} s are in the file, "
+            f"{count_of(kept.messages, 'message')}, {1e-6 * kept.size_bytes:.1f} MB"
+        )
+
+    def _write_all(self) -> None:
+        synced, unflushed = time.monotonic(), 0
+        while True:
+            messages, ending = self._take(SYNC_S / 2)
+            for message in self._with_before(messages):
+                row = (message.topic, message.type, message.payload, message.stamp_ns)
+                self._file.write(row, message.arrival_ns, message.sequence or 0)
+                unflushed += len(message.payload)
+                if unflushed >= FLUSH_BYTES:
+                    self._file.flush()
+                    unflushed = 0
+                with self._changed:
+                    self._bytes -= len(message.payload)
+                    self._changed.notify_all()
+            if ending and not messages:
+                return
+            if time.monotonic() - synced >= SYNC_S:
+                self._file.sync()
+                synced = time.monotonic()
+
+    def _with_before(self, messages: list[RawMessage]) -> list[RawMessage]:
+        if not messages or not self._before:
+            return messages
+        at_ns, before = messages[0].arrival_ns, self._before
+        self._before = ()
+        return [*(replace(message, arrival_ns=at_ns) for message in before), *messages]
+
+    def _take(self, timeout_s: float) -> tuple[list[RawMessage], bool]:
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._queue) or self._ending, timeout_s)
+            messages = list(self._queue)
+            self._queue.clear()
+            return messages, self._ending

@@ -1,0 +1,176 @@
+"""A recording played as if it were live: its own messages, at the pace they were recorded."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
+from bubbleviz.live.topic_names import TYPES, RawMessage, TopicNames, stamp_of
+from bubbleviz.recordings import (
+    Bag,
+    FrameMessages,
+    FrameSource,
+    Message,
+    Messages,
+    are_static_poses,
+    typestore,
+)
+
+
+class Replay(LiveSource):
+    """Messages of a recording, delivered when they are due.
+
+    Parameters
+    ----------
+    path : path-like
+    speed : float
+        Times faster than recorded.
+    loop : bool
+        Begin again at the end; else the source ends there.
+    realtime : bool
+        False delivers everything at once, as fast as it is read.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, or has none of the message types used here.
+    """
+
+    def __init__(
+        self, path: str | Path, *, speed: float = 1.0, loop: bool = False, realtime: bool = True
+    ) -> None:
+        self._bag = Bag(path)
+        super().__init__(self._bag.path.name)
+        self._speed, self._loop, self._realtime = speed, loop, realtime
+        self._streams: list[Messages] = [
+            self._bag.messages(topic)
+            for topic in self._bag.topics
+            if topic.type in TYPES or are_static_poses(topic.name, topic.type)
+        ]
+        if not any(len(stream) for stream in self._streams if stream.topic.type in TYPES):
+            self._bag.close()
+            raise InputError(f"{path}: has none of the messages used here; see bubbleviz info")
+        self._offered = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
+
+    def stop(self) -> None:
+        """Stop playing and close the recording."""
+        super().stop()
+        self._bag.close()
+
+    def _run(self, deliver: Deliver) -> None:
+        self._link = "up"
+        times = np.concatenate([stream.log_ns for stream in self._streams])
+        which = np.repeat(np.arange(len(self._streams)), [len(s) for s in self._streams])
+        number = np.concatenate([np.arange(len(s)) for s in self._streams])
+        order = np.argsort(times, kind="stable")
+        rows = [(int(which[k]), int(number[k]), int(times[k])) for k in order]
+        colour, played = TopicNames(), 0
+        while True:
+            start = time.monotonic()
+            for stream, k, log_ns in rows:
+                due = start + (log_ns - rows[0][2]) * 1e-9 / self._speed
+                if not self._wait_until(due if self._realtime else start):
+                    return
+                topic = self._streams[stream].topic
+                if self._with_colour or not colour.is_colour(topic.name, topic.type):
+                    deliver(self._message(self._streams[stream], k, played))
+            if not self._loop:
+                return
+            played += 1
+
+    def _message(self, stream: Messages, k: int, played: int) -> RawMessage:
+        payload = stream.payload(k)
+        if self._bag.ros1:
+            payload = _as_ros2(payload, stream.topic.type)
+        return RawMessage(
+            stream.topic.name,
+            stream.topic.type,
+            payload,
+            stamp_of(payload),
+            time.time_ns(),
+            round=played,
+        )
+
+
+def _as_ros2(payload: bytes, kind: str) -> bytes:
+    """CDR of a ROS 1 message; the same bytes where they are no such message."""
+    try:
+        return bytes(typestore(ros1=True).ros1_to_cdr(payload, kind))
+    except Exception:  # counted as undecodable by whoever reads it
+        return payload
+
+
+# The simulated sensor as a live source.
+
+
+class SyntheticLive(LiveSource):
+    """Streams the frames of a simulation round after round, stamped with the present.
+
+    Each frame is encoded once: what is kept are its messages, stamped anew in every round.
+
+    Parameters
+    ----------
+    name : str
+    make : callable
+        Makes the simulation; called in the source's own thread.
+    rate_hz : float
+        Frames a second.
+    ahead : bool
+        Whether all frames are simulated before the first one is sent, so that the first round
+        does not stutter; else each when it is due, late where simulating is slower than the rate.
+    messages : FrameMessages, optional
+        How frames become messages.
+    rounds : int or None
+        None streams until stopped.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        make: Callable[[], FrameSource],
+        rate_hz: float,
+        *,
+        ahead: bool = True,
+        messages: FrameMessages | None = None,
+        rounds: int | None = None,
+    ) -> None:
+        super().__init__(name)
+        self._make, self._rate, self._ahead, self._rounds = make, rate_hz, ahead, rounds
+        self._messages = messages or FrameMessages()
+
+    def _run(self, deliver: Deliver) -> None:
+        simulation = self._make()
+        messages_of = cache(lambda k: list(self._messages.of(simulation[k])))
+        try:
+            for k in range(len(simulation) if self._ahead else 1):
+                if self._stopped.is_set():
+                    return
+                messages_of(k)
+            self._offered = tuple(OfferedTopic(m.topic, m.type) for m in messages_of(0))
+            self._link = "up"
+            self._stream(deliver, messages_of, len(simulation))
+        finally:
+            simulation.close()
+
+    def _stream(
+        self, deliver: Deliver, messages_of: Callable[[int], list[Message]], frames: int
+    ) -> None:
+        start, epoch, sent = time.monotonic(), time.time_ns(), 0
+        total = np.inf if self._rounds is None else self._rounds * frames
+        while sent < total and self._wait_until(start + sent / self._rate):
+            messages = messages_of(sent % frames)
+            later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
+            for message in messages:
+                deliver(_raw(message.later(later_ns), sent))
+            sent += 1
+
+
+def _raw(message: Message, sequence: int) -> RawMessage:
+    topic, kind, payload, stamp = message
+    return RawMessage(topic, kind, payload, stamp, time.time_ns(), sequence)

@@ -1,1 +1,0 @@
-"""Where live messages and results go: a recording, ROS 2 messages, Zenoh."""

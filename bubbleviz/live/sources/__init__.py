@@ -1,1 +1,0 @@
-"""Live sources behind one protocol: simulated, replayed, Zenoh, RealSense; opened by URI."""

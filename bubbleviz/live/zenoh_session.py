@@ -1,0 +1,411 @@
+"""Zenoh sessions with explicit endpoints: no discovery by multicast or gossip."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import ssl
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import zenoh
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.live_source import SourceUri
+
+# Certificates, keys and passwords of Zenoh sessions.
+
+
+@dataclass(frozen=True)
+class Credentials:
+    """Files by which two sides know each other; each may be left out.
+
+    Attributes
+    ----------
+    ca : str or None
+        Certificate of the authority that the other side's must be of.
+    cert, key : str or None
+        Own certificate and its private key: of who listens at `tls/…`, and of who connects where
+        that is asked for, by a `ca` of who listens.
+    login : str or None
+        Lines `user:password`: who listens lets these in, who connects is the first of them.
+    """
+
+    ca: str | None = None
+    cert: str | None = None
+    key: str | None = None
+    login: str | None = None
+
+    def settings(self, *, connects: bool) -> dict[str, Any]:
+        """Zenoh's settings of them.
+
+        Raises
+        ------
+        InputError
+            A file is not there, or the first line of `login` is no `user:password`.
+        """
+        for file in filter(None, (self.ca, self.cert, self.key, self.login)):
+            if not Path(file).is_file():
+                raise InputError(f"{file}: no such file; check the path")
+        tls, side = "transport/link/tls", "connect" if connects else "listen"
+        found: dict[str, Any] = {
+            f"{tls}/root_ca_certificate": self.ca,
+            f"{tls}/{side}_certificate": self.cert,
+            f"{tls}/{side}_private_key": self.key,
+            f"{tls}/enable_mtls": True if self.ca and self.cert else None,
+        }
+        if self.login and connects:
+            found |= _first_login(self.login)
+        elif self.login:
+            found["transport/auth/usrpwd/dictionary_file"] = self.login
+        return {name: value for name, value in found.items() if value is not None}
+
+
+def _first_login(file: str) -> dict[str, str]:
+    user, found, password = Path(file).read_text(encoding="utf-8").partition("\n")[0].partition(":")
+    if not found:
+        raise InputError(f"{file}: its first line is no user:password; write one")
+    auth = "transport/auth/usrpwd"
+    return {f"{auth}/user": user.strip(), f"{auth}/password": password.strip()}
+
+
+# Why there is no session with a Zenoh endpoint: Zenoh itself gives no reason.
+
+
+PATIENCE_S = 1.0
+"""Longest wait for an answer of the host, s; chosen."""
+UNTRUSTED = range(18, 22)
+"""OpenSSL's codes of certificates that no authority known here has signed."""
+
+
+def why_no_session(endpoint: str, given: Credentials) -> str:
+    """Why there is no session, and what to do; empty where that is not known.
+
+    Parameters
+    ----------
+    endpoint : str
+        `tcp/HOST:PORT` or `tls/HOST:PORT`, which Zenoh could not open a session with.
+    given : Credentials
+    """
+    parts = re.match(r"(tcp|tls)/\[?([^\[\]]+?)\]?:(\d+)", endpoint)
+    if parts is None:
+        return ""
+    protocol, host, port = parts[1], parts[2], int(parts[3])
+    try:
+        link = socket.create_connection((host, port), PATIENCE_S)
+    except OSError as error:
+        return _absence(error, host, port)
+    with link:
+        encrypted = protocol == "tls"
+        why = _certificates(link, host, given) if encrypted else ""
+    return f"refused: {why or _login(f'{host}:{port}', given, encrypted)}"
+
+
+def _absence(error: OSError, host: str, port: int) -> str:
+    """Why nobody answers, who may be there later."""
+    if isinstance(error, socket.gaierror):
+        return f"the host {host} is not known to this computer; check the name"
+    if isinstance(error, ConnectionRefusedError):
+        return f"nothing listens at {host}:{port}; check the port, or start the router or bridge"
+    return f"{host}:{port} does not answer; check address and network"
+
+
+def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
+    """What is wrong with the certificates of either side; empty where nothing is."""
+    context = ssl.create_default_context()
+    context.verify_flags &= ~ssl.VERIFY_X509_STRICT  # on from Python 3.13; Zenoh is not strict
+    try:
+        if given.ca:
+            context.load_verify_locations(given.ca)
+        if given.cert and given.key:
+            context.load_cert_chain(given.cert, given.key)
+    except ssl.SSLError:
+        return "ca, cert or key holds no certificate or key in PEM form; check the files"
+    try:
+        secure = context.wrap_socket(link, server_hostname=host)
+    except ssl.SSLCertVerificationError as error:
+        return _untrusted(error, host, given)
+    except OSError as error:
+        return _other_side(error, host, given)
+    with secure:
+        if secure.getpeercert(binary_form=True) in context.get_ca_certs(binary_form=True):
+            return f"the certificate of {host} is the authority's own; have it sign another"
+        try:
+            secure.recv(1)  # who misses our certificate says so only after the handshake
+        except ssl.SSLError as error:
+            return _other_side(error, host, given)
+        except OSError:  # nothing is wrong with it
+            pass
+    return ""
+
+
+def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credentials) -> str:
+    if error.verify_code in UNTRUSTED:
+        signer = f"ca={given.ca}" if given.ca else "an authority that this system knows"
+        return f"the certificate of {host} is not signed by {signer}; check ca="
+    what = error.verify_message.rstrip(".")
+    return f"the certificate of {host} does not hold: {what}; check the host name and the clocks"
+
+
+def _other_side(error: OSError, host: str, given: Credentials) -> str:
+    reason = str(getattr(error, "reason", "")).replace("_", " ").lower()
+    if "alert" not in reason:
+        return f"{host} does not answer encrypted; write tcp/ for tls/"
+    if given.cert is None:
+        return f"{host} asks for a certificate of this computer; give cert= and key= ({reason})"
+    return f"{host} does not accept cert={given.cert}; have its authority sign it ({reason})"
+
+
+def _login(place: str, given: Credentials, encrypted: bool) -> str:
+    text = f"{place} answers and accepts no session"
+    if given.login:
+        text += f"; check user and password in login={given.login}"
+    else:
+        text += "; it may ask for user and password, give login="
+    return text if encrypted else f"{text}; or it is encrypted, write tls/"
+
+
+ROUTER = "tcp/127.0.0.1:7447"
+"""Where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen."""
+
+_RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5}
+"""Zenoh connects again by itself, at these intervals."""
+
+
+class NotConnectedError(InputError):
+    """Nobody answers at the endpoint, or who does accepts no session.
+
+    Attributes
+    ----------
+    why : str
+        And what to do.
+    """
+
+    def __init__(self, options: SessionOptions, why: str) -> None:
+        super().__init__(f"{options.text}: no Zenoh session: {why}")
+        self.why = why
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """Where a session connects to, or where it listens.
+
+    A session that connects is a client and listens nowhere. A router hands messages to and from
+    clients only, not between the peers that ROS 2 nodes are: they connect to each other directly.
+
+    Attributes
+    ----------
+    text : str
+        For messages to the user.
+    connect, listen : str or None
+        One endpoint such as `tcp/192.168.1.7:7447`.
+    credentials : Credentials
+    """
+
+    text: str
+    connect: str | None = None
+    listen: str | None = None
+    credentials: Credentials = field(default_factory=Credentials)
+
+    @classmethod
+    def of(cls, uri: SourceUri) -> SessionOptions:
+        """Options of `zenoh:[endpoint]`, or of `zenoh:?listen=endpoint`."""
+        given = uri.options
+        listen = given.listen
+        credentials = Credentials(given.ca, given.cert, given.key, given.login)
+        if listen and uri.place:
+            raise uri.refusal("give an endpoint to connect to, or listen=, not both")
+        return cls(uri.text, None if listen else uri.place or ROUTER, listen, credentials)
+
+
+def make_config(options: SessionOptions) -> Any:
+    """Configuration of a session.
+
+    Raises
+    ------
+    InputError
+        The endpoint is malformed, or a file of the credentials is not there.
+    """
+    connects = options.connect is not None
+    settings: dict[str, Any] = {
+        "mode": "client" if connects else "peer",
+        "connect/endpoints": [options.connect] if connects else [],
+        "connect/timeout_ms": 0,
+        "connect/retry": _RETRY,
+        "listen/endpoints": [] if options.listen is None else [options.listen],
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        **options.credentials.settings(connects=connects),
+    }
+    config = zenoh.Config()
+    try:
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        raise _no_session(options, error) from error
+    return config
+
+
+def open_session(options: SessionOptions) -> Any:
+    """Open `zenoh.Session`.
+
+    Raises
+    ------
+    InputError
+        The endpoint is malformed, the connection fails, or the address cannot be bound.
+    NotConnectedError
+        There is no session, and it is known why.
+    """
+    config = make_config(options)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        place = options.connect
+        why = "" if place is None else why_no_session(place, options.credentials)
+        if why:
+            raise NotConnectedError(options, why) from error
+        raise _no_session(options, error) from error
+
+
+def connected(session: Any) -> bool:
+    """Whether a session has anybody to talk to."""
+    return bool(session.info.peers_zid() or session.info.routers_zid())
+
+
+def _no_session(options: SessionOptions, error: Exception) -> InputError:
+    text = str(error).split(" at /")[0]
+    quoted = re.search(r'msg: "(.*?)"?\}?\)?$', text)
+    reason = (quoted.group(1) if quoted else text).strip().rstrip("!.")[:160]
+    return InputError(f"{options.text}: no Zenoh session ({reason}); give a place like {ROUTER}")
+
+
+# How ROS 2 topics are named in Zenoh, in the two ways that are in use.
+#
+# `rmw_zenoh` publishes `/cam/depth` as `0/cam/depth/sensor_msgs::msg::dds_::Image_/RIHS01_…`
+# (domain, topic, type, hash of the type) and announces it by the liveliness token
+# `@ros2_lv/0/<session>/<node id>/<id>/MP/<enclave>/<namespace>/<node>/<topic>/<type>/<hash>/<qos>`,
+# `%` for `/` within a part. The bridge `zenoh-bridge-ros2dds` publishes it as `cam/depth`, and
+# announces `@/<session>/@ros2_lv/MP/<key>/<type>/<qos>` (before 1.0: `@ros2_lv/<session>/MP/…`),
+# `§` for `/`.
+
+
+TOKENS = ("@ros2_lv/**", "@/*/@ros2_lv/**")
+"""Where publishers are announced."""
+
+Layout = Literal["rmw", "dds"]
+
+_DDS_SLASH = "§"
+_ATTACHMENT = struct.Struct("<qqB16s")
+_NAMED = (b"sequence_number", b"source_gid")
+
+
+class Announced(NamedTuple):
+    """A published topic and its key layout."""
+
+    topic: str
+    type: str
+    layout: Layout
+
+
+class Attachment(NamedTuple):
+    """What `rmw_zenoh` sends with a message."""
+
+    sequence: int
+    stamp_ns: int
+    publisher: bytes
+
+
+def parse_token(key: str, domain: int) -> Announced | None:
+    """Publisher that a liveliness token announces; None where it announces something else."""
+    parts = key.split("/")
+    if parts[0] == "@" and len(parts) >= 6 and parts[2] == "@ros2_lv":
+        return _bridged(parts[3:])
+    if parts[0] != "@ros2_lv" or len(parts) < 5:
+        return None
+    if parts[2] in ("MP", "MS", "SS", "SC", "AS", "AC"):
+        return _bridged(parts[2:])
+    if len(parts) < 12 or parts[1] != str(domain) or parts[5] != "MP":
+        return None
+    kind = ros_type(parts[10])
+    return None if kind is None else Announced(_topic(parts[9].replace("%", "/")), kind, "rmw")
+
+
+def _bridged(parts: list[str]) -> Announced | None:
+    if len(parts) < 3 or parts[0] != "MP":
+        return None
+    key, kind = (part.replace(_DDS_SLASH, "/") for part in parts[1:3])
+    return Announced(_topic(key), kind, "dds")
+
+
+def _topic(key: str) -> str:
+    return "/" + key.strip("/")
+
+
+def subscription(topic: str, layout: Layout, domain: int) -> str:
+    """Key expression that a topic's messages come under, whatever their type."""
+    name = topic.strip("/")
+    return f"{domain}/{name}/*/*" if layout == "rmw" else name
+
+
+def type_of(key: str) -> str | None:
+    """Type that the key of a message in rmw_zenoh's layout tells; None where it tells none."""
+    parts = key.split("/")
+    return ros_type(parts[-2]) if len(parts) >= 4 else None
+
+
+def ros_type(mangled: str) -> str | None:
+    """`sensor_msgs/msg/Image` of `sensor_msgs::msg::dds_::Image_`; None of anything else."""
+    parts = mangled.split("::")
+    if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
+        return None
+    return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
+
+
+def dds_type(kind: str) -> str:
+    """`sensor_msgs::msg::dds_::Image_` of `sensor_msgs/msg/Image`."""
+    package, space, name = kind.split("/")
+    return f"{package}::{space}::dds_::{name}_"
+
+
+def publication(topic: str, kind: str, type_hash: str, layout: Layout, domain: int) -> str:
+    """Key that messages of a topic are published under."""
+    name = topic.strip("/")
+    return f"{domain}/{name}/{dds_type(kind)}/{type_hash}" if layout == "rmw" else name
+
+
+def announcement(
+    topic: str, kind: str, type_hash: str, layout: Layout, domain: int, session: str, number: int
+) -> str:
+    """Liveliness token of a publisher; the default quality of service."""
+    if layout == "dds":
+        key, slashed = topic.strip("/"), kind.replace("/", _DDS_SLASH)
+        return f"@/{session}/@ros2_lv/MP/{key.replace('/', _DDS_SLASH)}/{slashed}/:::"
+    mangled = topic.replace("/", "%")
+    node = f"@ros2_lv/{domain}/{session}/0/{number}/MP/%/%/bubbleviz"
+    return f"{node}/{mangled}/{dds_type(kind)}/{type_hash}/::,10:,:,:,,"
+
+
+def pack_attachment(attachment: Attachment) -> bytes:
+    """Attachment as rmw_zenoh 0.2.4 and later expects it: a subscriber there insists on one."""
+    sequence, stamp, publisher = attachment
+    return _ATTACHMENT.pack(sequence, stamp, 16, publisher)
+
+
+def unpack_attachment(data: bytes | None) -> Attachment | None:
+    """Attachment in the present or the former form, which names its fields; None in any other."""
+    if data is None:
+        return None
+    if len(data) == _ATTACHMENT.size:
+        sequence, stamp, length, publisher = _ATTACHMENT.unpack(data)
+        return Attachment(sequence, stamp, publisher) if length == 16 else None
+    if len(data) == 77 and all(name in data for name in _NAMED):
+        (sequence,) = struct.unpack_from("<q", data, 16)
+        (stamp,) = struct.unpack_from("<q", data, 41)
+        return Attachment(sequence, stamp, data[61:])
+    return None

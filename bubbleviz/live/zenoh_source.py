@@ -1,0 +1,270 @@
+"""ROS 2 messages over Zenoh, without ROS."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import zenoh
+from zenoh.ext import HistoryConfig, declare_advanced_subscriber
+
+from bubbleviz.errors import InputError
+from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
+from bubbleviz.live.topic_names import RawMessage, TopicNames, is_used, stamp_of
+from bubbleviz.live.zenoh_session import (
+    TOKENS,
+    Announced,
+    Layout,
+    NotConnectedError,
+    SessionOptions,
+    connected,
+    make_config,
+    open_session,
+    parse_token,
+    subscription,
+    type_of,
+    unpack_attachment,
+    why_no_session,
+)
+from bubbleviz.recordings import (
+    CAMERA_INFO,
+    COMPRESSED,
+    COMPRESSED_IMAGE,
+    IMAGE,
+    PRESSURE,
+    WRENCH,
+    are_static_poses,
+)
+
+LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
+BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
+LOOK_S = 0.1
+"""How often newly announced topics are subscribed to, and the connection is looked at."""
+WHY_EVERY_S = 3.0
+"""How often it is asked why a session does not come back: Zenoh tries every 2 s at least."""
+
+
+class ZenohSource(LiveSource):
+    """Subscribes to every announced topic of a useful type, and to the topics named.
+
+    Zenoh itself connects again when a connection is lost, with back-off; subscriptions outlive
+    that, and those of a publisher that comes back are the same.
+
+    Parameters
+    ----------
+    options : SessionOptions
+    names : TopicNames
+        Topics chosen by name are subscribed to even if no publisher announces them.
+    domain : int
+        ROS_DOMAIN_ID.
+    """
+
+    closing_s = 2.0  # chosen: the thread may be waiting for a host that does not answer
+
+    def __init__(
+        self, options: SessionOptions, names: TopicNames | None = None, domain: int = 0
+    ) -> None:
+        super().__init__(options.text)
+        self._options, self._names, self._domain = options, names or TopicNames(), domain
+        self._session: Any = None
+        self._subscribers: dict[tuple[str, Layout], tuple[str, Any]] = {}  # with their type
+        self._announced: dict[str, Announced] = {}
+        self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
+        self._counts: dict[tuple[bytes, str], int] = {}
+        self._lock = threading.Lock()
+        self._gate = threading.Lock()  # held while delivering, which may wait for a disk
+        self._watchers: list[Any] = []
+        self._deliver: Deliver | None = None
+
+    def start(self, deliver: Deliver) -> None:
+        """Start; connects as soon as the endpoint is reachable."""
+        self._deliver = deliver
+        if self._options.listen is not None:
+            self._session = open_session(self._options)
+        else:
+            make_config(self._options)  # a malformed endpoint is refused now
+        super().start(deliver)
+
+    def stop(self) -> None:
+        """Close the session."""
+        with self._gate:
+            self._deliver = None
+        super().stop()
+
+    def follow_colour(self, on: bool = True) -> None:
+        """Subscribe to topics of colour images, too, at the next look, or no more."""
+        self._names = replace(self._names, with_colour=on)
+
+    def topics(self) -> tuple[OfferedTopic, ...]:
+        """Announced topics of the types used here, by name."""
+        with self._lock:
+            there = self._announced.values()
+            found = {
+                (a.topic, a.type)
+                for a in there
+                if is_used(a.topic, a.type) or self._names.is_colour(a.topic, a.type)
+            }
+        return tuple(OfferedTopic(*topic) for topic in sorted(found))
+
+    def _named(self) -> list[tuple[str, str]]:
+        """Topics chosen by name, with their types."""
+        names = self._names
+        colour = names.colour if names.with_colour else None
+        roles = (
+            (names.depth, _image_type(names.depth)),
+            (names.info, CAMERA_INFO),
+            (names.pressure, PRESSURE),
+            (names.wrench, WRENCH),
+            (colour, _image_type(colour)),
+        )
+        return [(topic, kind) for topic, kind in roles if topic is not None]
+
+    def _on_token(self, sample: Any) -> None:
+        self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    def _run(self, deliver: Deliver) -> None:
+        if not self._connect():
+            return
+        why, looked = "", time.monotonic()
+        if self._options.connect is not None:  # a client's session is open once it is connected
+            self._link = "up"
+        try:
+            self._subscribe_to_wanted()
+            liveliness = self._session.liveliness()
+            self._watchers = [
+                liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
+            ]
+            while self._wait_until(time.monotonic() + LOOK_S):
+                while not self._tokens.empty():
+                    self._take_token(*self._tokens.get())
+                self._subscribe_to_wanted()
+                self._let_go_of_colour()
+                if connected(self._session):
+                    self._link, self._problem, looked = "up", "", time.monotonic()
+                elif self._link != "connecting":
+                    self._link = "lost"
+                    if time.monotonic() - looked >= WHY_EVERY_S:
+                        why, looked = self._look_why(why), time.monotonic()
+        finally:
+            self._session.close()
+
+    def _look_why(self, before: str) -> str:
+        """Why the session is not back, told once two looks agree: it may come back in between."""
+        place = self._options.connect
+        why = "" if place is None else why_no_session(place, self._options.credentials)
+        if why == before:
+            self._problem = why
+        return why
+
+    def _connect(self) -> bool:
+        """Open the session, retrying with increasing intervals; False when stopped."""
+        wait = BACK_OFF_S[0]
+        while self._session is None:
+            try:
+                self._session = open_session(self._options)
+                self._problem = ""
+            except InputError as error:  # no router or peer yet, or one with other passwords
+                self._problem = error.why if isinstance(error, NotConnectedError) else ""
+                if not self._wait_until(time.monotonic() + wait):
+                    return False
+                wait = min(1.5 * wait, BACK_OFF_S[1])
+        return True
+
+    def _take_token(self, key: str, alive: bool) -> None:
+        announced = parse_token(key, self._domain)
+        if announced is None:
+            return
+        with self._lock:
+            if alive:
+                self._announced[key] = announced
+            else:
+                self._announced.pop(key, None)
+
+    def _subscribe_to_wanted(self) -> None:
+        """Subscribe to what is named, and announced, but to no compressed images beside raw ones.
+
+        Robots announce them for every camera, and compress only for who subscribes.
+        """
+        for topic, kind in self._named():
+            for layout in LAYOUTS:
+                self._subscribe(Announced(topic, kind, layout))
+        with self._lock:
+            announced = list(self._announced.values())
+        there = {each.topic for each in announced}
+        for each in announced:
+            named = each.topic in (self._names.depth, self._names.colour)
+            spare = each.type == COMPRESSED_IMAGE and not named
+            if spare and each.topic.rpartition("/")[0] in there:
+                continue
+            if self._names.wants(each.topic, each.type):
+                self._subscribe(each)
+
+    def _subscribe(self, announced: Announced) -> None:
+        """Subscribe once per topic and key layout, however many publishers announce it."""
+        place = (announced.topic, announced.layout)
+        if place in self._subscribers:
+            return
+        key = subscription(announced.topic, announced.layout, self._domain)
+
+        def receive(sample: Any) -> None:
+            self._on_sample(sample, announced)
+
+        if are_static_poses(announced.topic, announced.type):  # sent once, perhaps long ago
+            history = HistoryConfig(detect_late_publishers=True)
+            subscriber: Any = declare_advanced_subscriber(
+                self._session, key, receive, history=history
+            )
+        else:
+            subscriber = self._session.declare_subscriber(key, receive)
+        self._subscribers[place] = (announced.type, subscriber)
+
+    def _let_go_of_colour(self) -> None:
+        """Subscribe no more to what nobody asks for any more; what is not heard is not missed."""
+        if self._names.with_colour:
+            return
+        for (topic, layout), (kind, subscriber) in list(self._subscribers.items()):
+            if self._names.is_colour(topic, kind):
+                del self._subscribers[topic, layout]
+                subscriber.undeclare()
+                with self._gate:
+                    for heard in [k for k in self._counts if k[1] == topic]:
+                        del self._counts[heard]
+
+    def _on_sample(self, sample: Any, announced: Announced) -> None:
+        arrival = time.time_ns()
+        payload = sample.payload.to_bytes()
+        kind = type_of(str(sample.key_expr)) if announced.layout == "rmw" else None
+        attached = sample.attachment
+        attachment = unpack_attachment(None if attached is None else attached.to_bytes())
+        sequence = None if attachment is None else attachment.sequence
+        message = RawMessage(
+            announced.topic,
+            kind or announced.type,
+            payload,
+            stamp_of(payload),
+            arrival,
+            sequence,
+        )
+        with self._gate:
+            if attachment is not None:
+                self._count(attachment.publisher, announced.topic, attachment.sequence)
+            deliver = self._deliver
+            if deliver is not None:
+                deliver(message)
+
+    def _count(self, publisher: bytes, topic: str, sequence: int) -> None:
+        """Take note of gaps in a publisher's own count."""
+        last = self._counts.get((publisher, topic))
+        if last is not None and sequence > last:
+            self._missed += sequence - last - 1
+        if last is None or sequence > last:
+            self._counts[publisher, topic] = sequence
+
+
+def _image_type(topic: str | None) -> str:
+    """Type that a topic of images has by its name, for those that are not announced."""
+    compressed = topic is not None and topic.endswith((f"/{COMPRESSED}", "/compressed"))
+    return COMPRESSED_IMAGE if compressed else IMAGE

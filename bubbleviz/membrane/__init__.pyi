@@ -1,0 +1,85 @@
+from .forward_model import (
+    Contact as Contact,
+    ForwardModel as ForwardModel,
+    GapFinder as GapFinder,
+    ObstacleSolver as ObstacleSolver,
+    checked_pose as checked_pose,
+)
+from .friction_forward import (
+    MOST_FRICTION as MOST_FRICTION,
+    FrictionContact as FrictionContact,
+    FrictionForward as FrictionForward,
+    checked_friction as checked_friction,
+)
+from .gas import (
+    Gas as Gas,
+)
+from .mesh import (
+    MembraneMesh as MembraneMesh,
+    adjacency as adjacency,
+    area_vectors as area_vectors,
+    connected_parts as connected_parts,
+    cross as cross,
+    dense_part as dense_part,
+    faces_from as faces_from,
+    grown as grown,
+    level_line as level_line,
+    parts_with as parts_with,
+    triangles_across as triangles_across,
+)
+from .meshing import (
+    EllipsoidalCap as EllipsoidalCap,
+    Refined as Refined,
+    load_membrane as load_membrane,
+    membrane_from_triangles as membrane_from_triangles,
+    mesh_cap as mesh_cap,
+    midway as midway,
+    refine as refine,
+    refined_part as refined_part,
+    refinement as refinement,
+    spherical_cap as spherical_cap,
+)
+from .object_surface import (
+    MOST_TURN_RAD as MOST_TURN_RAD,
+    ObjectSurface as ObjectSurface,
+)
+from .prestress import (
+    STRESS_DEGREE as STRESS_DEGREE,
+    Prestress as Prestress,
+    disc_map as disc_map,
+    prestressed as prestressed,
+    zernike as zernike,
+)
+from .reference_mesh import (
+    build_mesh as build_mesh,
+    build_rubber as build_rubber,
+    reference_tension as reference_tension,
+    rest_stress as rest_stress,
+    varied_rubber as varied_rubber,
+)
+from .rubber import (
+    Inflation as Inflation,
+    RubberMembrane as RubberMembrane,
+    inverse_metric as inverse_metric,
+)
+from .rubber_forward import (
+    PressStart as PressStart,
+    RubberContact as RubberContact,
+    RubberForward as RubberForward,
+)
+from .sparse_factor import (
+    Factor as Factor,
+    Factoriser as Factoriser,
+    NodeBlocks as NodeBlocks,
+    symmetric_lu as symmetric_lu,
+)
+from .stiffness import (
+    area_and_bending as area_and_bending,
+    area_shares as area_shares,
+    balance_tension as balance_tension,
+    cotangent_laplacian as cotangent_laplacian,
+    mean_curvature as mean_curvature,
+)
+from .triangle_scene import (
+    TriangleScene as TriangleScene,
+)

@@ -1,1 +1,0 @@
-"""The exact rubber membrane: energy and tangent, and rigid objects pressed into it."""

@@ -1,0 +1,132 @@
+"""Pose files: POSES.csv and TUM trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.files import COLUMNS, pose_numbers, read_rows, whole_file, write_rows
+from bubbleviz.result import Result
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """One line of POSES.csv; NaN where there is no number.
+
+    A `lost` frame has the last good pose. The last two are columns only where the patch by the
+    object was asked for.
+    """
+
+    frame: int
+    time_s: float
+    status: str
+    x_m: float
+    y_m: float
+    z_m: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+    fitness: float
+    rmse_m: float
+    stage1_rmse_m: float
+    total_ms: float
+    patch_area_m2: float = np.nan
+    object_patch_area_m2: float = np.nan
+
+    @classmethod
+    def of(cls, result: Result) -> PoseRow:
+        """Line of a frame whose pose was asked for."""
+        if result.pose is None:
+            raise ValueError("the product pose was not asked for")
+        pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
+        one, two = pose.stage_one, pose.stage_two
+        known = np.isfinite(pose.T_B_O).all()
+        numbers = pose_numbers(pose.T_B_O) if known else (np.nan,) * 7
+        return cls(
+            frame=result.frame.index,
+            time_s=result.frame.time_s,
+            status=pose.status,
+            **dict(zip(COLUMNS, numbers, strict=True)),
+            fitness=two.fitness if two else np.nan,
+            rmse_m=two.rmse_m if two else np.nan,
+            stage1_rmse_m=one.rmse_m if one else np.nan,
+            total_ms=result.times_ms["total"],
+            patch_area_m2=patch.area_m2 if patch else np.nan,
+            object_patch_area_m2=by_object.area_m2 if by_object else np.nan,
+        )
+
+    def columns(self, *, areas: bool) -> dict[str, Any]:
+        """Values by column of POSES.csv, with or without the areas of both patches."""
+        return {key: v for key, v in asdict(self).items() if areas or key not in _AREAS}
+
+
+_AREAS = ("patch_area_m2", "object_patch_area_m2")
+
+
+def write_poses(
+    path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"], *, overwrite: bool = False
+) -> int:
+    """Write POSES.csv, or a TUM trajectory of the frames that are `ok`; count of lines.
+
+    The areas of both patches are columns where any frame has that by the object. A TUM line is
+    `time x y z qx qy qz qw`, s and m.
+
+    Raises InputError: the file exists or cannot be written.
+    """
+    rows = list(rows)
+    with whole_file(path, overwrite=overwrite) as temporary:
+        if form == "csv":
+            areas = any(np.isfinite(row.object_patch_area_m2) for row in rows)
+            write_rows(temporary, [row.columns(areas=areas) for row in rows])
+            return len(rows)
+        lines = [_tum(row) for row in rows if row.status == "ok"]
+        temporary.write_text("".join(lines), encoding="utf-8")
+        return len(lines)
+
+
+def _tum(row: PoseRow) -> str:
+    numbers = (row.time_s, row.x_m, row.y_m, row.z_m, row.qx, row.qy, row.qz, row.qw)
+    return " ".join(f"{number:.9g}" for number in numbers) + "\n"
+
+
+# POSES.csv of `bubbleviz pose` as more columns of a table.
+
+
+_QUALITY = ("fitness", "rmse_m", "object_patch_area_m2")
+
+
+def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
+    """Columns `pose_…` by frame index: status, T_B_O as position in m and quaternion, quality.
+
+    Raises
+    ------
+    InputError
+        Names the file and the line.
+    """
+    path = Path(path)
+    rows = read_rows(path)
+    needed = ("frame", "status", *COLUMNS)
+    missing = [name for name in needed if not rows or name not in rows[0]]
+    if missing:
+        raise InputError(f"{path}: no column {missing[0]}; give the CSV of bubbleviz pose")
+    poses = {}
+    for line, row in enumerate(rows, 2):
+        try:
+            poses[int(row["frame"])] = pose_columns(row)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}: line {line}: {error}; correct it") from None
+    return poses
+
+
+def pose_columns(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns of one frame from the fields of a line of POSES.csv; what is empty is not known."""
+    names = (*COLUMNS, *(name for name in _QUALITY if name in row))
+    known = {name: row[name] for name in names if row[name] not in (None, "")}
+    numbers = {f"pose_{name}": float(known.get(name, "nan")) for name in names}
+    return {"pose_status": row["status"], **numbers}

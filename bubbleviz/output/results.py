@@ -1,0 +1,302 @@
+"""RESULT.npz, written frame by frame in bounded memory, and RESULT.csv."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from bubbleviz.diagnostics import ShearNumbers
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import force_of, measured_force
+from bubbleviz.result import Result
+
+# What RESULT.npz and RESULT.csv say of traction with friction and slip.
+
+
+def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
+    """Keys of vectors, `force_n`, with their columns by component, `force_x_n` and so on."""
+    parts = {key: key.rpartition("_") for key in keys}
+    return {key: tuple(f"{p[0]}_{axis}_{p[2]}" for axis in "xyz") for key, p in parts.items()}
+
+
+SHEAR_COLUMNS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("traction_status", "traction_reason"), ()),
+    **by_axis(
+        *("traction_force_n", "traction_force_sigma_n"),
+        *("traction_torque_nm", "traction_torque_sigma_nm"),
+    ),
+    **dict.fromkeys(("flow_rms_px", "slip", "slip_sigma"), ()),
+}
+"""Keys with a text or a few numbers a frame, and their columns in the CSV as of
+`result_writer.COLUMNS`."""
+
+SHEAR_FIELDS: dict[str, tuple[int, ...]] = {"traction_pa": (3,), "tangential_displacement_m": (3,)}
+"""Keys with three numbers per frame and node."""
+
+
+def shear_row(result: Result) -> dict[str, Any]:
+    """Values of one frame by key of `SHEAR_COLUMNS`; empty where traction was not asked for.
+
+    NaN where nothing is known: σ of a traction by depth alone, slip without a patch that sticks.
+    `traction_half_width_n`, half of the 95 % interval of |force|, is for a summary of the frames.
+    """
+    traction, slip = result.traction, result.slip
+    if traction is None:
+        return {}
+    return {
+        "traction_status": traction.status,
+        "traction_reason": traction.reason,
+        "traction_force_n": traction.force_n,
+        "traction_force_sigma_n": traction.force_sigma_n,
+        "traction_torque_nm": traction.torque_nm,
+        "traction_torque_sigma_nm": traction.torque_sigma_nm,
+        "traction_half_width_n": ShearNumbers.of(traction).force_n[1],
+        "flow_rms_px": traction.flow_rms_px,
+        "slip": np.nan if slip is None else slip.share,
+        "slip_sigma": np.nan if slip is None else slip.share_sigma,
+    }
+
+
+def shear_fields(result: Result) -> dict[str, np.ndarray]:
+    """Fields of one frame by key of `SHEAR_FIELDS`; empty where traction was not asked for."""
+    traction = result.traction
+    if traction is None:
+        return {}
+    return {
+        "traction_pa": traction.traction_pa,
+        "tangential_displacement_m": traction.tangential_displacement_m,
+    }
+
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("frame", "time_s", "status", "gas_pressure_change_pa", "threshold_pa"), ()),
+    **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n", "torque_nm"),
+    "measured_force_n": (),
+    **by_axis("center_of_pressure_m"),
+    "patch_area_m2": (),
+    "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
+    **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
+}
+"""Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
+than the one of the same name."""
+
+NODAL_FIELDS: dict[str, tuple[int, ...]] = {
+    "displacement_m": (),
+    "displacement_3d_m": (3,),
+    "contact_pressure_pa": (),
+    "patch_level": (),
+}
+"""Keys of RESULT.npz with numbers per frame and node, and how many where it is not one; the patch
+is where its level is positive."""
+
+UNKNOWN = ("no_data", "not_converged", "implausible")
+"""Statuses of frames about which nothing is known."""
+
+_KNOWN_WITHOUT_DATA = {
+    *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
+}
+
+
+def summary_row(result: Result) -> dict[str, Any]:
+    """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell.
+
+    With those of `SHEAR_COLUMNS` where traction was asked for. The measured force needs the other
+    frames, see `add_measured_force`; `wrench_n` is for that.
+    """
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
+        raise ValueError("the products estimate and patch were not asked for")
+    sigma = estimate.force_sigma_n
+    row: dict[str, Any] = {
+        "frame": result.frame.index,
+        "time_s": result.frame.time_s,
+        "status": estimate.status,
+        "gas_pressure_change_pa": estimate.gas_pressure_change_pa,
+        "threshold_pa": patch.threshold_pa,
+        "force_n": patch.force_n,
+        "force_sigma_n": np.full(3, np.nan) if sigma is None else sigma,
+        "normal_force_n": patch.force_n - np.nan_to_num(patch.tangential_force_n),
+        "tangential_force_n": patch.tangential_force_n,
+        "torque_nm": patch.torque_nm,
+        "measured_force_n": np.nan,
+        "wrench_n": force_of(result.frame.wrench),
+        "center_of_pressure_m": patch.center_of_pressure_m,
+        "patch_area_m2": patch.area_m2,
+        "patch_area_interval_m2": np.array(patch.area_interval_m2),
+        "residual_rms_m": estimate.residual_rms_m,
+        "kkt_residual": estimate.kkt_residual,
+        "solve_ms": estimate.solve_ms,
+        "total_ms": result.times_ms["total"],
+        "kappa": np.nan if patch.kappa is None else patch.kappa,
+    }
+    if estimate.status in UNKNOWN:
+        for key in COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
+            row[key] = np.full(np.shape(row[key]), np.nan)
+    return row | shear_row(result)
+
+
+def add_measured_force(rows: list[dict[str, Any]]) -> None:
+    """Set |F| of the recording's wrench in the rows of its frames, as `measured_force`."""
+    wrench = np.array([row["wrench_n"] for row in rows])
+    contact_free = np.array([row["status"] == "no_contact" for row in rows])
+    for row, force in zip(rows, measured_force(wrench, contact_free), strict=True):
+        row["measured_force_n"] = float(force)
+
+
+def nodal_fields(
+    result: Result,  # with its estimate and patch
+    mesh: MembraneMesh,
+) -> dict[str, np.ndarray]:
+    """Fields of one frame by key of `NODAL_FIELDS`; NaN for what a frame without data cannot tell.
+
+    With those of `SHEAR_FIELDS` where traction was asked for.
+    """
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
+        raise ValueError("the products estimate and patch were not asked for")
+    fields = {
+        "displacement_m": estimate.displacement_m,
+        "displacement_3d_m": mesh.deformed(estimate.motion_m) - mesh.nodes,
+        "contact_pressure_pa": estimate.contact_pressure_pa,
+        "patch_level": patch.level,
+    }
+    if estimate.status in UNKNOWN:
+        fields = {name: np.full_like(field, np.nan) for name, field in fields.items()}
+    return fields | shear_fields(result)
+
+
+def result_arrays(
+    results: Sequence[Result],  # with their estimates and patches
+    mesh: MembraneMesh,
+) -> dict[str, np.ndarray]:
+    """Arrays of RESULT.npz but its masks: numbers of frames, nodal fields, reference surface."""
+    fields = [nodal_fields(result, mesh) for result in results]
+    rows = [summary_row(result) for result in results]
+    add_measured_force(rows)
+    return {
+        **_columns(rows),
+        **{name: np.array([each[name] for each in fields]) for name in fields[0]},
+        **_surface(mesh),
+    }
+
+
+def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
+    known = [key for key in (*COLUMNS, *SHEAR_COLUMNS) if key in rows[0]]
+    return {key: np.array([row[key] for row in rows]) for key in known}
+
+
+def _surface(mesh: MembraneMesh) -> dict[str, np.ndarray]:
+    return {
+        "nodes_m": mesh.nodes,
+        "normals": mesh.normals,
+        "triangles": mesh.triangles,
+        "rim": mesh.rim,
+    }
+
+
+class ResultWriter:
+    """Writes RESULT.npz while the frames come.
+
+    The masks of 36,000 frames are 11 GB, the nodal fields 0.6 GB: the masks go into the archive,
+    the nodal fields through unnamed files beside it (a system's folder for temporary files may
+    be memory), and only a few numbers a frame are kept.
+    """
+
+    def __init__(
+        self,
+        path: Path,  # where to write; give the temporary path of `whole_file`
+        mesh: MembraneMesh,
+        frames: int,  # F, how many frames will be added
+        shape: tuple[int, int],  # H, W of the masks
+        *,
+        shear: bool = False,  # whether the results have traction
+    ) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self._mesh, self._frames, self._shape = mesh, frames, shape
+        self._fields = NODAL_FIELDS | (SHEAR_FIELDS if shear else {})
+        self._stack = ExitStack()
+        with ExitStack() as opening:
+            archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
+            self._archive = opening.enter_context(archive)
+            self._spools = [
+                opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in self._fields
+            ]
+            # An archive has one member open at a time: the largest is the one not to spool.
+            self._masks = opening.enter_context(
+                self._member("patch_mask", (frames, *shape), np.dtype(bool))
+            )
+            self._stack = opening.pop_all()
+
+    def __enter__(self) -> ResultWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def add(self, result: Result) -> dict[str, Any]:
+        """Add the next frame, with its estimate, patch and pixel mask; returns its row."""
+        row = summary_row(result)
+        patch = result.patch
+        if patch is None or patch.pixel_mask is None:
+            raise ValueError("the product pixel_mask was not asked for")
+        if patch.pixel_mask.shape != self._shape or len(self.rows) == self._frames:
+            raise ValueError("another mask size, or more frames, than announced")
+        self.rows.append(row)
+        self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
+        fields = nodal_fields(result, self._mesh)
+        for spool, name in zip(self._spools, self._fields, strict=True):
+            spool.write(np.ascontiguousarray(fields[name], dtype="<f8").tobytes())
+        return row
+
+    def finish(self, **provenance: str) -> None:
+        """Write everything else, with texts such as the version that made it."""
+        if len(self.rows) != self._frames:
+            raise ValueError(f"{len(self.rows)} frames added, {self._frames} announced")
+        self._masks.close()
+        add_measured_force(self.rows)
+        nodal = (self._frames, len(self._mesh.nodes))
+        for (name, more), spool in zip(self._fields.items(), self._spools, strict=True):
+            spool.seek(0)
+            with self._member(name, nodal + more, np.dtype("<f8")) as member:
+                shutil.copyfileobj(spool, member, 1 << 20)
+        for name, array in self._small_arrays(provenance).items():
+            with self._member(name, array.shape, array.dtype) as member:
+                member.write(np.ascontiguousarray(array).tobytes())
+
+    def _small_arrays(self, provenance: dict[str, str]) -> dict[str, np.ndarray]:
+        return {
+            **_columns(self.rows),
+            **_surface(self._mesh),
+            **{key: np.array(text) for key, text in provenance.items()},
+        }
+
+    def _member(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> IO[bytes]:
+        """Open an array of the archive for writing; its header is written."""
+        member = self._archive.open(f"{name}.npy", "w", force_zip64=True)
+        header = {
+            "descr": np.lib.format.dtype_to_descr(dtype),
+            "fortran_order": False,
+            "shape": shape,
+        }
+        np.lib.format.write_array_header_1_0(member, header)
+        return member
+
+
+def csv_row(row: dict[str, Any], sensor: str) -> dict[str, Any]:
+    """Plain numbers and texts of a row by column of the CSV: those of `COLUMNS`, the sensor last.
+
+    `kappa` is None where the rule is automatic.
+    """
+    plain: dict[str, Any] = {}
+    for key, names in (COLUMNS | SHEAR_COLUMNS).items():
+        if key in row:
+            plain |= dict(zip(names or (key,), np.atleast_1d(row[key]).tolist(), strict=True))
+    kappa = None if np.isnan(row["kappa"]) else plain["kappa"]
+    return plain | {"kappa": kappa, "sensor": sensor}

@@ -1,1 +1,0 @@
-"""The contact patch: threshold, edge and separate parts."""

@@ -1,0 +1,49 @@
+from .dual_stage import (
+    StartFinder as StartFinder,
+    touching_directions as touching_directions,
+)
+from .image_fit import (
+    ImageFit as ImageFit,
+)
+from .motion import (
+    START_DEVIATION as START_DEVIATION,
+    Motion as Motion,
+    about as about,
+    motion_between as motion_between,
+    moved as moved,
+    rows as rows,
+    way_at as way_at,
+)
+from .object_model import (
+    ObjectModel as ObjectModel,
+    check_size as check_size,
+    symmetries as symmetries,
+)
+from .object_patch import (
+    ObjectPatchFinder as ObjectPatchFinder,
+)
+from .pose_options import (
+    ImageOptions as ImageOptions,
+    PressOptions as PressOptions,
+)
+from .pressed_membrane import (
+    ObjectContact as ObjectContact,
+    PressedMembrane as PressedMembrane,
+    contact_samples as contact_samples,
+)
+from .registration import (
+    LEAST_RADIUS_M as LEAST_RADIUS_M,
+    ContactPoints as ContactPoints,
+    Directions as Directions,
+    Precision as Precision,
+    Prior as Prior,
+    Registration as Registration,
+    contact_points as contact_points,
+    directions as directions,
+    object_distance as object_distance,
+    open_axes as open_axes,
+)
+from .tracker import (
+    PoseTracker as PoseTracker,
+    precision_of as precision_of,
+)

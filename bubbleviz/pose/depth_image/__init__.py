@@ -1,1 +1,0 @@
-"""The pose by the whole depth image: the exact membrane pressed by the object."""

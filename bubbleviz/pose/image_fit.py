@@ -1,0 +1,177 @@
+"""The pose by the whole depth image: it is compared with the membrane that the object would make.
+
+Contact normals do not see a flat face slide or turn in its plane, but the membrane around it moves
+along; and what touches is known from the model of the membrane, not from a threshold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.camera import MAD, RangeObserver, RayCaster
+from bubbleviz.membrane import area_vectors
+from bubbleviz.pose.motion import about, motion_between, way_at
+from bubbleviz.pose.pose_options import ImageOptions
+from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
+from bubbleviz.pose.registration import ContactPoints, Directions
+
+
+@dataclass(frozen=True)
+class ImageStep:
+    """A step of the pose."""
+
+    motion: np.ndarray  # (6,), in B about the patch's centre
+    information: np.ndarray  # (6, 6), of the image about it
+    way_m: float  # of the patch's edge
+
+
+@dataclass(frozen=True)
+class PredictedImage:
+    """The depth image that the object would make, linear around a pose."""
+
+    T_B_O: np.ndarray  # (4, 4)
+    center: np.ndarray  # (3,)
+    pixel: np.ndarray  # (b,) int, which of the observer's pixels are looked at
+    every: int  # how many of those that could be each stands for
+    expected_m: np.ndarray  # (b,), residuals of these pixels, as the observer has them, at the pose
+    jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
+    held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
+    rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
+
+    def residual_m(self, change_m: np.ndarray, T_B_O: np.ndarray) -> np.ndarray:
+        """Measured minus modelled (b,) at a pose close by; NaN where there is no return."""
+        way = motion_between(self.T_B_O, T_B_O, self.center)
+        residual: np.ndarray = change_m[self.pixel] - self.expected_m - self.jacobian @ way
+        return residual
+
+
+class ImageFit:
+    """Fits the pose of one object to depth images."""
+
+    def __init__(
+        self,
+        observer: RangeObserver,
+        pressed: PressedMembrane,  # of that object, on the observer's mesh
+        options: ImageOptions,
+    ) -> None:
+        self._observer, self._pressed, self._options = observer, pressed, options
+        camera = observer.camera
+        self._directions = camera.directions[observer.pixel]
+        mesh = pressed.mesh
+        caster = RayCaster(camera.center, self._directions, mesh.triangles)
+        at_rest = caster.cast(mesh.nodes, mesh.normals)
+        self._rest_m = np.full(len(observer.pixel), np.nan)
+        self._rest_m[at_rest.ray] = at_rest.range_m
+        self._places = camera.center + self._rest_m[:, None] * self._directions
+        self.forget()
+
+    def forget(self) -> None:
+        """Look anew at the next frame."""
+        self._predicted: PredictedImage | None = None
+        self._pressed.forget()
+
+    def step(
+        self,
+        change_m: np.ndarray,  # (k,), `RangeObserver.pixel_residuals` of the depth image
+        contact: ContactPoints,
+        T_B_O: np.ndarray,  # (4, 4)
+        directions: Directions,  # which of them the contact determines
+        known: np.ndarray,  # (6, 6), information there is already
+        pull: np.ndarray,  # (6,), gradient of what is known at `T_B_O`
+        *,
+        # way of the patch's edge over which the last linear model may be used again
+        valid_m: float,
+        gas_pressure_pa: float | None = None,  # measured, absolute
+    ) -> ImageStep | None:
+        """One Gauss–Newton step; None where the model finds no equilibrium.
+
+        What lies on a face is where the object is. The membrane around it depends on stiffness and
+        gas as well: it may be off as a motion in the directions that the contact determines would
+        move it, so that these are known from the faces, and the other directions from what is
+        around.
+        """
+        predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
+        if predicted is None:
+            return None
+        residual = predicted.residual_m(change_m, T_B_O)
+        seen = np.isfinite(residual)
+        residual = residual[seen]
+        J = predicted.jacobian[seen] @ about(contact.center, predicted.center)
+        off = J @ directions.motions[:, directions.determined]
+        off[predicted.held[seen]] = 0.0
+        off = np.column_stack([off, predicted.rounding[seen]])
+        J = np.hstack([J, off])
+        weight = predicted.every * self._options.trust * self._weights(residual)
+        H, g = (J.T * weight) @ J, J.T @ (weight * residual)
+        # Schur complement of how far the membrane around the contact is off.
+        known_off = np.full(off.shape[1], self._options.model_deviation_m)
+        known_off[-1] = self._options.rounding_m
+        rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
+        gain = np.linalg.solve(rest, H[6:, :6]).T
+        information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
+        motion = np.linalg.solve(information + known, g - pull)
+        way = way_at(contact.radius_m, motion)
+        motion *= min(1.0, self._options.step_m / max(way, 1e-300))
+        return ImageStep(motion, information, way)
+
+    def _weights(self, residual_m: np.ndarray) -> np.ndarray:
+        """1/σ² of pixels by their residuals (b,), less where they are outliers."""
+        if not len(residual_m):
+            return residual_m
+        spread = float(np.median(np.abs(residual_m))) / MAD
+        sigma = max(spread, self._options.least_sigma_m)
+        outlying = (residual_m / (self._options.outlying * sigma)) ** 2
+        weights: np.ndarray = 1.0 / (sigma * (1.0 + outlying)) ** 2
+        return weights
+
+    def predicted(
+        self,
+        T_B_O: np.ndarray,
+        contact: ContactPoints,
+        gas_pressure_pa: float | None = None,
+        *,
+        valid_m: float = 0.0,
+    ) -> PredictedImage | None:
+        """The linear model around a pose, or the last one where that holds still; see `step`."""
+        known = self._predicted
+        if known is not None:
+            way = motion_between(known.T_B_O, T_B_O, contact.center)
+            if way_at(contact.radius_m, way) < valid_m:
+                return known
+        press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
+        self._predicted = None if press is None else self._seen(press, contact)
+        return self._predicted
+
+    def _seen(self, press: Press, contact: ContactPoints) -> PredictedImage:
+        """The membrane and its derivatives as the camera would see them."""
+        mesh = press.window.mesh
+        reach = contact.extent_m + self._options.around_m
+        pixel = np.flatnonzero(_near(self._places, contact.rest_center, reach))
+        every = max(1, -(-len(pixel) // self._options.most_pixels))
+        pixel = pixel[::every]
+        rays = self._directions[pixel]
+        caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
+        hits = caster.cast(press.nodes, mesh.normals)
+        pixel, rays = pixel[hits.ray], rays[hits.ray]
+        corners = mesh.triangles[hits.triangle]
+        facet = area_vectors(press.nodes, mesh.triangles)[hits.triangle]
+        facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
+        slopes = np.concatenate([press.slopes, press.rounding[None]])
+        moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])
+        J = np.einsum("qbi,bi->bq", moved, facet)
+        return PredictedImage(
+            T_B_O=press.T_B_O,
+            center=press.center,
+            pixel=pixel,
+            every=every,
+            expected_m=hits.range_m - self._rest_m[pixel],
+            jacobian=J[:, :6],
+            held=press.held[hits.triangle],
+            rounding=J[:, 6],
+        )
+
+
+def _near(points: np.ndarray, center: np.ndarray, reach_m: float) -> np.ndarray:
+    return np.asarray(np.linalg.norm(points - center, axis=1) < reach_m)

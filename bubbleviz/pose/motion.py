@@ -1,0 +1,114 @@
+"""Small rigid motions about a centre: six numbers, translation in m before rotation in rad."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def moved(T: np.ndarray, motion: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Pose T (4, 4) after a motion (6,) in B: turned about the centre (3,), then shifted."""
+    R = Rotation.from_rotvec(motion[3:]).as_matrix()
+    result = np.eye(4)
+    result[:3, :3] = R @ T[:3, :3]
+    result[:3, 3] = center + motion[:3] + R @ (T[:3, 3] - center)
+    return result
+
+
+def motion_between(start: np.ndarray, end: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Motion (6,) in B about the centre that takes pose `start` to pose `end`, both (4, 4)."""
+    R = end[:3, :3] @ start[:3, :3].T
+    shift = end[:3, 3] - center - R @ (start[:3, 3] - center)
+    return np.concatenate([shift, Rotation.from_matrix(R, assume_valid=True).as_rotvec()])
+
+
+def about(center: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Matrix (6, 6) that turns a small motion about `center` into the same one about `other`."""
+    x, y, z = other - center
+    change = np.eye(6)
+    change[:3, 3:] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return change
+
+
+def rows(directions: np.ndarray, points: np.ndarray, center: np.ndarray) -> np.ndarray:
+    """Derivative (k, 6) of points' ways along unit directions by a motion of the points, (k, 3)."""
+    result = np.empty((len(points), 6))
+    result[:, :3] = directions
+    x, y, z = (points - center).T
+    a, b, c = directions.T
+    result[:, 3], result[:, 4], result[:, 5] = y * c - z * b, z * a - x * c, x * b - y * a
+    return result
+
+
+def way_at(radius_m: float, motion: np.ndarray) -> float:
+    """Way in m that a motion (6,) takes places at some radius around its centre, at most."""
+    return float(np.linalg.norm(motion[:3]) + radius_m * np.linalg.norm(motion[3:]))
+
+
+# Motion between frames: constant velocity, disturbed by the accelerations of a hand or robot.
+
+
+START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
+"""Standard deviation of a given start: off by up to 5 mm and 10°."""
+
+SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a coarse start
+
+_VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
+_ACCELERATION = np.array([0.5] * 3 + [0.2] * 3)
+"""Standard deviations of velocity at first (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
+
+_LONGEST_S = 0.5  # longest time to coast: motion is not known further ahead
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Pose and velocity, with their covariance."""
+
+    T_B_O: np.ndarray  # (4, 4)
+    velocity: np.ndarray  # (6,), in B about `center`, m/s and rad/s
+    covariance: np.ndarray  # (12, 12), of small motions in B about `center`, and of the velocity
+    center: np.ndarray  # (3,)
+
+    @classmethod
+    def at_rest(cls, T_B_O: np.ndarray, deviation: np.ndarray, center: np.ndarray) -> Motion:
+        """A pose known to a standard deviation (6,), velocity unknown."""
+        covariance = np.diag(np.concatenate([deviation, _VELOCITY]) ** 2)
+        return cls(T_B_O, np.zeros(6), covariance, center)
+
+    @property
+    def information(self) -> np.ndarray:
+        """Inverse covariance (6, 6) of the pose."""
+        return np.linalg.inv(self.covariance[:6, :6])
+
+    def about(self, center: np.ndarray) -> Motion:
+        """The same, written about another centre."""
+        A = np.kron(np.eye(2), about(self.center, center))
+        covariance = A @ self.covariance @ A.T
+        return Motion(self.T_B_O, A[:6, :6] @ self.velocity, covariance, center)
+
+    def after(self, dt_s: float) -> Motion:
+        """Coast for some time."""
+        dt = min(max(dt_s, 0.0), _LONGEST_S)
+        F = np.eye(12)
+        F[:6, 6:] = dt * np.eye(6)
+        gain = np.concatenate([0.5 * dt**2 * _ACCELERATION, dt * _ACCELERATION])
+        noise = np.zeros((12, 12))
+        index = np.arange(6)
+        noise[index, index] = gain[:6] ** 2
+        noise[index + 6, index + 6] = gain[6:] ** 2
+        noise[index, index + 6] = noise[index + 6, index] = gain[:6] * gain[6:]
+        T = moved(self.T_B_O, dt * self.velocity, self.center)
+        return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, self.center)
+
+    def corrected(self, T_B_O: np.ndarray, information: np.ndarray) -> Motion:
+        """After a frame whose own information (6, 6) moved the pose's estimate to `T_B_O`."""
+        P = self.covariance
+        gain = np.linalg.solve(P[:6, :6], P[:6, 6:]).T
+        posterior = np.linalg.inv(self.information + information)
+        velocity = self.velocity + gain @ motion_between(self.T_B_O, T_B_O, self.center)
+        cross = gain @ posterior
+        own = P[6:, 6:] - gain @ (P[:6, :6] - posterior) @ gain.T
+        covariance = np.block([[posterior, cross.T], [cross, own]])
+        return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), self.center)

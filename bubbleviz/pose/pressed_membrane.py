@@ -1,0 +1,529 @@
+"""The exact membrane that an object at a pose would make, and how it changes with the pose.
+
+Points of the object that are inside the membrane push it outward (`object_contact`):
+
+    ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j,   f_j = k_j × depth of point j.
+
+Newton's method from the membrane of the last pose, in a `window` around the contact; the last
+tangent also gives how the membrane moves with the object. An edge that moves over the membrane
+takes its load along, which is what shows that a flat face slides in its own plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.membrane import (
+    Factor,
+    Factoriser,
+    Gas,
+    MembraneMesh,
+    RubberMembrane,
+    TriangleScene,
+    cross,
+)
+from bubbleviz.pose.motion import motion_between
+from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.pose.pose_options import PressOptions
+from bubbleviz.pose.registration import ContactPoints
+
+# Where an object touches the membrane: its own points against the membrane's triangles.
+#
+# Points of the object and not nodes of the membrane are in contact, so that the edge of a face may
+# be anywhere on a triangle, and the contact follows a pose smoothly.
+
+
+_TRIES = 30
+_MOST = 200_000  # random points for each one that is kept, and in all
+_KEENEST = 0.1
+"""1 + cosine between the normals of an edge of 26°. Keener ones are rounded as if they were that:
+the tip of a rounded blade would be far back."""
+
+
+def contact_samples(model: ObjectModel, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, 3) in O about `spacing_m` apart, half that along creases, and normals (k, 2, 3).
+
+    Along a crease the two normals are those of its faces, elsewhere they are the same.
+    """
+    count = min(_MOST, int(_TRIES * model.area_m2 / spacing_m**2) + _TRIES)
+    points, single = model.sample(count)
+    normals = np.repeat(single[:, None], 2, axis=1)
+    if model.creases is None:
+        kept = _thinned(points, spacing_m)
+        return points[kept], normals[kept]
+    edge = np.asarray(model.creases.tree.data)
+    distance, _ = model.creases.tree.query(points)
+    clear = distance > 0.5 * spacing_m
+    points, normals = points[clear], normals[clear]
+    kept, along = _thinned(points, spacing_m), _thinned(edge, 0.5 * spacing_m)
+    return (
+        np.concatenate([edge[along], points[kept]]),
+        np.concatenate([model.creases.normals[along], normals[kept]]),
+    )
+
+
+def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
+    """Indices of one point for each cube of a grid, the one closest to its centre."""
+    cube = np.floor(points / spacing_m)
+    off = np.sum((points / spacing_m - cube - 0.5) ** 2, axis=1)
+    order = np.lexsort((off, *cube.T))
+    new = np.any(np.diff(cube[order], axis=0) != 0.0, axis=1)
+    return order[np.concatenate([np.ones(min(1, len(order)), bool), new])]
+
+
+@dataclass(frozen=True)
+class Touching:
+    """Points of the object that are inside the membrane."""
+
+    points: np.ndarray  # (c, 3), in B
+    triangle: np.ndarray  # (c,) int, of the membrane, the one below each
+    corners: np.ndarray  # (c, 3) int, its nodes
+    weights: np.ndarray  # (c, 3), barycentric coordinates there
+    gradients: np.ndarray  # (c, 3, 3), of these in B, by corner, 1/m
+    # (c, 3), direction in which the object pushes the membrane, out of the object
+    normals: np.ndarray
+    force_n: np.ndarray  # (c,), with which it pushes
+    stiffness_n_per_m: np.ndarray  # (c,), of the point
+    edge: np.ndarray  # (c,) bool, on an edge of the object
+    # (c, 3), motion of points on edges by the radius of these; 0 on faces. The middle of a rounding
+    # lies inside both faces by its radius, and the point on it that pushes as far from there.
+    rounding: np.ndarray
+
+    def on_nodes(self, forces: np.ndarray, count: int) -> np.ndarray:
+        """Forces (c, 3) on the points, shared between the nodes (count, 3)."""
+        shares = self.weights[:, :, None] * forces[:, None]
+        return _gathered(self.corners, shares, count)
+
+    def pulled_along(self, motions: np.ndarray, count: int) -> np.ndarray:
+        """Change of the forces on the nodes (count, 3) as the points move by motions (c, 3).
+
+        The points sink in, and what they carry moves over the triangle with them.
+        """
+        sinking = np.einsum("ci,ci->c", self.normals, motions) * self.stiffness_n_per_m
+        over = np.einsum("caj,cj->ca", self.gradients, motions) * self.force_n[:, None]
+        shares = sinking[:, None] * self.weights + over
+        return _gathered(self.corners, shares[:, :, None] * self.normals[:, None], count)
+
+    def blocks(self, triangles: int) -> np.ndarray:
+        """Stiffness against motions of the nodes, as `RubberMembrane.tangent` adds it."""
+        outer = self.normals[:, :, None] * self.normals[:, None]
+        outer *= self.stiffness_n_per_m[:, None, None]
+        blocks = np.empty((6, 3, 3, triangles))
+        pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+        for block, (a, b) in zip(blocks, pairs, strict=True):
+            shares = self.weights[:, a] * self.weights[:, b]
+            for i in range(3):
+                for j in range(3):
+                    values = shares * outer[:, i, j]
+                    block[i, j] = np.bincount(self.triangle, values, minlength=triangles)
+        return blocks
+
+
+class ObjectContact:
+    """Finds where one object touches a membrane whose nodes move."""
+
+    def __init__(
+        self,
+        model: ObjectModel,
+        spacing_m: float,  # distance of the points on the object
+        # pressure_pa, tension_n_per_m: under which a face and an edge sink in by the softness
+        pressure_pa: float,
+        tension_n_per_m: float,
+        options: PressOptions,
+    ) -> None:
+        self._options = options
+        self._points, self._normals = contact_samples(model, spacing_m)
+        self._edge = np.any(self._normals[:, 0] != self._normals[:, 1], axis=1)
+        both = self._normals.sum(axis=1)
+        one_and_cosine = 0.5 * np.einsum("ij,ij->i", both, both)
+        self._core = both / np.maximum(one_and_cosine, _KEENEST)[:, None]
+        face, edge = pressure_pa * spacing_m**2, tension_n_per_m * 0.5 * spacing_m
+        self._stiffness = np.where(self._edge, edge, face) / options.softness_m
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew with the directions in which edges push."""
+        self._pushing = np.zeros_like(self._points)
+
+    def touching(self, x: np.ndarray, triangles: np.ndarray, T_B_O: np.ndarray) -> Touching:
+        """Points inside the membrane with nodes x (n, 3) and triangles (m, 3)."""
+        R = T_B_O[:3, :3]
+        places = x[triangles]
+        vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
+        points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.deepest_m
+        low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
+        close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
+        if not len(close):
+            close = np.zeros(1, int)  # any one: it is too far away
+        found = TriangleScene(x, triangles).closest(points[close])
+        corners, weights = triangles[found.triangle], found.barycentric
+        smooth = _gathered(triangles, np.repeat(vectors[:, None], 3, axis=1), len(x))
+        smooth = np.einsum("ci,cij->cj", weights, smooth[corners])
+        smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
+        normals = self._normals[close] @ R.T
+        pushing = self._turned(close, normals, -smooth, R)
+        facing = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.sideways
+        way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
+        depth = -np.einsum("ij,ij->i", way, pushing)
+        near = np.linalg.norm(way, axis=1) < self._options.deepest_m
+        inside = np.flatnonzero(facing & near & (depth > 0.0))
+        kept, corners = close[inside], corners[inside]
+        return Touching(
+            points=points[kept],
+            triangle=found.triangle[inside],
+            corners=corners,
+            weights=weights[inside],
+            gradients=_gradients(x[corners]),
+            normals=pushing[inside],
+            force_n=self._stiffness[kept] * depth[inside],
+            stiffness_n_per_m=self._stiffness[kept],
+            edge=self._edge[kept],
+            rounding=pushing[inside] - self._core[kept] @ R.T,
+        )
+
+    def _turned(
+        self, which: np.ndarray, normals: np.ndarray, inward: np.ndarray, R: np.ndarray
+    ) -> np.ndarray:
+        """Directions (k, 3) in which points push the membrane.
+
+        A face pushes along its normal, an edge along the membrane's own (`inward`), as far as that
+        lies between those of the two faces. The half of it that is the last one keeps Newton's
+        method from going to and fro.
+        """
+        first, second = normals[:, 0], normals[:, 1]
+        edge = self._edge[which]
+        mixed = _between(first[edge], second[edge], inward[edge])
+        before = self._pushing[which[edge]] @ R.T
+        mixed += before
+        mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
+        self._pushing[which[edge]] = mixed @ R
+        pushing = first.copy()
+        pushing[edge] = mixed
+        return pushing
+
+
+def _between(first: np.ndarray, second: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Unit vectors (k, 3) closest to those wanted in the cones of two unit vectors."""
+    c, a, b = (np.einsum("ij,ij->i", *pair) for pair in
+               ((first, second), (wanted, first), (wanted, second)))  # fmt: skip
+    by_first, by_second = np.maximum(a - c * b, 0.0), np.maximum(b - c * a, 0.0)
+    none = by_first + by_second == 0.0
+    by_first[none], by_second[none] = 1.0, 1.0
+    mixed = by_first[:, None] * first + by_second[:, None] * second
+    unit: np.ndarray = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+    return unit
+
+
+def _gradients(places: np.ndarray) -> np.ndarray:
+    """Gradients (c, 3, 3) of the barycentric coordinates of triangles (c, 3, 3), by corner, 1/m."""
+    opposite = np.roll(places, -2, axis=1) - np.roll(places, -1, axis=1)
+    vectors = cross(opposite[:, 2], -opposite[:, 1])
+    scaled = vectors / np.einsum("ij,ij->i", vectors, vectors)[:, None]
+    return np.stack([cross(scaled, opposite[:, corner]) for corner in range(3)], axis=1)
+
+
+def _gathered(corners: np.ndarray, shares: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, 3) at the nodes of shares (c, 3, 3) of corners (c, 3)."""
+    flat = corners.ravel()
+    sums = [np.bincount(flat, shares[:, :, i].ravel(), minlength=count) for i in range(3)]
+    return np.stack(sums, axis=1)
+
+
+# The membrane around a contact; the rest of it moves little, and is condensed onto the border.
+#
+# With K and g = ∂V/∂x of the rest at the reference surface, its border b and its other nodes f:
+#
+#     S = K_bb − K_bf K_ff⁻¹ K_fb,   ĝ = g_b − K_bf K_ff⁻¹ g_f,   c = g_fᵀ K_ff⁻¹ g_f
+#
+# are its stiffness, and its change of volume by the border's motion and by the gas pressure.
+
+
+class Tangent(NamedTuple):
+    """The factorised tangent at some nodes."""
+
+    factor: Factor
+    gas: np.ndarray  # (3f,), change of the volume by motions of the moving nodes, m²
+    stiffness: float  # fall of the gas pressure with it, Pa/m³; 0 where the pressure is measured
+    moving: np.ndarray  # (f,) int
+
+    def moved(self, forces: np.ndarray) -> np.ndarray:
+        """Motions (j, k, 3) of the nodes under forces (j, k, 3) on them."""
+        right = np.ascontiguousarray(forces[:, self.moving].reshape(len(forces), -1).T)
+        found = self.factor.solve_with(right, self.gas, self.stiffness)
+        motions = np.zeros_like(forces)
+        motions[:, self.moving] = found.T.reshape(len(forces), -1, 3)
+        return motions
+
+
+class Window:
+    """Equilibrium of a membrane around one place.
+
+    Attributes
+    ----------
+    center, reach_m
+        As given.
+    nodes : (k,) int array
+        Of the whole mesh.
+    mesh : MembraneMesh
+        Inside; its nodes are those.
+    """
+
+    def __init__(
+        self,
+        membrane: RubberMembrane,  # the whole, its rim clamped
+        gas: Gas,
+        center: np.ndarray,  # (3,), on the reference surface
+        reach_m: float,  # triangles with a node closer than this are inside
+    ) -> None:
+        self.center, self.reach_m = center, reach_m
+        whole = membrane.mesh
+        close = np.linalg.norm(whole.nodes - center, axis=1) < reach_m
+        inside = close[whole.triangles].any(axis=1)
+        self.nodes, self._inner = _part(membrane, inside)
+        self.mesh = self._inner.mesh
+        self._moving = self._inner.moving
+        self._gauge_pa, self._gas = membrane.gauge_pressure_pa, gas
+        self._rest_volume = self._inner.volume(self.mesh.nodes)
+        self._condense(membrane, ~inside)
+        pattern = self._inner.tangent(self.mesh.nodes, 0.0)
+        self._merge(pattern.indices, pattern.indptr)
+
+    def _condense(self, membrane: RubberMembrane, outside: np.ndarray) -> None:
+        """Border, S, ĝ and c of the rest, in the order of the border's rows inside."""
+        free = self.nodes[self._moving]
+        self._border = np.zeros(0, int)
+        self._stiffness, self._gradient, self._give = np.zeros((0, 0)), np.zeros(0), 0.0
+        if not outside.any():
+            return
+        nodes, outer = _part(membrane, outside)
+        moving = nodes[outer.moving]
+        shared = np.isin(moving, free)
+        b, f = (_rows(np.flatnonzero(some)) for some in (shared, ~shared))
+        self._border = _rows(np.searchsorted(free, moving[shared]))
+        rest = outer.mesh.nodes
+        K = outer.tangent(rest, membrane.gauge_pressure_pa)
+        g = outer.volume_gradient(rest)[outer.moving].ravel()
+        self._stiffness, self._gradient = K[b][:, b].toarray(), g[b]
+        if not len(f):
+            return
+        far = K[f][:, f].tocsc()
+        far.sort_indices()
+        right = np.column_stack([K[f][:, b].toarray(), g[f]])
+        moved = Factoriser(far).factor(far.data).solve(right)
+        back = right.T @ moved
+        self._stiffness = self._stiffness - back[:-1, :-1]
+        self._gradient = self._gradient - back[:-1, -1]
+        self._give = float(back[-1, -1])
+
+    def _merge(self, indices: np.ndarray, indptr: np.ndarray) -> None:
+        """Pattern of the tangent inside and the dense S together."""
+        size = len(indptr) - 1
+        columns = np.repeat(np.arange(size), np.diff(indptr))
+        inner = columns * size + indices
+        outer = (self._border[:, None] * size + self._border).ravel()
+        keys, places = np.unique(np.concatenate([inner, outer]), return_inverse=True)
+        self._inner_places, self._outer_places = np.split(places, [len(inner)])
+        columns, rows = np.divmod(keys, size)
+        starts = np.searchsorted(columns, np.arange(size + 1))
+        data = np.ones(len(keys))
+        pattern = sparse.csc_array((data, rows, starts), shape=(size, size))
+        self._factoriser, self._entries = Factoriser(pattern), len(keys)
+
+    def covers(self, center: np.ndarray, reach_m: float) -> bool:
+        """Whether all within some way of a place is inside."""
+        return float(np.linalg.norm(center - self.center)) + reach_m <= self.reach_m
+
+    def linearised(
+        self,
+        # x, forces: (k, 3), nodes, m, and forces on them, N
+        x: np.ndarray,
+        forces: np.ndarray,
+        # (6, 3, 3, m), stiffness of what exerts them, as of `RubberMembrane.tangent`
+        added: np.ndarray,
+        gas_pressure_pa: float | None,  # absolute; by the gas law where it is not measured
+    ) -> tuple[Tangent, np.ndarray]:
+        """Tangent at nodes x (k, 3), and the forces (k, 3) that are missing for equilibrium."""
+        inner = self._inner
+        border = (x - self.mesh.nodes)[self._moving].ravel()[self._border]
+        change, weight = self._gas_at(x, border, gas_pressure_pa)
+        pressure = self._gauge_pa + change
+        missed = forces - inner.residual(x, pressure)
+        rest = np.zeros(3 * len(self._moving))
+        rest[self._border] = self._stiffness @ border - change * self._gradient
+        missed[self._moving] -= rest.reshape(-1, 3)
+        data = np.zeros(self._entries)
+        data[self._inner_places] = inner.tangent(x, pressure, added).data
+        data[self._outer_places] += self._stiffness.T.ravel()
+        gradient = inner.volume_gradient(x)[self._moving].ravel()
+        gradient[self._border] += self._gradient
+        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), missed
+
+    def _gas_at(
+        self, x: np.ndarray, border: np.ndarray, measured: float | None
+    ) -> tuple[float, float]:
+        """Change of the gas pressure, Pa, and its fall with the volume by motions inside, Pa/m³.
+
+        The rest gives way by c to the pressure, (P0 + Δp)(V + c Δp) = P0 V0: the upper root.
+        """
+        P0, V0, c = self._gas.P0, self._gas.V0, self._give
+        if measured is not None and np.isfinite(measured):
+            return measured - P0, 0.0
+        volume = V0 + self._inner.volume(x) - self._rest_volume + float(self._gradient @ border)
+        if not volume > 0.0:
+            return np.nan, 0.0
+        sum_ = volume + c * P0
+        change = 2.0 * P0 * (V0 - volume) / (sum_ + np.sqrt(sum_**2 + 4.0 * c * P0 * (V0 - volume)))
+        beta = (P0 + change) / (volume + c * change)
+        return change, beta / (1.0 + beta * c)
+
+
+def _part(membrane: RubberMembrane, chosen: np.ndarray) -> tuple[np.ndarray, RubberMembrane]:
+    """Nodes (k,) of some triangles (m,) bool, and the membrane that these are."""
+    mesh = membrane.mesh
+    nodes, triangles = np.unique(mesh.triangles[chosen], return_inverse=True)
+    part = MembraneMesh(mesh.nodes[nodes], triangles.reshape(-1, 3), mesh.rim[nodes])
+    return nodes, RubberMembrane(
+        part, membrane.gauge_pressure_pa, membrane.inverse[chosen], membrane.mu_h[chosen]
+    )
+
+
+def _rows(nodes: np.ndarray) -> np.ndarray:
+    """Rows (3k,) of nodes (k,)."""
+    rows: np.ndarray = (3 * nodes[:, None] + np.arange(3)).ravel()
+    return rows
+
+
+@dataclass(frozen=True)
+class Press:
+    """An object pressed into the membrane."""
+
+    T_B_O: np.ndarray  # (4, 4)
+    center: np.ndarray  # (3,), that motions are about
+    window: Window  # part of the membrane that all else is about
+    nodes: np.ndarray  # (k, 3), of it
+    # (6, k, 3), their derivatives by small motions of the object in B about the centre
+    slopes: np.ndarray
+    rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
+    push_n: np.ndarray  # (k, 3), force of the object on each node
+    held: np.ndarray  # (m,) bool, triangles that lie on a face of the object
+
+    @property
+    def force_n(self) -> np.ndarray:
+        """Of the object on the membrane, (3,)."""
+        total: np.ndarray = self.push_n.sum(axis=0)
+        return total
+
+
+class PressedMembrane:
+    """Presses one object into a membrane, pose after pose."""
+
+    def __init__(
+        self, membrane: RubberMembrane, gas: Gas, model: ObjectModel, options: PressOptions
+    ) -> None:
+        self.mesh = membrane.mesh
+        self._membrane, self._gas, self._options = membrane, gas, options
+        self._object = ObjectContact(
+            model,
+            options.spacing_edges * self.mesh.edge_length,
+            2.0 * membrane.gauge_pressure_pa,
+            membrane.mean_tension,
+            options,
+        )
+        self._window: Window | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin the next press from the estimated membrane."""
+        self._last: Press | None = None
+        self._object.forget()
+
+    def press(
+        self,
+        T_B_O: np.ndarray,  # (4, 4)
+        contact: ContactPoints,  # where to look for contact, and the membrane to begin with
+        gas_pressure_pa: float | None = None,  # absolute; by the gas law where it is not measured
+    ) -> Press | None:
+        """Press the object at a pose (4, 4); None where no equilibrium is found."""
+        window = self._around(contact)
+        if self._last is not None:
+            start = _followed(self._last, T_B_O, self._options.longest_step_m)
+            self._last = self._solve(window, start, T_B_O, contact.center, gas_pressure_pa)
+        if self._last is None:
+            self._object.forget()
+            mesh, estimated = window.mesh, contact.membrane[window.nodes]
+            start = np.where(mesh.rim[:, None], mesh.nodes, estimated)
+            self._last = self._solve(window, start, T_B_O, contact.center, gas_pressure_pa)
+        return self._last
+
+    def _around(self, contact: ContactPoints) -> Window:
+        """The window that the contact is in; another one where it has moved on."""
+        reach_m = contact.extent_m + self._options.reach_m
+        if self._window is None or not self._window.covers(contact.rest_center, reach_m):
+            reach_m += self._options.margin_m
+            self._window = Window(self._membrane, self._gas, contact.rest_center, reach_m)
+            self.forget()
+        return self._window
+
+    def _solve(
+        self,
+        window: Window,
+        x: np.ndarray,
+        T_B_O: np.ndarray,
+        center: np.ndarray,
+        measured: float | None,
+    ) -> Press | None:
+        """Newton's method from nodes x (k, 3)."""
+        triangles = window.mesh.triangles
+        for _ in range(self._options.newton_steps):
+            if not np.isfinite(x).all():
+                return None
+            touching = self._object.touching(x, triangles, T_B_O)
+            push = touching.on_nodes(touching.force_n[:, None] * touching.normals, len(x))
+            try:
+                tangent, missed = window.linearised(
+                    x, push, touching.blocks(len(triangles)), measured
+                )
+            except RuntimeError:  # singular
+                return None
+            step = tangent.moved(missed[None])[0]
+            longest = float(np.abs(step).max())
+            x = x + min(1.0, self._options.longest_step_m / max(longest, 1e-300)) * step
+            if longest < self._options.settled_m:
+                return _pressed(window, x, T_B_O, center, touching, tangent)
+        return None
+
+
+def _pressed(
+    window: Window,
+    x: np.ndarray,
+    T_B_O: np.ndarray,
+    center: np.ndarray,
+    touching: Touching,
+    tangent: Tangent,
+) -> Press:
+    n, triangles = len(x), window.mesh.triangles
+    unit, arms = np.eye(3), touching.points - center
+    motions = [np.broadcast_to(axis, arms.shape) for axis in unit]
+    motions += [np.cross(axis, arms) for axis in unit]
+    motions.append(touching.rounding)
+    pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
+    loaded = np.zeros(n, bool)
+    loaded[touching.corners[touching.weights > 0.0]] = True
+    held = loaded[triangles].all(axis=1)
+    held[touching.triangle[touching.edge]] = False
+    push = touching.on_nodes(touching.force_n[:, None] * touching.normals, n)
+    slopes = tangent.moved(pulls)
+    return Press(T_B_O, center, window, x, slopes[:6], slopes[6], push, held)
+
+
+def _followed(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:
+    """Nodes (k, 3) of a membrane after its object moved to another pose, to first order."""
+    motion = motion_between(press.T_B_O, T_B_O, press.center)
+    step = np.einsum("q,qni->ni", motion, press.slopes)
+    share = min(1.0, longest_m / max(float(np.abs(step).max()), 1e-300))
+    nodes: np.ndarray = press.nodes + share * step
+    return nodes

@@ -1,0 +1,122 @@
+from .bag import (
+    Bag as Bag,
+    Messages as Messages,
+    Topic as Topic,
+    typestore as typestore,
+)
+from .colour_topics import (
+    STATIC_TRANSFORMS as STATIC_TRANSFORMS,
+    TRANSFORMS as TRANSFORMS,
+    StaticPoses as StaticPoses,
+    are_static_poses as are_static_poses,
+    belongs_to as belongs_to,
+    colour_camera as colour_camera,
+    is_called_colour as is_called_colour,
+    is_own as is_own,
+    size_of as size_of,
+)
+from .depth_statistics import (
+    MIN_FRAMES as MIN_FRAMES,
+    DepthStatistics as DepthStatistics,
+    cauchy_weights as cauchy_weights,
+    correlated_samples as correlated_samples,
+    error_of_mean as error_of_mean,
+    mean_inflation as mean_inflation,
+    measure_depth as measure_depth,
+    robust_sigma as robust_sigma,
+    spatial_correlation as spatial_correlation,
+    stack_depth as stack_depth,
+    temporal_correlation as temporal_correlation,
+    tukey_slopes as tukey_slopes,
+    tukey_weights as tukey_weights,
+    upper_fence as upper_fence,
+)
+from .depth_topics import (
+    CAMERA_INFO as CAMERA_INFO,
+    COMPRESSED_IMAGE as COMPRESSED_IMAGE,
+    IMAGE as IMAGE,
+    MARKERS as MARKERS,
+    POINT_CLOUD as POINT_CLOUD,
+    PRESSURE as PRESSURE,
+    RESULTS as RESULTS,
+    STRING as STRING,
+    WRENCH as WRENCH,
+    nearest_info as nearest_info,
+)
+from .frame import (
+    NO_COLOUR as NO_COLOUR,
+    Frame as Frame,
+    FrameSource as FrameSource,
+    Gap as Gap,
+    KeptFrames as KeptFrames,
+    TimeAxis as TimeAxis,
+    find_gaps as find_gaps,
+    shown_name as shown_name,
+    usual_step as usual_step,
+)
+from .image_folder import (
+    INTRINSICS as INTRINSICS,
+    ImageFolder as ImageFolder,
+    is_image_folder as is_image_folder,
+    read_gas_pressure as read_gas_pressure,
+    read_intrinsics as read_intrinsics,
+    read_times as read_times,
+    read_wrench as read_wrench,
+)
+from .mcap_file import (
+    McapFile as McapFile,
+)
+from .message_decoding import (
+    COMPRESSED as COMPRESSED,
+    decode_cloud as decode_cloud,
+    decode_depth as decode_depth,
+    decode_intrinsics as decode_intrinsics,
+    distortion_of as distortion_of,
+    has_returns as has_returns,
+    header_stamp_ns as header_stamp_ns,
+)
+from .message_encoding import (
+    Encoding as Encoding,
+    FrameMessages as FrameMessages,
+    Message as Message,
+    make_header as make_header,
+    make_wrench as make_wrench,
+    ros2_types as ros2_types,
+    serialise as serialise,
+)
+from .recorded_colour import (
+    ColourAround as ColourAround,
+)
+from .recording import (
+    Recording as Recording,
+    force_of as force_of,
+    measured_force as measured_force,
+)
+from .recording_writer import (
+    RecordingWriter as RecordingWriter,
+)
+from .seen_colour import (
+    SeenColour as SeenColour,
+    Texture as Texture,
+    placed as placed,
+)
+from .sensor_matching import (
+    AUTO as AUTO,
+    check_fits as check_fits,
+    checked_sensor as checked_sensor,
+    fitting_sensor as fitting_sensor,
+    gas_warning as gas_warning,
+    preset_for as preset_for,
+    preset_of_size as preset_of_size,
+    size_refusal as size_refusal,
+)
+from .time_series import (
+    FORWARD_NS as FORWARD_NS,
+    NEAREST_NS as NEAREST_NS,
+    VALUES as VALUES,
+    GrowingSeries as GrowingSeries,
+    Moment as Moment,
+    StampClock as StampClock,
+    Verdict as Verdict,
+    values_at as values_at,
+)

@@ -1,0 +1,268 @@
+"""A recording as topics of messages, whatever the file format.
+
+rosbags is imported with the first recording: the window starts without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.recordings.bag_storage import (
+    MAGIC,
+    McapStorage,
+    Ros1Storage,
+    SqliteStorage,
+    Storage,
+    decompress,
+)
+from bubbleviz.recordings.message_decoding import header_stamp_ns
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a recording.
+
+    Attributes
+    ----------
+    name, type : str
+        As in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`.
+    count : int
+        Number of messages.
+    """
+
+    name: str
+    type: str
+    count: int
+
+
+@cache
+def typestore(*, ros1: bool) -> Any:
+    """Message types by name; they compile their readers once, hence the cache."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    # the types used here are the same in every ROS 2 so far
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:  # the one type used here that is not in rosbags' list
+        transforms = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+    return store
+
+
+@contextmanager
+def damage(path: Path, what: str) -> Iterator[None]:
+    """Turn whatever a damaged file makes a reader raise into one InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        if isinstance(error, MemoryError):  # rosbags believes the sizes it reads
+            reason = "a size in it is implausible"
+        raise InputError(
+            f"{path}: {what} cannot be read ({reason}); record or copy it again"
+        ) from error
+
+
+class Bag:
+    """An open rosbag2 folder, `.mcap`, `.db3` or ROS 1 `.bag`.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Attributes
+    ----------
+    path : Path
+    topics : tuple of Topic
+        In the order of the recording.
+    size_bytes : int
+        Size of the recording's files.
+    ros1 : bool
+        Whether messages are serialised as in ROS 1.
+    note : str
+        What is missing of the recording, in words; empty when it is whole.
+    inflates : bool
+        Whether messages are compressed one by one, so that the first bytes of one need all of it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.note = ""
+        self._storages: list[Storage] = []
+        self._open_files = ExitStack()
+        try:
+            found = self.path.exists()
+        except (OSError, ValueError):
+            found = False
+        if not found:
+            raise InputError(f"{self.path}: no such recording; check the path")
+        self.ros1 = self.path.suffix == ".bag"
+        try:
+            with damage(self.path, "the recording"):
+                self._open()
+        except BaseException:
+            self.close()
+            raise
+        if not any(topic.count for topic in self.topics):
+            self.close()
+            what = "was cut off before its first message" if self.note else "has no messages"
+            raise InputError(f"{self.path}: the recording {what}; record it again")
+
+    def close(self) -> None:
+        """Let go of files."""
+        self._storages = []
+        self._open_files.close()
+
+    def messages(self, topic: Topic) -> Messages:
+        """Messages of a topic in the order of their log times."""
+        with damage(self.path, f"the index of {topic.name}"):
+            parts = [
+                (storage, storage.entries(connection.id))
+                for storage in self._storages
+                for connection in storage.connections
+                if (connection.topic, connection.msgtype) == (topic.name, topic.type)
+            ]
+            return Messages(self, topic, parts)
+
+    def _open(self) -> None:
+        self.inflates = False
+        if self.ros1:
+            self._open_ros1()
+        else:
+            self._open_ros2()
+        self.topics = self._find_topics()
+        files = [self.path] if self.path.is_file() else self.path.iterdir()
+        self.size_bytes = sum(file.stat().st_size for file in files if file.is_file())
+
+    def _open_ros1(self) -> None:
+        from rosbags.rosbag1 import Reader
+
+        self._storages = [Ros1Storage(self._opened(Reader(self.path)))]
+
+    def _open_ros2(self) -> None:
+        from rosbags.rosbag2.reader import DirectoryReader
+
+        described = (self.path / "metadata.yaml").exists()
+        if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
+            folder = self._opened(DirectoryReader(self.path))
+            self.inflates = folder.metadata.compression_mode == "message"
+            self._storages = [_storage(reader) for reader in folder.storages]
+        else:
+            self._storages = [self._open_bare(file) for file in self._bare_files()]
+
+    def _open_bare(self, file: Path) -> Storage:
+        from rosbags.rosbag2.storage_mcap import McapReader
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+        kinds = {".mcap": McapReader, ".db3": Sqlite3Reader}
+        if file.suffix not in kinds:
+            raise InputError(
+                f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
+            )
+        if file.suffix != ".mcap" or _is_whole_mcap(file):
+            return _storage(self._opened(kinds[file.suffix](file)))
+        storage = McapStorage(self._open_files.enter_context(file.open("rb")))
+        lost = (
+            f"; {storage.lost_bytes / 1e3:.3g} kB behind it are lost" if storage.lost_bytes else ""
+        )
+        self.note = self.note or (
+            f"{file.name} ends early, as when recording or copying is cut off: it is here up to "
+            f"its last whole chunk{lost}"
+        )
+        return storage
+
+    def _opened(self, reader: Any) -> Any:
+        """A reader of rosbags, open until the bag is closed."""
+        reader.open()
+        self._open_files.callback(reader.close)
+        return reader
+
+    def _bare_files(self) -> list[Path]:
+        if self.path.is_file():
+            return [self.path]
+        files = sorted(f for f in self.path.iterdir() if f.suffix in (".mcap", ".db3"))
+        if not files:
+            raise InputError(
+                f"{self.path}: no recording in this folder; give one with metadata.yaml, "
+                ".mcap or .db3 files"
+            )
+        return files
+
+    def _find_topics(self) -> tuple[Topic, ...]:
+        counts: dict[tuple[str, str], int] = {}
+        for storage in self._storages:
+            for connection in storage.connections:
+                key = (str(connection.topic), str(connection.msgtype))
+                counts[key] = counts.get(key, 0) + int(connection.msgcount)
+        return tuple(Topic(name, kind, count) for (name, kind), count in counts.items())
+
+
+def _storage(reader: Any) -> Storage:
+    """Random access to a file of a rosbag2 that rosbags has opened."""
+    is_mcap = type(reader).__name__ == "McapReader"
+    return McapStorage(reader.bio, reader) if is_mcap else SqliteStorage(reader)
+
+
+def _is_whole_mcap(file: Path) -> bool:
+    """Tell a recorder that was killed from a whole file, and both from something else."""
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        begin = stream.read(8)
+        stream.seek(max(size - 8, 0))
+        end = stream.read(8)
+    if size == 0:
+        raise InputError(f"{file}: the file is empty; record or copy it again")
+    if begin != MAGIC:
+        raise InputError(f"{file}: not an MCAP file; check what it is")
+    return end == MAGIC and size >= 16
+
+
+class Messages:
+    """Messages of one topic, by position in log-time order; nothing is kept.
+
+    Attributes
+    ----------
+    topic : Topic
+    log_ns : (n,) int64 array
+        When each message was recorded, ns.
+    """
+
+    def __init__(self, bag: Bag, topic: Topic, parts: list[tuple[Storage, np.ndarray]]) -> None:
+        self.topic = topic
+        self._bag = bag
+        self._storages = [storage for storage, _ in parts]
+        numbered = [np.insert(rows, 3, part, axis=1) for part, (_, rows) in enumerate(parts)]
+        rows = np.concatenate(numbered or [np.empty((0, 4), np.int64)])
+        self._rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        self.log_ns = self._rows[:, 0].copy()
+
+    def __len__(self) -> int:
+        return len(self.log_ns)
+
+    def payload(self, k: int, limit: int | None = None) -> bytes:
+        """Serialised message `k`, or its first `limit` bytes."""
+        _, chunk, offset, part = self._rows[k].tolist()
+        if self._bag.inflates:
+            return decompress(self._storages[part].read(chunk, offset))[:limit]
+        return self._storages[part].read(chunk, offset, limit)
+
+    def stamp_ns(self, k: int) -> int:
+        """Header stamp of message `k`, ns; 0 when unset. Reads no more than the header."""
+        with damage(self._bag.path, f"the header of message {k} of {self.topic.name}"):
+            return header_stamp_ns(self.payload(k, 16), ros1=self._bag.ros1)
+
+    def message(self, k: int) -> Any:
+        """Message `k`, decoded by rosbags."""
+        with damage(self._bag.path, f"message {k} of {self.topic.name}"):
+            store = typestore(ros1=self._bag.ros1)
+            read = store.deserialize_ros1 if self._bag.ros1 else store.deserialize_cdr
+            return read(self.payload(k), self.topic.type)

@@ -1,0 +1,458 @@
+"""Files of a bag by position: what all have in common, ROS 1 bags and SQLite; MCAP is apart."""
+
+from __future__ import annotations
+
+import bz2
+import os
+import struct
+import sys
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, Protocol
+
+import numpy as np
+from lz4.frame import LZ4FrameDecompressor
+
+# Chunks of a bag as files, read and decompressed only as far as asked for.
+#
+# The libraries' readers decompress a whole chunk for each message: to open a recording, which needs
+# sixteen bytes of each, would take as long as to read all of it.
+
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MAX_SIZE = 1 << 30
+"""No chunk or message of a sensor is larger, B; a file that says so is damaged."""
+
+_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    "zstd": zstd.ZstdDecompressor,
+    "lz4": LZ4FrameDecompressor,
+    "bz2": bz2.BZ2Decompressor,
+}
+_FIRST_PIECE = 1 << 15  # B of a chunk to read for a header, which is enough in most
+
+
+class FilePart:
+    """Bytes `start` … `start + size` of a file that others read, too, as a file of its own."""
+
+    memory = 0
+
+    def __init__(self, file: BinaryIO | FilePart, start: int, size: int) -> None:
+        self.size = size
+        self._file, self._start, self._at = file, start, 0
+
+    def seek(self, at: int) -> None:
+        """Continue at a byte."""
+        self._at = at
+
+    def read(self, count: int) -> bytes:
+        """As many bytes as asked for, fewer at the end."""
+        self._file.seek(self._start + self._at)
+        data = self._file.read(max(0, min(count, self.size - self._at)))
+        self._at += len(data)
+        return data
+
+
+class LazyChunk:
+    """A compressed chunk as a file.
+
+    Parameters
+    ----------
+    packed : FilePart
+        The compressed bytes.
+    codec : {"zstd", "lz4", "bz2"}
+    size : int
+        Decompressed size, or more where the file does not tell.
+    crc : int
+        CRC-32 of the decompressed bytes, 0 for none; checked once all are there.
+    """
+
+    def __init__(self, packed: FilePart, codec: str, *, size: int = MAX_SIZE, crc: int = 0) -> None:
+        if codec not in _DECOMPRESSORS:
+            raise ValueError(f"unknown compression {codec[:20]!r}")
+        if size > MAX_SIZE:
+            raise ValueError(f"a chunk of {size} bytes is implausibly large")
+        self.size = size
+        self._packed, self._piece = packed, _FIRST_PIECE
+        self._inflater = _DECOMPRESSORS[codec]()
+        self._crc = crc
+        self._out = bytearray()
+        self._at = 0
+
+    @property
+    def memory(self) -> int:
+        """Bytes held."""
+        return len(self._out)
+
+    def seek(self, at: int) -> None:
+        """Continue at a byte."""
+        self._at = at
+
+    def read(self, count: int) -> bytes:
+        """As many bytes as asked for, fewer at the end."""
+        stop = min(self._at + count, self.size)
+        if stop > len(self._out):
+            # where most of it is wanted take all, which also checks the CRC
+            self._fill(self.size if 2 * stop > self.size else stop)
+        part = bytes(memoryview(self._out)[self._at : stop])
+        self._at += len(part)
+        return part
+
+    def _fill(self, stop: int) -> None:
+        while len(self._out) < stop and not self._inflater.eof:
+            piece = self._packed.read(self._piece) if self._inflater.needs_input else b""
+            self._piece *= 4 if piece else 1
+            got = self._inflater.decompress(piece, stop - len(self._out))
+            self._out += got
+            if not (piece or got):  # cut short
+                break
+        if self._crc and len(self._out) == self.size and zlib.crc32(self._out) != self._crc:
+            raise ValueError("a chunk's checksum does not match")
+
+
+class ChunkCache:
+    """The chunks used last: a frame and its neighbours, not the recording."""
+
+    _MAX_CHUNKS = 8
+    _MAX_MEMORY = 64 << 20
+
+    def __init__(self, load: Callable[[int], FilePart | LazyChunk]) -> None:
+        self._load = load
+        self._chunks: OrderedDict[int, FilePart | LazyChunk] = OrderedDict()
+
+    @contextmanager
+    def at(self, number: int, offset: int) -> Iterator[FilePart | LazyChunk]:
+        """Chunk `number` at an offset; forgotten if reading it fails, for it may be damaged."""
+        if number not in self._chunks:
+            self._chunks[number] = self._load(number)
+            self._evict()
+        self._chunks.move_to_end(number)
+        try:
+            self._chunks[number].seek(offset)
+            yield self._chunks[number]
+        except Exception:
+            self._chunks.pop(number, None)
+            raise
+
+    def _evict(self) -> None:
+        memory = sum(chunk.memory for chunk in self._chunks.values())
+        while len(self._chunks) > 1 and (
+            len(self._chunks) > self._MAX_CHUNKS or memory > self._MAX_MEMORY
+        ):
+            _, oldest = self._chunks.popitem(last=False)
+            memory -= oldest.memory
+
+
+def decompress(data: bytes) -> bytes:
+    """Decompress one zstd message, refusing one that grows beyond any sensor's."""
+    out = zstd.ZstdDecompressor().decompress(data, MAX_SIZE)
+    if len(out) >= MAX_SIZE:
+        raise ValueError("a compressed message is implausibly large")
+    return out
+
+
+_MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin like these
+
+
+class Storage(Protocol):
+    """One file of a bag. Anything it raises means the file is damaged.
+
+    Attributes
+    ----------
+    connections : list
+        With `id`, `topic`, `msgtype` and `msgcount`, as rosbags has them.
+    """
+
+    connections: list[Any]
+
+    def entries(self, channel: int) -> np.ndarray:
+        """Log time in ns and position of the messages of a channel, in any order, (n, 3) int64.
+
+        A position is a chunk and an offset; what they mean is the storage's business.
+        """
+
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+        """Payload of the message at a position; only its first `limit` bytes when given."""
+
+
+def table_of(rows: Any) -> np.ndarray:
+    """Rows of three whole numbers, perhaps none, as an array (n, 3)."""
+    return np.array(rows, dtype=np.int64).reshape(-1, 3)
+
+
+class Ros1Storage:
+    """Messages of one ROS 1 bag; a position's chunk is where the chunk begins in the file.
+
+    Parameters
+    ----------
+    reader : rosbags.rosbag1.Reader
+        Open; tells the index.
+    """
+
+    def __init__(self, reader: Any) -> None:
+        self.connections = reader.connections
+        self._reader = reader
+        self._cache = ChunkCache(self._load)
+
+    def entries(self, channel: int) -> np.ndarray:
+        """Positions of the messages of a connection."""
+        return table_of([tuple(entry) for entry in self._reader.indexes.get(channel, [])])
+
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+        """Payload of a message, or its first `limit` bytes."""
+        # imported by the reader already
+        from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
+
+        with self._cache.at(chunk, offset) as data:
+            opcode = RecordType.CONNECTION
+            while opcode == RecordType.CONNECTION:  # a message may follow its connection record
+                opcode = Header.read(data).get_uint8("op")
+                size = read_uint32(data)
+                if size > MAX_SIZE:
+                    raise ValueError("a message is implausibly large")
+                if opcode == RecordType.CONNECTION:
+                    read_bytes(data, size)
+            if opcode != RecordType.MSGDATA:
+                raise ValueError("the index points to something that is no message")
+            return bytes(read_bytes(data, size if limit is None else min(size, limit)))
+
+    def _load(self, position: int) -> FilePart | LazyChunk:
+        chunk = self._reader.chunks[position]
+        packed = FilePart(self._reader.bio, chunk.datapos, chunk.datasize)
+        magic = packed.read(4)
+        packed.seek(0)
+        codec = next((name for begin, name in _MAGICS.items() if magic.startswith(begin)), "")
+        return LazyChunk(packed, codec) if codec else packed
+
+
+class SqliteStorage:
+    """Messages of one `.db3` file; a position's offset is the row id.
+
+    Parameters
+    ----------
+    reader : rosbags.rosbag2.storage_sqlite3.Sqlite3Reader
+        Open; has the database.
+    """
+
+    def __init__(self, reader: Any) -> None:
+        _check_whole(Path(reader.path))
+        self.connections = reader.connections
+        self._database = reader.dbconn
+
+    def entries(self, channel: int) -> np.ndarray:
+        """Positions of the messages of a topic."""
+        query = "SELECT timestamp, 0, id FROM messages WHERE topic_id = ?"
+        return table_of(self._database.execute(query, (channel,)).fetchall())
+
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+        """Payload of a message, or its first `limit` bytes (without reading the rest)."""
+        with self._database.blob_open("main", "messages", "data", offset, False) as blob:
+            size = blob.length()
+            if size > MAX_SIZE:
+                raise ValueError("a message is implausibly large")
+            return bytes(blob.read(size if limit is None else min(limit, size)))
+
+
+def _check_whole(path: Path) -> None:
+    """SQLite itself notices a missing end only when it reads there."""
+    with path.open("rb") as stream:
+        header = stream.read(32)
+    page_size, pages = struct.unpack_from(">H10xI", header, 16)
+    if pages * (65_536 if page_size == 1 else page_size) > path.stat().st_size:
+        raise ValueError("the file is truncated")
+
+
+# Random access to an MCAP file through its chunk and message indexes, or what is left of them.
+
+
+MAGIC = b"\x89MCAP0\r\n"
+_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
+_SCHEMA_OP, _CHANNEL_OP, _MESSAGE_OP, _CHUNK_OP, _INDEX_OP = range(3, 8)
+_UNCHUNKED = -1  # in place of a chunk's number
+
+
+class _Connection(NamedTuple):
+    """A topic; names as rosbags' connections have them."""
+
+    id: int
+    topic: str
+    msgtype: str
+    msgcount: int
+
+
+class _ChunkPlace(NamedTuple):
+    start: int
+    index_offsets: dict[int, int]  # channel → offset of its message index; may be empty
+
+
+class McapStorage:
+    """Messages of one MCAP file by position.
+
+    A file without its end (its recorder was killed, the disk was full) or without message indexes
+    is walked record by record: that reads no chunk but those without an index or with new topics.
+
+    Parameters
+    ----------
+    file : binary file
+    reader : rosbags.rosbag2.storage_mcap.McapReader, optional
+        Open; tells the chunks. None where the file has no end.
+
+    Attributes
+    ----------
+    lost_bytes : int
+        Bytes behind the last whole chunk of a file without its end.
+    """
+
+    def __init__(self, file: BinaryIO, reader: Any = None) -> None:
+        self._file = FilePart(file, 0, os.fstat(file.fileno()).st_size)
+        self._cache = ChunkCache(self._load)
+        self._places: list[_ChunkPlace] = []
+        self._found: dict[int, list[tuple[int, int, int]]] = {}  # messages without an index
+        self.lost_bytes = 0
+        chunks = [] if reader is None else reader.chunks
+        if chunks and all(chunk.message_index_offsets for chunk in chunks):
+            self._places = [
+                _ChunkPlace(c.chunk_start_offset, c.message_index_offsets) for c in chunks
+            ]
+            self.connections: list[Any] = reader.connections
+            return
+        self._types: dict[int, str] = {}
+        self._topics: dict[int, tuple[str, str]] = {}
+        self._walk(reader.data_end if reader else self._file.size, cut=reader is None)
+        self.connections = [
+            _Connection(channel, topic, kind, len(self.entries(channel)))
+            for channel, (topic, kind) in self._topics.items()
+        ]
+
+    def entries(self, channel: int) -> np.ndarray:
+        """Positions of the messages of a channel, in file order where all have an index."""
+        numbers: list[int] = []
+        blocks: list[bytes] = []
+        for number, place in enumerate(self._places):
+            if (offset := place.index_offsets.get(channel)) is not None:
+                numbers.append(number)
+                blocks.append(self._index(offset))
+        pairs = np.frombuffer(b"".join(blocks), dtype="<i8").reshape(-1, 2)
+        counts = np.array([len(block) // 16 for block in blocks], np.int64)
+        chunk = np.repeat(np.array(numbers, np.int64), counts)
+        rows = np.column_stack([pairs[:, 0], chunk, pairs[:, 1]])
+        return np.concatenate([rows, table_of(self._found.get(channel, []))])
+
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+        """Payload of a message, or its first `limit` bytes."""
+        with self._cache.at(chunk, offset) as data:
+            head = data.read(_MESSAGE.size + (limit or 0))
+            opcode, length, *_ = _MESSAGE.unpack_from(head)
+            size = length - (_MESSAGE.size - 9)  # the length counts from the channel id
+            if opcode != _MESSAGE_OP or not 0 <= size <= MAX_SIZE:
+                raise ValueError("the index points to something that is no message")
+            if limit is not None:
+                return head[_MESSAGE.size :][:size]
+            payload = data.read(size)
+            if len(payload) != size:
+                raise ValueError("a message is cut short")
+            return payload
+
+    def _bytes(self, offset: int, count: int) -> bytes:
+        self._file.seek(offset)
+        data = self._file.read(count)
+        if len(data) != count:
+            raise ValueError("the file ends early")
+        return data
+
+    def _load(self, number: int) -> FilePart | LazyChunk:
+        if number == _UNCHUNKED:
+            return self._file
+        start = self._places[number].start
+        opcode, _, _, _, size, crc, name = struct.unpack("<BQQQQII", self._bytes(start, 41))
+        if opcode != _CHUNK_OP or name > 32:
+            raise ValueError("the index points to something that is no chunk")
+        tail = self._bytes(start + 41, name + 8)
+        (compressed,) = struct.unpack_from("<Q", tail, name)
+        data = start + 41 + name + 8
+        if data + compressed > self._file.size:
+            raise ValueError("a chunk is cut short")
+        packed, codec = FilePart(self._file, data, compressed), tail[:name].decode()
+        return LazyChunk(packed, codec, size=size, crc=crc) if codec else packed
+
+    def _index(self, offset: int) -> bytes:
+        """Pairs of log time and offset, 8 bytes each, from a MessageIndex record."""
+        opcode, _, _, count = struct.unpack("<BQHI", self._bytes(offset, 15))
+        if opcode != _INDEX_OP or count % 16:
+            raise ValueError("a message index is damaged")
+        return self._bytes(offset + 15, count)
+
+    def _walk(self, stop: int, *, cut: bool) -> None:
+        """Find chunks, topics and messages where the file does not list them at its end."""
+        walked = end = len(MAGIC)
+        for opcode, at, length in _records(self._file, walked, stop):
+            walked = at + 9 + length
+            if opcode == _CHUNK_OP:
+                self._places.append(_ChunkPlace(at, {}))
+            elif opcode == _INDEX_OP and self._places:
+                (channel,) = struct.unpack("<H", self._bytes(at + 9, 2))
+                self._places[-1].index_offsets[channel] = at
+            else:
+                self._note(self._file, _UNCHUNKED, opcode, at)
+            if opcode in (_MESSAGE_OP, _CHUNK_OP, _INDEX_OP):
+                end = walked
+        if not cut and walked != stop:
+            raise ValueError("a record is cut short")
+        if cut and self._places:  # its last chunk may lack some indexes
+            self._places[-1].index_offsets.clear()
+        for number, (start, indexes) in enumerate(self._places):
+            if indexes and indexes.keys() <= self._topics.keys():
+                continue
+            try:
+                self._walk_chunk(number, messages=not indexes)
+            except Exception:
+                if not cut or number < len(self._places) - 1:
+                    raise
+                self._places.pop()  # a file can have room for a chunk before it has the chunk
+                end = start
+        self.lost_bytes = self._file.size - end if cut else 0
+
+    def _walk_chunk(self, number: int, *, messages: bool) -> None:
+        with self._cache.at(number, 0) as data:
+            if len(data.read(data.size)) != data.size:
+                raise ValueError("a chunk is cut short")
+            for opcode, at, _ in _records(data, 0, data.size):
+                if messages or opcode != _MESSAGE_OP:
+                    self._note(data, number, opcode, at)
+
+    def _note(self, data: FilePart | LazyChunk, number: int, opcode: int, at: int) -> None:
+        """Take note of what a record says of topics and messages."""
+        from mcap.data_stream import ReadDataStream  # only for files without an index
+        from mcap.records import Channel, Schema
+
+        stream: Any = data
+        if opcode == _SCHEMA_OP:
+            data.seek(at + 9)
+            schema = Schema.read(ReadDataStream(stream))
+            self._types[schema.id] = schema.name
+        elif opcode == _CHANNEL_OP:
+            data.seek(at + 9)
+            channel = Channel.read(ReadDataStream(stream))
+            self._topics[channel.id] = channel.topic, self._types.get(channel.schema_id, "")
+        elif opcode == _MESSAGE_OP:
+            data.seek(at)
+            _, _, to, _, log, _ = _MESSAGE.unpack(data.read(_MESSAGE.size))
+            self._found.setdefault(to, []).append((min(log, 2**63 - 1), number, at))
+
+
+def _records(data: FilePart | LazyChunk, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, offset and length of the records that are whole, up to the first that is not."""
+    while True:
+        data.seek(at)
+        head = data.read(9)
+        opcode, length = struct.unpack("<BQ", head) if len(head) == 9 else (0, 0)
+        if not opcode or at + 9 + length > stop:
+            return
+        yield opcode, at, length
+        at += 9 + length

@@ -1,0 +1,212 @@
+"""Which topic of a recording has the colour images of a sensor, and where their camera is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.camera import ColourCamera, EncodedImage, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.recordings.bag import Bag, Topic
+from bubbleviz.recordings.depth_topics import (
+    COMPRESSED_IMAGE,
+    IMAGE,
+    common_prefix,
+    find_intrinsics,
+    of_type,
+)
+
+# Poses of frames of reference that do not move, as `/tf_static` tells them.
+
+
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+STATIC_TRANSFORMS = "/tf_static"
+
+_MOST_LINKS = 100
+"""Between a frame of reference and its root; more are a loop."""
+
+
+def are_static_poses(topic: str, kind: str) -> bool:
+    """Whether messages of a topic and type tell them."""
+    return topic == STATIC_TRANSFORMS and kind == TRANSFORMS
+
+
+@dataclass(frozen=True)
+class StaticPoses:
+    """What is known so far.
+
+    Attributes
+    ----------
+    parents : dict
+        Of each frame of reference the one above it, and its pose (4, 4) in that.
+    """
+
+    parents: Mapping[str, tuple[str, np.ndarray]] = field(default_factory=dict)
+
+    def after(self, message: Any) -> StaticPoses:
+        """These and those of a `tf2_msgs/TFMessage`, which win."""
+        told = {
+            _bare(each.child_frame_id): (_bare(each.header.frame_id), pose_of(each.transform))
+            for each in message.transforms
+        }
+        return StaticPoses({**self.parents, **told})
+
+    def pose(self, frame: str, base: str) -> np.ndarray | None:
+        """T_base_frame (4, 4); None where the two are not connected, or not named."""
+        frame, base = _bare(frame), _bare(base)
+        if not frame or not base:
+            return None
+        to_root, to_base = self._chain(frame), self._chain(base)
+        for name, pose in to_root.items():
+            if name in to_base:
+                return np.asarray(np.linalg.solve(to_base[name], pose))
+        return None
+
+    def _chain(self, frame: str) -> dict[str, np.ndarray]:
+        """Pose of a frame in itself and in each of those above it."""
+        found = {frame: np.eye(4)}
+        for _ in range(_MOST_LINKS):
+            if frame not in self.parents:
+                break
+            above, pose = self.parents[frame]
+            found[above] = pose @ found[frame]
+            frame = above
+        return found
+
+
+def pose_of(transform: Any) -> np.ndarray:
+    """A `geometry_msgs/Transform` as a matrix (4, 4)."""
+    q, t = transform.rotation, transform.translation
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    pose[:3, 3] = t.x, t.y, t.z
+    return pose
+
+
+def _bare(frame_id: str) -> str:
+    return frame_id.lstrip("/")
+
+
+TRANSFORM = "geometry_msgs/msg/Transform"
+
+_COLOUR_WORDS = ("color", "colour", "rgb")
+_REALSENSE_STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/image/data")
+"""Topic of images in a `.bag` of the RealSense library."""
+
+
+def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None:
+    """Topic of the colour images: `name`, or that of the sensor with the depth images `depth`.
+
+    None where there is none; InputError where `name` has no colour images.
+    """
+    found = [
+        topic
+        for kind in (IMAGE, COMPRESSED_IMAGE)
+        for topic in of_type(bag, kind, name)
+        if name is not None or belongs_to(topic.name, depth.name)
+    ]
+    found.sort(key=lambda topic: not is_called_colour(topic.name))
+    for topic in found:
+        if size_of(bag.messages(topic).message(0)) is not None:
+            return topic
+    if name is not None:
+        raise InputError(f"{bag.path}: no colour images on topic {name}; see bubbleviz info")
+    return None
+
+
+def size_of(message: Any) -> tuple[int, int] | None:
+    """Width and height of a colour or grey image, pixels; None of anything else."""
+    try:
+        return EncodedImage.of(message).size
+    except ValueError:
+        return None
+
+
+def belongs_to(colour: str, depth: str) -> bool:
+    """Whether images on a topic may be of the sensor with depth images on the other.
+
+    Both are in one namespace: `/bubble_1` of `/bubble_1/color/image_raw` and `/bubble_1/depth/…`.
+    """
+    return colour != depth and _namespace(colour, _COLOUR_WORDS) == _namespace(depth, ("depth",))
+
+
+def is_called_colour(topic: str) -> bool:
+    """Whether the name of a topic says that its images are in colour."""
+    return any(word in topic.lower() for word in _COLOUR_WORDS)
+
+
+def _namespace(topic: str, words: tuple[str, ...]) -> str:
+    """What stands before the part with one of the words, or before the last part."""
+    parts = topic.split("/")
+    said = (k for k, part in enumerate(parts) if any(word in part.lower() for word in words))
+    namespace = "/".join(parts[: next(said, len(parts) - 1)])
+    return re.sub(r"/sensor_\d+$", "", namespace)  # two sensors of one RealSense camera
+
+
+def find_camera(bag: Bag, colour: Topic, depth: Topic) -> ColourCamera:
+    """Camera of the colour images: intrinsics of their size that are nearest by name, and pose."""
+    size = size_of(bag.messages(colour).message(0))
+    info, intrinsics = find_intrinsics(bag, colour, size)
+    pose = _relative_pose(bag, colour, depth)
+    return colour_camera(intrinsics, pose, own=is_own(info, colour.name, depth.name))
+
+
+def is_own(info: str, colour: str, depth: str) -> bool:
+    """Whether a camera info is, by its topic, of the colour camera and not of the depth camera."""
+    return info != "" and common_prefix(info, colour) >= common_prefix(info, depth)
+
+
+def colour_camera(
+    intrinsics: Intrinsics | None, T_D_C: np.ndarray | None, *, own: bool
+) -> ColourCamera:
+    """Camera of what is known of it; what is not is said, as intrinsics that are not its own."""
+    remarks = []
+    if intrinsics is None:
+        remarks.append("no camera info of its size")
+    elif not own:
+        remarks.append("no camera info: that of the depth camera counts")
+    if T_D_C is None:
+        remarks.append(f"no pose in {STATIC_TRANSFORMS}: taken to be where the depth camera is")
+    pose = np.eye(4) if T_D_C is None else T_D_C
+    placed = T_D_C is not None
+    return ColourCamera(intrinsics, pose, "; ".join(remarks), own=own, placed=placed)
+
+
+def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
+    """T_D_C (4, 4) by what was recorded of it; None where that does not connect the two."""
+    if any(_REALSENSE_STREAM.fullmatch(topic.name) for topic in (colour, depth)):
+        return _pose_by_extrinsics(bag, colour, depth)
+    poses = StaticPoses()
+    for topic in of_type(bag, TRANSFORMS, STATIC_TRANSFORMS):
+        messages = bag.messages(topic)
+        for k in range(len(messages)):
+            poses = poses.after(messages.message(k))
+    frames = (bag.messages(topic).message(0).header.frame_id for topic in (colour, depth))
+    return poses.pose(*frames)
+
+
+def _pose_by_extrinsics(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
+    """The same of a `.bag` of the RealSense library, whose images name no frame of reference.
+
+    Each stream has the pose of a common reference in its camera.
+    """
+    ours, depths = (_extrinsics(bag, topic) for topic in (colour, depth))
+    for reference in ours.keys() & depths.keys():
+        return np.asarray(depths[reference] @ np.linalg.inv(ours[reference]))
+    return None
+
+
+def _extrinsics(bag: Bag, image: Topic) -> dict[str, np.ndarray]:
+    """Pose (4, 4) of each reference, by its number, in the camera of a stream."""
+    stream = _REALSENSE_STREAM.fullmatch(image.name)
+    prefix = f"{stream[1]}/tf/" if stream else "\0"
+    return {
+        topic.name.removeprefix(prefix): pose_of(bag.messages(topic).message(0))
+        for topic in of_type(bag, TRANSFORM)
+        if topic.name.startswith(prefix)
+    }

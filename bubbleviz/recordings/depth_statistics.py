@@ -1,0 +1,340 @@
+"""What contact-free depth frames say about every pixel: how often, how far, how noisy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.recordings.frame import Frame
+
+# Correlation of depth noise in time and space: cameras filter, so their noise is not white.
+
+
+def temporal_correlation(deviations: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Correlation of the pixels' noise at lags of 0, 1, … frames, up to where it is gone.
+
+    Deviations from a mean over the same correlated frames are too small and too little
+    correlated: the variance of that mean is missing from every covariance, and is put back.
+
+    Parameters
+    ----------
+    deviations : (F, H, W) array
+        Samples minus the pixel's mean, m; NaN where there is none.
+    sigma : (H, W) array
+        Spread of the same deviations, m; pixels with 0 or NaN are left out.
+    """
+    frames = len(deviations)
+    noise = _standardised(deviations, sigma)[:, ~np.isnan(deviations).any(axis=0) & (sigma > 0)]
+    if noise.shape[1] == 0:
+        return np.ones(1)
+    lags = range(max(1, frames // 2))
+    measured = np.array([np.mean(noise[: frames - k] * noise[k:]) for k in lags])
+    measured /= measured[0]
+    # Cut before correcting: the corrected tail hovers about zero and would sum to anything.
+    measured = measured[: _first_not_positive(measured)]
+    missing = mean_inflation(measured) / frames
+    return (measured + missing) / (1.0 + missing)
+
+
+def mean_inflation(rho: np.ndarray) -> float:
+    """Variance of a mean over that of the same mean of white noise: 1 + 2 Σ ρ ≥ 1.
+
+    Summed up to the first lag that is not positive, beyond which an estimate is only noise.
+    """
+    return 1.0 + 2.0 * float(np.sum(rho[1 : _first_not_positive(rho)]))
+
+
+def error_of_mean(series: np.ndarray) -> float:
+    """Standard error of the mean of a series (F,) whose values are correlated."""
+    centred = series - series.mean()
+    power = float(np.mean(centred**2))
+    if power == 0.0:
+        return 0.0
+    lags = range(max(1, len(series) // 2))
+    rho = np.array([np.mean(centred[lag:] * centred[: len(series) - lag]) / power for lag in lags])
+    return float(np.sqrt(power * mean_inflation(rho) / len(series)))
+
+
+def spatial_correlation(
+    deviations: np.ndarray, sigma: np.ndarray, stride: int = 1, reach: int = 32
+) -> np.ndarray:
+    """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns.
+
+    Parameters
+    ----------
+    deviations : (F, H, W) array
+        Samples minus the pixel's mean, m; NaN where there is none.
+    sigma : (H, W) array
+        Spread of the same deviations, m.
+    stride : int
+        Every how many-th frame to use (neighbours in time say the same).
+    reach : int
+        Largest distance, pixels; less where the image is small.
+    """
+    noise = _standardised(deviations[::stride], sigma)
+    used = np.isfinite(noise)
+    noise = np.where(used, noise, np.float32(0.0))
+    weight = used.astype(np.float32)
+    reach = min(reach, min(noise.shape[1:]) // 2)
+    rho = np.ones(reach + 1)
+    power = float(np.sum(noise**2, dtype=np.float64) / max(1.0, np.sum(weight, dtype=np.float64)))
+    for k in range(1, reach + 1):
+        product = pairs = 0.0
+        for a, b in (
+            (np.s_[:, :, k:], np.s_[:, :, :-k]),
+            (np.s_[:, k:, :], np.s_[:, :-k, :]),
+        ):
+            product += float(np.vdot(noise[a], noise[b]))
+            pairs += float(np.vdot(weight[a], weight[b]))
+        rho[k] = product / max(pairs, 1.0) / power if power > 0.0 else 0.0
+    return rho
+
+
+def correlated_samples(rho: np.ndarray) -> float:
+    """Samples of a plane worth one independent: the spatial correlation (M,) summed over it."""
+    distance = np.arange(1, _first_not_positive(rho))
+    return 1.0 + float(np.sum(2.0 * np.pi * distance * rho[distance]))
+
+
+def _standardised(deviations: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Deviations in units of each pixel's own spread, so that unstable pixels do not dominate."""
+    scale = np.where(sigma > 0.0, sigma, np.nan).astype(np.float32)
+    return deviations / scale
+
+
+def _first_not_positive(rho: np.ndarray) -> int:
+    stop = np.flatnonzero(rho <= 0.0)
+    return int(stop[0]) if len(stop) else len(rho)
+
+
+# Robust statistics: location, scale and weights.
+
+
+MAD_TO_SIGMA = 1.482602218505602
+"""1/Φ⁻¹(3/4): standard deviation per median absolute deviation of a normal distribution."""
+
+TUKEY_TUNING = 4.685
+"""Tuning of Tukey's biweight at which it is 95 % efficient on normal residuals."""
+
+
+def robust_sigma(residuals: np.ndarray, center: float | None = None) -> float:
+    """Standard deviation estimated from the median absolute deviation, in the input's unit.
+
+    Parameters
+    ----------
+    residuals : array
+        Any shape; NaN is left out.
+    center : float, optional
+        What deviations are taken from; the median where it is not given.
+    """
+    values = residuals[np.isfinite(residuals)]
+    if values.size == 0:
+        return float("nan")
+    middle = float(np.median(values)) if center is None else center
+    return MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
+
+
+def tukey_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
+    """Weights in 0 … 1 of Tukey's biweight: 0 beyond 4.685 σ, and where NaN."""
+    scaled = residuals / max(TUKEY_TUNING * sigma, np.finfo(float).tiny)
+    return np.where(np.abs(scaled) < 1.0, (1.0 - scaled**2) ** 2, 0.0)
+
+
+def tukey_slopes(residuals: np.ndarray, sigma: float) -> np.ndarray:
+    """Derivative of residual × weight of Tukey's biweight: what a sample's shift moves it by."""
+    square = (residuals / max(TUKEY_TUNING * sigma, np.finfo(float).tiny)) ** 2
+    return np.where(square < 1.0, (1.0 - square) * (1.0 - 5.0 * square), 0.0)
+
+
+def cauchy_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
+    """Weights in 0 … 1 of Cauchy's loss, which leads from far away: none are 0."""
+    return 1.0 / (1.0 + (residuals / max(sigma, np.finfo(float).tiny)) ** 2)
+
+
+def upper_fence(values: np.ndarray, deviations: float) -> float:
+    """Value that so many robust standard deviations above the median of log(values) give.
+
+    For positive, skewed quantities such as a standard deviation over the pixels of an image.
+    """
+    logs = np.log(values[np.isfinite(values) & (values > 0.0)])
+    if logs.size == 0:
+        return float("inf")
+    return float(np.exp(np.median(logs) + deviations * robust_sigma(logs)))
+
+
+MIN_FRAMES = 5
+"""Frames below which neither a median nor a spread per pixel means anything."""
+
+_CLIP_SIGMA = 3.0  # samples further from the median than this are not noise of the same kind
+
+
+@dataclass(frozen=True)
+class DepthStatistics:
+    """Statistics over contact-free frames, per pixel of an H×W image.
+
+    Attributes
+    ----------
+    frames : int
+        Frames F they come from.
+    validity : (H, W) float32 array
+        Share of the frames in which the pixel has a return, 0 … 1.
+    range_m : (H, W) float64 array
+        Mean range along the ray after clipping at 3 σ around the median, m; NaN: no return.
+    noise_m : (H, W) float32 array
+        Standard deviation σ of one frame's range, clipped likewise, corrected for temporal
+        correlation, at least the quantisation's q/√12, m; NaN: no return.
+    quantum_m : float
+        Step q of the z-depth, m; 0 where it is continuous.
+    temporal_correlation : (L,) array
+        Correlation of a pixel's noise at lags 0, 1, … frames.
+    spatial_correlation : (M,) array
+        Correlation of one frame's noise at distances 0, 1, … pixels.
+    """
+
+    frames: int
+    validity: np.ndarray
+    range_m: np.ndarray
+    noise_m: np.ndarray
+    quantum_m: float
+    temporal_correlation: np.ndarray
+    spatial_correlation: np.ndarray
+
+    @property
+    def effective_frames(self) -> float:
+        """Independent frames that would give the mean as small a variance."""
+        return self.frames / mean_inflation(self.temporal_correlation)
+
+    @property
+    def regular_validity(self) -> float:
+        """Share of frames with a return below which a pixel is worse than its like.
+
+        Nine tenths of what is usual, less what chance takes from so few frames.
+        """
+        returning = self.validity[self.validity > 0.5]
+        usual = float(np.median(returning)) if returning.size else 1.0
+        chance = np.sqrt(usual * (1.0 - usual) / self.frames)
+        return max(0.9 * usual - 3.0 * chance, 0.5 * usual)
+
+    @property
+    def correlation_length_px(self) -> float:
+        """Distance at which the spatial correlation has fallen to 1/e, in pixels.
+
+        The reach of the camera's matching window and filters: what is closer to an edge than
+        this mixes both sides of it.
+        """
+        rho = self.spatial_correlation
+        below = np.flatnonzero(rho < np.exp(-1.0))
+        if not len(below):
+            return float(len(rho) - 1)
+        k = int(below[0])
+        return k - 1 + float((rho[k - 1] - np.exp(-1.0)) / (rho[k - 1] - rho[k]))
+
+    @property
+    def correlated_pixels(self) -> float:
+        """Pixels that share one independent sample: the correlation summed over the plane."""
+        return correlated_samples(self.spatial_correlation)
+
+
+def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:
+    """Depth images as one (F, H, W) float32 array in m, NaN for no return."""
+    stack: np.ndarray
+    if isinstance(frames, np.ndarray):
+        stack = np.asarray(frames, np.float32)
+    else:
+        images = [frame.depth_m for frame in frames]
+        if len({image.shape for image in images}) > 1:
+            raise InputError("depth frames: sizes differ; give frames of one camera and mode")
+        stack = np.stack(images).astype(np.float32, copy=False) if images else np.empty((0, 0, 0))
+    if stack.ndim != 3 or len(stack) < MIN_FRAMES:
+        raise InputError(
+            f"depth frames: {len(stack)} contact-free frames; give at least {MIN_FRAMES}"
+        )
+    return stack
+
+
+def measure_depth(
+    frames: Iterable[Frame] | np.ndarray, range_per_depth: np.ndarray
+) -> DepthStatistics:
+    """Measure every pixel over contact-free frames.
+
+    Parameters
+    ----------
+    frames : iterable of Frame, or (F, H, W) array
+        z-depth in m, NaN for no return.
+    range_per_depth : (H, W) array
+        Range along the ray per z-depth (`DepthCamera.range_per_depth`).
+
+    Raises
+    ------
+    InputError
+        Fewer than 5 frames, sizes that differ, or no return at all.
+    """
+    depth = stack_depth(frames)
+    if depth.shape[1:] != range_per_depth.shape:
+        raise InputError(
+            f"depth frames: {depth.shape[2]}×{depth.shape[1]} pixels but the camera has"
+            f" {range_per_depth.shape[1]}×{range_per_depth.shape[0]}; use its own sensor file"
+        )
+    valid = np.isfinite(depth)
+    if not valid.any():
+        raise InputError("depth frames: no pixel has a return; check the camera")
+    quantum = _quantum(depth)
+    mean, sigma, deviations = _clipped_moments(depth, quantum)
+    temporal = temporal_correlation(deviations, sigma)
+    share = 1.0 - mean_inflation(temporal) / len(depth)  # spread lost to the mean it is taken from
+    noise = np.sqrt(sigma**2 / max(share, 1.0 / len(depth)) + quantum**2 / 12.0)
+    spatial = spatial_correlation(deviations, sigma, stride=max(1, len(depth) // 20))
+    return DepthStatistics(
+        frames=len(depth),
+        validity=valid.mean(axis=0, dtype=np.float32),
+        range_m=mean * range_per_depth,
+        noise_m=(noise * range_per_depth).astype(np.float32),
+        quantum_m=quantum,
+        temporal_correlation=temporal,
+        spatial_correlation=spatial,
+    )
+
+
+def _quantum(depth: np.ndarray) -> float:
+    """Step between the distinct depths of a frame; 0 for a continuous measurement."""
+    image = depth[0]
+    levels = np.unique(image[np.isfinite(image)])
+    if len(levels) < 2:
+        return 0.0
+    # As many levels as pixels: continuous. A quantised image repeats each level many times.
+    if len(levels) > 0.5 * np.count_nonzero(np.isfinite(image)):
+        return 0.0
+    return float(np.median(np.diff(levels.astype(np.float64))))
+
+
+def _clipped_moments(
+    depth: np.ndarray, quantum: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean and spread of the samples near each pixel's median, and the deviations kept.
+
+    The median alone would keep the quantisation's error; the mean alone, the outliers.
+    """
+    counts = np.isfinite(depth).sum(axis=0)
+    median = _median(depth, counts)
+    deviations = depth - median
+    spread = MAD_TO_SIGMA * _median(np.abs(deviations), counts)
+    deviations[np.abs(deviations) > _CLIP_SIGMA * np.maximum(spread, quantum)] = np.nan
+    kept = np.isfinite(deviations)
+    number = np.maximum(kept.sum(axis=0), 1)
+    shift = np.sum(deviations, axis=0, where=kept, dtype=np.float64) / number
+    deviations -= shift.astype(np.float32)
+    variance = np.sum(deviations**2, axis=0, where=kept, dtype=np.float64) / number
+    mean = np.where(counts > 0, median.astype(np.float64) + shift, np.nan)
+    return mean, np.where(counts > 0, np.sqrt(variance), np.nan), deviations
+
+
+def _median(stack: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Median over the first axis of the finite samples (NaN sorts last), float32."""
+    ordered = np.sort(stack, axis=0)
+    low = np.maximum(counts - 1, 0) // 2
+    high = np.minimum(counts // 2, len(stack) - 1)
+    pick = [np.take_along_axis(ordered, k[None], axis=0)[0] for k in (low, high)]
+    return 0.5 * (pick[0] + pick[1])

@@ -1,0 +1,135 @@
+"""Which topics of a recording hold the depth images and what belongs to them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from bubbleviz.camera import Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.recordings.bag import Bag, Topic, damage
+from bubbleviz.recordings.message_decoding import (
+    COMPRESSED,
+    DEPTH_ENCODINGS,
+    REALSENSE_ENCODING,
+    decode_intrinsics,
+)
+
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+PRESSURE = "sensor_msgs/msg/FluidPressure"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+RESULTS = "/bubbleviz/"
+"""What the topics of our own results begin with: no measurement, though of the same types."""
+MARKERS = f"{RESULTS}markers"
+"""Topic of markers and notes, `STRING`, logged when they were made."""
+STRING = "std_msgs/msg/String"
+
+
+_REALSENSE_DEPTH = re.compile(r"(/device_\d+/sensor_\d+)/Depth_\d+/image/data")
+"""Topic of depth images in a file of the RealSense library."""
+
+
+def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
+    """Unit of the depth images that the RealSense library recorded; None for those of others."""
+    found = _REALSENSE_DEPTH.fullmatch(depth.name)
+    if found is None:
+        return None
+    name = f"{found[1]}/option/Depth_Units/value"
+    for topic in bag.topics:
+        if topic.name.replace(" ", "_") == name and topic.count:  # older libraries wrote a space
+            return float(bag.messages(topic).message(0).data)
+    return 1e-3  # what every model but the D405 begins with
+
+
+def find_depth(bag: Bag, name: str | None = None) -> Topic:
+    """Topic of the depth images: `name`, or the first image topic with a depth encoding.
+
+    A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Where none has
+    depth, compressed depth images are, and point clouds after them.
+    """
+    candidates = of_type(bag, IMAGE, name)
+    candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
+    encodings = {topic.name: bag.messages(topic).message(0).encoding for topic in candidates}
+    for topic in candidates:
+        encoding = encodings[topic.name]
+        realsense = encoding == REALSENSE_ENCODING and _REALSENSE_DEPTH.fullmatch(topic.name)
+        if encoding in DEPTH_ENCODINGS or realsense:
+            return topic
+    for topic in of_type(bag, COMPRESSED_IMAGE, name):
+        if COMPRESSED in bag.messages(topic).message(0).format:
+            return topic
+    clouds = of_type(bag, POINT_CLOUD, name)
+    if clouds:
+        return clouds[0]
+    if candidates:
+        first = candidates[0].name
+        raise InputError(
+            f"{bag.path}: no depth image: {first} has encoding {encodings[first][:40]!r}; "
+            f"record depth with {' or '.join(DEPTH_ENCODINGS)}"
+        )
+    raise InputError(
+        f"{bag.path}: no depth image topic ({IMAGE}); record the depth camera"
+        if name is None
+        else f"{bag.path}: no depth images on topic {name}; see bubbleviz info"
+    )
+
+
+def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
+    """Topics of a message type that have messages, all or the one of that name."""
+    return [
+        topic
+        for topic in bag.topics
+        if topic.type == kind
+        and topic.count
+        and (topic.name == name or (name is None and not topic.name.startswith(RESULTS)))
+    ]
+
+
+def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") -> Topic | None:
+    """Topic of a message type, that nearest to `near` by name.
+
+    None where there is none, InputError where `name` is not one.
+    """
+    topics = of_type(bag, kind, name)
+    topics.sort(key=lambda topic: common_prefix(topic.name, near), reverse=True)
+    if name is not None and not topics:
+        raise InputError(f"{bag.path}: no {kind} on topic {name}; see bubbleviz info")
+    return topics[0] if topics else None
+
+
+def find_intrinsics(
+    bag: Bag, images: Topic, size: tuple[int, int] | None, name: str | None = None
+) -> tuple[str, Intrinsics | None]:
+    """Topic and intrinsics of the CameraInfo beside images that has their size (width, height).
+
+    An empty topic where the recording has no CameraInfo for this camera.
+    """
+    if name is not None:
+        first_of_type(bag, CAMERA_INFO, name)
+    infos = {t.name: bag.messages(t).message(0) for t in of_type(bag, CAMERA_INFO, name)}
+    found = nearest_info(infos, images.name, size)
+    if not found:
+        return "", None
+    with damage(bag.path, f"the camera info on {found}"):
+        return found, decode_intrinsics(infos[found])
+
+
+def nearest_info(infos: Mapping[str, Any], images: str, size: tuple[int, int] | None) -> str:
+    """Topic, of camera infos or intrinsics by topic, that is nearest to one of images by name.
+
+    Empty where none is of the size of the images.
+    """
+    fitting = [topic for topic, info in infos.items() if (info.width, info.height) == size]
+    return max(fitting, key=lambda topic: common_prefix(topic, images), default="")
+
+
+def common_prefix(a: str, b: str) -> int:
+    """Number of name parts that two topics share from the left."""
+    parts = zip(a.split("/"), b.split("/"), strict=False)
+    return next((k for k, (x, y) in enumerate(parts) if x != y), 99)

@@ -1,0 +1,248 @@
+"""One frame of one sensor, from any source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from bubbleviz.camera import ColourImage, Intrinsics
+
+NO_COLOUR = "no colour images in this source"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A depth image and what was measured with it.
+
+    Attributes
+    ----------
+    index : int
+        Index in the recording, or count since a live source started.
+    time_s : float
+        Seconds from the start of the recording.
+    depth_m : (H, W) float32 array
+        z-depth in metres; NaN where there is no return.
+    intrinsics : Intrinsics or None
+        From the recording's CameraInfo, which wins over the sensor file's.
+    gas_pressure_pa : float or None
+        Absolute gas pressure at the frame's time, in Pa.
+    wrench : (6,) array or None
+        Force in N and torque in N·m as recorded, in the wrench sensor's own axes.
+    stamp_ns : int
+        The message's own time stamp.
+    arrival_ns : int
+        When a live frame arrived here, ns since 1970; 0 for a recording's.
+    find_colour : callable or None
+        Finds the colour image whose stamp is nearest to this frame's plus a time in s; nothing is
+        read before it is asked for.
+    colour_delay_s : float
+        Stamp of a colour image minus that of the depth image of the same moment, s: negative where
+        colour leads depth. Live streams and `Pipeline` set the sensor's; else 0.
+    no_colour : str
+        Why there is no `find_colour`, in a few words.
+    gas_sigma_pa : float
+        Standard deviation of the zero of the gas pressure, Pa: the weather's where that of the
+        sensor file's day is not known to hold, see `PressureZero`.
+    """
+
+    index: int
+    time_s: float
+    depth_m: np.ndarray
+    intrinsics: Intrinsics | None = None
+    gas_pressure_pa: float | None = None
+    wrench: np.ndarray | None = None
+    stamp_ns: int = 0
+    arrival_ns: int = 0
+    find_colour: Callable[[float], ColourImage | None] | None = None
+    colour_delay_s: float = 0.0
+    no_colour: str = NO_COLOUR
+    gas_sigma_pa: float = 0.0
+
+    @property
+    def colour(self) -> ColourImage | None:
+        """Colour image of the moment of the depth image, by `colour_delay_s`; None without one."""
+        return None if self.find_colour is None else self.find_colour(self.colour_delay_s)
+
+
+# Interface of the frame sources.
+
+
+class FrameSource(Protocol):
+    """Frames by index: a recording, or a simulation that makes them when asked.
+
+    Attributes
+    ----------
+    name : str
+        What the window's title shows.
+    """
+
+    name: str
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of each frame from the start, s, (F,)."""
+
+    def __len__(self) -> int:
+        """Count the frames."""
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
+
+    def close(self) -> None:
+        """Let go of files."""
+
+
+def shown_name(source: FrameSource) -> str:
+    """What messages call a source: the path of a file, else its name."""
+    return str(getattr(source, "path", None) or source.name)
+
+
+# A source that is gone over several times, read once.
+
+
+KEPT_BYTES = 512 << 20
+"""Depth images kept: 436 of 640×480 pixels."""
+
+
+class KeptFrames:
+    """Keeps the frames of a source as they are read, until memory is used up.
+
+    The first frames are kept, as several steps of a calibration look at those without contact;
+    frames beyond are read again.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Not closed with this.
+    limit_bytes : int
+        Of depth images.
+
+    Attributes
+    ----------
+    name : str
+    path : Path or None
+        Of the source, where it is a file.
+    """
+
+    def __init__(self, source: FrameSource, limit_bytes: int = KEPT_BYTES) -> None:
+        self._source, self._limit, self._left = source, limit_bytes, limit_bytes
+        self._frames: dict[int, Frame] = {}
+        self.name = source.name
+        self.path: Path | None = getattr(source, "path", None)
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of each frame from the start, s, (F,)."""
+        return self._source.times_s
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; errors as of the source."""
+        if index in self._frames:
+            return self._frames[index]
+        frame = self._source[index]
+        if frame.depth_m.nbytes <= self._left:
+            self._left -= frame.depth_m.nbytes
+            self._frames[index] = frame
+        return frame
+
+    def close(self) -> None:
+        """Forget the frames."""
+        self._frames.clear()
+        self._left = self._limit
+
+
+# Where frames are missing in a recording, and where the others lie along its time.
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Missing frames.
+
+    Attributes
+    ----------
+    after_frame : int
+        Index of the last frame before the gap.
+    missing : int
+        Number of frames missing there.
+    duration_s : float
+        Time between the frames on either side, s.
+    """
+
+    after_frame: int
+    missing: int
+    duration_s: float
+
+
+def find_gaps(times_s: np.ndarray) -> tuple[Gap, ...]:
+    """Gaps between consecutive frames.
+
+    A step of about n + 1 periods misses n frames. A late frame is not a missing one: the steps
+    beside it are short by as much, so two on either side count, less their whole periods.
+
+    Parameters
+    ----------
+    times_s : (F,) array
+        Time of each frame, s, not falling.
+    """
+    steps = np.diff(times_s)
+    median = usual_step(steps)
+    if median is None:
+        return ()
+    # unlike the median, the mean of the single steps is not biased by lateness
+    period = steps[(steps > 0) & (steps < 1.5 * median)].mean()
+    excess = steps / period - 1.0
+    fraction = excess - np.maximum(np.rint(excess), 0.0)
+    beside = np.convolve(fraction, [1, 1, 0, 1, 1])[2 : 2 + len(steps)]
+    missing = np.where(excess > 0.25, np.rint(excess + beside), 0).astype(np.int64)
+    return tuple(Gap(int(k), int(missing[k]), float(steps[k])) for k in np.flatnonzero(missing > 0))
+
+
+def usual_step(steps: np.ndarray) -> float | None:
+    """Median of the positive time steps, s; None without one."""
+    steps = steps[steps > 0]
+    return float(np.median(steps)) if len(steps) else None
+
+
+class TimeAxis:
+    """Places of frames from 0 to 1, linear in their times.
+
+    Where time does not go on, as in a replay that began again, a frame follows after a usual step.
+
+    Parameters
+    ----------
+    times_s : (F,) array
+        Time of each frame, s.
+
+    Attributes
+    ----------
+    places : (F,) array
+        Place of each frame.
+    span_s : float
+        Time from the first frame to the last, s.
+    step : float
+        Usual distance of one frame from the next.
+    """
+
+    def __init__(self, times_s: np.ndarray) -> None:
+        steps = np.diff(times_s)
+        usual_s = usual_step(steps) or 1.0
+        after_s = np.zeros(len(times_s))
+        np.cumsum(np.where(steps > 0, steps, usual_s), out=after_s[1:])
+        self.span_s = float(after_s.max(initial=0.0))
+        self.places = after_s / (self.span_s or 1.0)
+        self.step = usual_s / (self.span_s or 1.0)
+        self._between = 0.5 * (self.places[1:] + self.places[:-1])
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def nearest(self, places: np.ndarray | float) -> np.ndarray:
+        """Frames nearest to places, of any shape."""
+        return np.searchsorted(self._between, places)

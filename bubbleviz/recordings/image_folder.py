@@ -1,0 +1,359 @@
+"""Depth images of a folder as frames: arrays of depth or of points, 16-bit PNG and TIFF."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+from pydantic import BaseModel, PositiveFloat, PositiveInt
+
+from bubbleviz.camera import ColourImage, DistortionModel, EncodedImage, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.files import checked, read_toml
+from bubbleviz.recordings.colour_topics import colour_camera
+from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
+from bubbleviz.recordings.frame import Frame, usual_step
+from bubbleviz.recordings.message_decoding import project_points
+from bubbleviz.recordings.recorded_colour import ColourAround
+from bubbleviz.recordings.time_series import Moment, Series, values_at
+from bubbleviz.wording import count_of
+
+SUFFIXES = (".npy", ".png", ".tif", ".tiff")
+INTRINSICS = ("intrinsics.toml", "intrinsics.json")
+"""Where those of the images in a folder are looked for in it."""
+NEAREST_M, FARTHEST_M = 1e-3, 10.0
+"""Median depth that a camera inside a bubble can have, with ample room: else the unit is wrong."""
+LEAST_PA, MOST_PA = 20e3, 1e6
+"""Absolute gas pressure that a bubble can have: else it is of another unit, or a gauge pressure."""
+FOLDERS = ("color", "colour", "rgb")
+"""What a folder of colour images beside depth images is called."""
+_COLOUR_ENCODINGS = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
+_MILLIMETRE = 1e-3
+_NANOSECONDS = 1e17
+"""Stamps beyond it are in ns since 1970, below it in s."""
+
+
+class ImageFolder:
+    """Frames of the images in a folder, in the order of the numbers in their names.
+
+    Those of a folder `color` (`colour`, `rgb`) in it, JPEG or PNG, are the colour images of the
+    depth images with the same last number; `intrinsics.toml` or `.json` there is of their camera.
+
+    Parameters
+    ----------
+    folder : path-like
+    intrinsics : Intrinsics, optional
+        None: the sensor file's will count.
+    times_s : (F,) array, optional
+        On the clock of what else was measured.
+    rate_hz : float, optional
+        In place of times. Without either the names are stamps, in s or ns.
+    metres_per_unit : float, optional
+        Of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given.
+    gas_pressure, wrench : Series, optional
+        Absolute gas pressure in Pa, (1,); force in N and torque in N·m, (6,); on the same clock.
+
+    Attributes
+    ----------
+    whole_millimetres : bool
+        Whether whole numbers of mm hold the depths.
+
+    Raises
+    ------
+    InputError
+        No images, or images and times do not fit together.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        intrinsics: Intrinsics | None = None,
+        times_s: np.ndarray | None = None,
+        rate_hz: float | None = None,
+        metres_per_unit: float | None = None,
+        gas_pressure: Series[np.ndarray] | None = None,
+        wrench: Series[np.ndarray] | None = None,
+    ) -> None:
+        self.path = Path(folder)
+        self.name = self.path.name
+        self._intrinsics, self._scale = intrinsics, metres_per_unit
+        given = {PRESSURE: gas_pressure, WRENCH: wrench}
+        self._series = {kind: each for kind, each in given.items() if each is not None}
+        found = [path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES]
+        if not found:
+            raise InputError(f"{folder}: no images; put {', '.join(SUFFIXES)} files there")
+        self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
+        if times_s is not None:
+            stamps = times_s
+        elif rate_hz is not None:
+            stamps = np.arange(len(found)) / rate_hz
+        else:
+            stamps = self._stamps()
+        if len(stamps) != len(self._files):
+            images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
+            raise InputError(f"{folder}: {images} but {times}")
+        if np.any(np.diff(stamps) <= 0.0):
+            late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
+            raise InputError(f"{folder}: the time of image {late} is not after the one before")
+        self._clock_s = np.asarray(stamps, dtype=np.float64)
+        self.times_s = self._clock_s - self._clock_s[0]
+        self._colour = self._find_colour()
+        first = self._pixels(self._files[0])
+        self._shape = first.shape
+        self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
+        self._check()
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
+        time_s, stamp_ns = float(self.times_s[index]), self._stamp_ns(index)
+        moment = Moment(stamp_ns, stamp_ns)
+        colour = None
+        if self._colour is not None:
+            half_ns = round(0.5e9 * (usual_step(np.diff(self.times_s)) or 0.0))
+            colour = ColourAround(self._colour, moment, time_s, half_ns)
+        return Frame(
+            index=index,
+            time_s=time_s,
+            depth_m=self._depth(self._files[index]),
+            intrinsics=self._intrinsics,
+            stamp_ns=stamp_ns,
+            find_colour=colour,
+            **values_at(self._series, moment),
+        )
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+    def _stamp_ns(self, index: int) -> int:
+        return round(float(self._clock_s[index]) * 1e9)
+
+    def _find_colour(self) -> Series[ColourImage] | None:
+        """Those of the same numbers in a folder inside this one."""
+        folder = next((self.path / name for name in FOLDERS if (self.path / name).is_dir()), None)
+        if folder is None:
+            return None
+        told = next((path for name in INTRINSICS if (path := folder / name).is_file()), None)
+        intrinsics = None if told is None else read_intrinsics(told)
+        camera = colour_camera(intrinsics, None, own=told is not None)
+        files: dict[float | None, Path] = {}
+        for path in sorted(folder.iterdir()):
+            number = _number(path.stem)
+            if path.suffix.lower() not in _COLOUR_ENCODINGS or number is None:
+                continue
+            if number in files:
+                raise InputError(f"{path}: has the number of {files[number].name}; leave one")
+            files[number] = path
+        numbers = [_number(path.stem) for path in self._files]
+        frames = [k for k, number in enumerate(numbers) if number in files]
+        if not frames:
+            raise InputError(
+                f"{folder}: no JPEG or PNG image has the number of a depth image in its name; "
+                "name them as those, or take the folder away"
+            )
+        stamps = [self._stamp_ns(k) for k in frames]
+
+        def image(k: int) -> ColourImage:
+            read = partial(_read_colour, files[numbers[frames[k]]])
+            return ColourImage(read, stamps[k], camera=camera)
+
+        return Series(stamps, image)
+
+    def _depth(self, path: Path) -> np.ndarray:
+        pixels = self._pixels(path)
+        if pixels.shape != self._shape:
+            raise InputError(
+                f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}"
+            )
+        usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
+        depth = (pixels * (self._scale or usual)).astype(np.float32)
+        if (depth < 0).sum() > (depth > 0).sum():
+            raise InputError(f"{path}: most depths are negative; turn their sign, z points forward")
+        depth[~((depth > 0) & (depth < np.inf))] = np.nan
+        return depth
+
+    def _pixels(self, path: Path) -> np.ndarray:
+        """Pixels (H, W) of a file; of points (H, W, 3) their z, points (n, 3) are projected."""
+        pixels = _read(path)
+        if pixels.ndim == 3 and pixels.shape[2] == 3 and pixels.dtype.kind == "f":
+            return pixels[:, :, 2]
+        if pixels.ndim == 2 and pixels.shape[1] == 3 and pixels.dtype.kind == "f":
+            if self._intrinsics is None:
+                raise InputError(f"{path}: points become an image by the camera's intrinsics only")
+            return project_points(pixels.astype(np.float64), self._intrinsics)
+        if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
+            raise InputError(
+                f"{path}: {pixels.shape} of {pixels.dtype} is no depth image; wants one channel of "
+                "16-bit or floating-point numbers, or points of three"
+            )
+        return pixels
+
+    def _check(self) -> None:
+        camera = self._intrinsics
+        if camera is not None and (camera.height, camera.width) != self._shape:
+            raise InputError(
+                f"{self._files[0]}: {_size(self._shape)} pixels, the intrinsics are of "
+                f"{camera.width}×{camera.height}"
+            )
+        depth = self._depth(self._files[0])
+        returns = depth[np.isfinite(depth)]
+        middle = float(np.median(returns)) if returns.size else NEAREST_M
+        if not NEAREST_M <= middle <= FARTHEST_M:
+            raise InputError(
+                f"{self._files[0]}: a median depth of {middle:.4g} m is no bubble's; "
+                "give the metres per unit of its values"
+            )
+
+    def _stamps(self) -> np.ndarray:
+        """Times from the names, s."""
+        numbers = [_numbers(path.stem) for path in self._files]
+        last = np.array([each[-1] if each else np.nan for each in numbers])
+        if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
+            raise InputError(
+                f"{self.path}: the images' names are no times; give a rate, or their times in a"
+                " times.csv in the folder"
+            )
+        if last[0] < _NANOSECONDS:
+            return last
+        # whole ns do not fit a float: from the first on they do
+        exact = [int(re.findall(r"\d+", path.stem)[-1]) for path in self._files]
+        return 1e-9 * exact[0] + 1e-9 * np.array([value - exact[0] for value in exact])
+
+
+def is_image_folder(path: str | Path) -> bool:
+    """Whether a path is a folder with images in it, which can be listed."""
+    path = Path(path)
+    try:
+        return path.is_dir() and any(each.suffix.lower() in SUFFIXES for each in path.iterdir())
+    except OSError:
+        return False
+
+
+def read_intrinsics(path: str | Path) -> Intrinsics:
+    """Intrinsics from TOML or JSON, in a table `camera` or not, with the keys of a sensor file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or lacks a number; says which.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        try:
+            table = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: not a readable JSON file ({error}); correct it") from error
+    else:
+        table = read_toml(path)
+    camera = table.get("camera", table) if isinstance(table, dict) else table
+    return Intrinsics(**checked(_Camera, camera, path, "intrinsics").model_dump())
+
+
+def read_times(path: str | Path) -> np.ndarray:
+    """Times of the images, (F,), s: the first column of a CSV."""
+    return _columns(path, 1)[:, 0]
+
+
+def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
+    """Absolute gas pressure over time: a CSV of time in s and pressure in Pa.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or its numbers are no absolute pressure in Pa.
+    """
+    table = _columns(path, 2)
+    usual = float(np.median(table[:, 1]))
+    if not LEAST_PA <= usual <= MOST_PA:
+        raise InputError(
+            f"{path}: {usual:.5g} Pa is no absolute gas pressure of a bubble; convert it to "
+            "absolute Pa"
+        )
+    return _measured(path, table)
+
+
+def read_wrench(path: str | Path) -> Series[np.ndarray]:
+    """Force and torque over time: a CSV of time in s, three forces in N, three torques in N·m."""
+    return _measured(path, _columns(path, 7))
+
+
+class _Camera(BaseModel):
+    width: PositiveInt
+    height: PositiveInt
+    fx: PositiveFloat
+    fy: PositiveFloat
+    cx: float
+    cy: float
+    distortion_model: DistortionModel = "none"
+    distortion: tuple[float, ...] = ()
+
+
+def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
+    if np.any(np.diff(table[:, 0]) <= 0.0):
+        raise InputError(f"{path}: the times do not rise")
+    return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
+
+
+def _columns(path: str | Path, count: int) -> np.ndarray:
+    """First columns of a CSV with or without a header, (n, count)."""
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+        if rows and not _is_number(rows[0][0]):
+            rows = rows[1:]
+        table = np.array([[float(value) for value in row[:count]] for row in rows])
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as a CSV of numbers: {error}") from error
+    if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
+        raise InputError(f"{path}: wants rows of {count} finite numbers, separated by commas")
+    return table
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(stem: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in re.findall(r"\d+(?:\.\d+)?", stem))
+
+
+def _number(stem: str) -> float | None:
+    """The number of an image, the last one in its name."""
+    return next(reversed(_numbers(stem)), None)
+
+
+def _size(shape: Sequence[int]) -> str:
+    return f"{shape[1]}×{shape[0]}"
+
+
+def _read(path: Path) -> np.ndarray:
+    """Array of an image file."""
+    try:
+        if path.suffix.lower() == ".npy":
+            return np.asarray(np.load(path, allow_pickle=False))
+        with Image.open(path) as image:
+            return np.asarray(image)
+    except (OSError, ValueError, EOFError, UnidentifiedImageError) as error:
+        raise InputError(f"{path}: cannot be read as an image: {error}") from error
+
+
+def _read_colour(path: Path) -> EncodedImage:
+    try:
+        return EncodedImage(_COLOUR_ENCODINGS[path.suffix.lower()], path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error

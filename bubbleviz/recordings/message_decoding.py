@@ -1,0 +1,254 @@
+"""Messages to arrays: depth images in metres, intrinsics, and time stamps."""
+
+from __future__ import annotations
+
+import io
+import struct
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.camera import MAX_SIDE, DistortionModel, Intrinsics, check_rows
+
+DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
+    "16UC1": np.dtype(np.uint16),
+    "32FC1": np.dtype(np.float32),
+}
+"""Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
+COMPRESSED = "compressedDepth"
+"""What the format of a `sensor_msgs/CompressedImage` of depth says, and its topic ends with."""
+REALSENSE_ENCODING = "mono16"
+"""Of the depth images that the RealSense library records, in units of the device."""
+
+_CONFIGURATION = struct.Struct("<iff")
+"""Of a compressed depth image: its kind of compression, A and B."""
+
+_MODELS: dict[str, DistortionModel] = {
+    "": "none",
+    "none": "none",
+    "plumb_bob": "plumb_bob",
+    "brown_conrady": "plumb_bob",  # as the RealSense library calls it
+    "rational_polynomial": "plumb_bob",  # with k4 … k6 = 0, which is checked
+    "inverse_brown_conrady": "inverse_brown_conrady",
+}
+
+
+def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarray:
+    """z-depth of an image message, shape (H, W), float32, m; NaN where no return.
+
+    0, NaN, inf and negative values all mean no return.
+
+    Parameters
+    ----------
+    message : sensor_msgs/Image or sensor_msgs/CompressedImage
+        The latter as ROS's `compressed_depth_image_transport` makes it, with PNG.
+    metres_per_unit : float, optional
+        Of an image in `REALSENSE_ENCODING`.
+
+    Raises
+    ------
+    ValueError
+        Encoding, size and data of the image do not fit together; says how.
+    """
+    if hasattr(message, "format"):
+        return _decode_compressed(message)
+    encoding, unit = message.encoding, 1e-3
+    if metres_per_unit is not None and encoding == REALSENSE_ENCODING:
+        encoding, unit = "16UC1", metres_per_unit
+    if encoding not in DEPTH_ENCODINGS:
+        raise ValueError(
+            f"encoding is {message.encoding[:40]!r}, not a depth image's 16UC1 or 32FC1"
+        )
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    dtype = DEPTH_ENCODINGS[encoding]
+    check_rows(width, height, step, dtype.itemsize, len(message.data))
+    data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
+    rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
+    raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
+    return _metres(raw, unit if dtype.kind == "u" else 1.0)
+
+
+def encoding_of(message: Any) -> str:
+    """Encoding of the depth in an image message, compressed or not; `points` of any other."""
+    if hasattr(message, "format"):
+        return str(message.format).partition(";")[0].strip()
+    return str(getattr(message, "encoding", "points"))
+
+
+def _decode_compressed(message: Any) -> np.ndarray:
+    """As `decode_depth`: 12 bytes of configuration, then a PNG of 16 bits.
+
+    Its numbers q are mm for `16UC1`; of `32FC1` they are the inverse, q = A/z + B with A and B of
+    the configuration, so that near depths are finer.
+    """
+    from PIL import Image, UnidentifiedImageError  # few recordings have such images
+
+    encoding, data = encoding_of(message), bytes(message.data)
+    if COMPRESSED not in message.format or encoding not in DEPTH_ENCODINGS:
+        raise ValueError(f"format is {message.format[:60]!r}, not depth in 16UC1 or 32FC1")
+    if "rvl" in message.format.lower():
+        raise ValueError("depth is compressed by RVL, which is not read; have it sent as PNG")
+    try:
+        _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
+        with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
+            if max(image.size) > MAX_SIDE or not image.mode.startswith("I"):
+                raise ValueError(f"a PNG of {image.size[0]}×{image.size[1]} in mode {image.mode}")
+            raw = np.asarray(image).astype(np.uint16)
+    except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
+        raise ValueError(f"{len(data)} bytes are no compressed depth image") from error
+    if encoding == "16UC1":
+        return _metres(raw, 1e-3)
+    inverse = np.where(raw == 0, np.nan, raw.astype(np.float64) - quant_b)
+    with np.errstate(divide="ignore"):
+        return _metres((quant_a / inverse).astype(np.float32), 1.0)
+
+
+def _metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
+    """Depth in m, float32, NaN for what is no distance."""
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        depth = raw * np.float32(unit_m)
+    depth[~((depth > 0) & (depth < np.inf))] = np.nan
+    return depth
+
+
+def has_returns(depth_m: np.ndarray) -> bool:
+    """Whether any pixel of a depth image (H, W) saw anything: a covered camera sees none."""
+    return bool(np.isfinite(depth_m).any())
+
+
+def decode_intrinsics(message: Any) -> Intrinsics | None:
+    """Intrinsics of a `sensor_msgs/CameraInfo`; None where it says the camera is uncalibrated.
+
+    Raises
+    ------
+    ValueError
+        A distortion model that is not known, or numbers that are no camera's.
+    """
+    matrix = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
+    coefficients = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
+    if matrix.size != 9 or not matrix.any():
+        return None  # ROS: K = 0 means uncalibrated
+    fx, cx, fy, cy = (float(matrix[k]) for k in (0, 2, 4, 5))
+    if not (np.isfinite(matrix).all() and fx > 0 and fy > 0):
+        raise ValueError(f"focal lengths {fx:g}, {fy:g} px are not positive")
+    model, distortion = distortion_of(str(message.distortion_model), coefficients)
+    return Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy, model, distortion)
+
+
+def distortion_of(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, tuple[float, ...]]:
+    """Distortion model by a name that ROS or the RealSense library gives it, and coefficients.
+
+    Raises
+    ------
+    ValueError
+        It is not known, or a coefficient is not finite.
+    """
+    if not np.isfinite(coefficients).all():
+        raise ValueError("distortion coefficients are not finite")
+    if not coefficients.any():
+        return "none", ()
+    key = name.strip().lower().replace(" ", "_")
+    if key not in _MODELS or key in ("", "none") or coefficients[5:].any():
+        raise ValueError(
+            f"distortion model {name[:40]!r} with {len(coefficients)} coefficients is not known; "
+            "rectify the images, or use plumb_bob or inverse_brown_conrady"
+        )
+    return _MODELS[key], tuple(coefficients[:5].tolist())
+
+
+def pressure_of(message: Any) -> np.ndarray:
+    """Gas pressure of a `sensor_msgs/FluidPressure`, (1,), Pa; ValueError unless finite."""
+    value = float(message.fluid_pressure)
+    if not np.isfinite(value):
+        raise ValueError("the gas pressure is not finite")
+    return np.array([value])
+
+
+def wrench_of(message: Any) -> np.ndarray:
+    """Force and torque of a `geometry_msgs/WrenchStamped`, (6,); ValueError unless finite."""
+    force, torque = message.wrench.force, message.wrench.torque
+    values = np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z], dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("the wrench is not finite")
+    return values
+
+
+def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
+    """Time stamp in ns of a serialised message that begins with a header; 0 when unset.
+
+    Reads the first 16 bytes only, so that an index needs no image.
+    """
+    if ros1:
+        sec, nanosec = struct.unpack_from("<II", payload, 4)  # after seq
+    else:
+        order = "<" if payload[1] & 1 else ">"  # CDR encapsulation
+        sec, nanosec = struct.unpack_from(f"{order}iI", payload, 4)
+    return max(int(sec) * 1_000_000_000 + int(nanosec), 0)
+
+
+# Point clouds to depth images.
+
+
+_FLOATS = {7: "f4", 8: "f8"}
+"""numpy type by the datatype of a PointField."""
+
+
+def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
+    """z-depth of a `sensor_msgs/PointCloud2` in the camera's optical frame, (H, W) float32, m.
+
+    An organised cloud is an image already. Points without order are put where the camera sees
+    them, the nearest one where several meet.
+
+    Raises
+    ------
+    ValueError
+        Fields, size and data do not fit together, or a cloud without order has no camera.
+    """
+    points = _points(message)
+    if int(message.height) > 1:
+        z = points[:, 2].reshape(int(message.height), int(message.width)).astype(np.float32)
+        z[~((z > 0) & (z < np.inf))] = np.nan
+        return z
+    if camera is None:
+        raise ValueError("a cloud without rows and columns needs the camera info to be an image")
+    return project_points(points, camera)
+
+
+def _points(message: Any) -> np.ndarray:
+    """x, y, z of every point, (n, 3)."""
+    fields = {field.name: field for field in message.fields}
+    if not {"x", "y", "z"} <= fields.keys():
+        raise ValueError("the cloud has no fields x, y, z")
+    order = ">" if message.is_bigendian else "<"
+    kinds = [_FLOATS.get(int(fields[name].datatype)) for name in "xyz"]
+    if None in kinds:
+        raise ValueError("the cloud's x, y, z are no floating point numbers")
+    step, row = int(message.point_step), int(message.row_step)
+    height, width = int(message.height), int(message.width)
+    if not (height > 0 and width > 0 and 0 < step <= 1024 and width * step <= row):
+        raise ValueError(f"a cloud of {height}×{width} points of {step} bytes is not plausible")
+    if height * row > len(message.data):
+        raise ValueError(f"{len(message.data)} bytes are no cloud of {height}×{width} points")
+    layout = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [f"{order}{kind}" for kind in kinds],
+            "offsets": [int(fields[name].offset) for name in "xyz"],
+            "itemsize": step,
+        }
+    )
+    data = np.ascontiguousarray(message.data[: height * row], np.uint8).reshape(height, row)
+    table = np.ascontiguousarray(data[:, : width * step]).view(layout).ravel()
+    return np.stack([table[name].astype(np.float64) for name in "xyz"], axis=1)
+
+
+def project_points(points: np.ndarray, camera: Intrinsics) -> np.ndarray:
+    """Depth image (H, W) float32 of points (n, 3): the nearest one where several meet, else NaN."""
+    depth = np.full((camera.height, camera.width), np.inf, np.float32)
+    seen = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 0)]
+    column, row = np.rint(camera.project(seen)).T
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    where = (row[inside].astype(int), column[inside].astype(int))
+    np.minimum.at(depth, where, seen[inside, 2].astype(np.float32))
+    depth[np.isinf(depth)] = np.nan
+    return depth

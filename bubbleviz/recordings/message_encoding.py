@@ -1,0 +1,199 @@
+"""Frames to the ROS 2 messages that carry them, serialised as CDR."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bubbleviz.camera import COMPRESSED_ENCODINGS, ColourImage, EncodedImage, Intrinsics
+from bubbleviz.recordings.bag import typestore
+from bubbleviz.recordings.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
+from bubbleviz.recordings.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
+from bubbleviz.recordings.frame import Frame
+from bubbleviz.recordings.message_decoding import header_stamp_ns
+
+Encoding = Literal["32FC1", "16UC1"]
+
+NAMES = {
+    IMAGE: "depth/image_raw",
+    CAMERA_INFO: "depth/camera_info",
+    PRESSURE: "pressure",
+    WRENCH: "wrench",
+}
+"""Topic of each kind of message, behind the prefix."""
+COLOUR_NAMES = {
+    IMAGE: "color/image_raw",
+    COMPRESSED_IMAGE: "color/image_raw/compressed",
+    CAMERA_INFO: "color/camera_info",
+}
+"""The same of what the colour camera sees."""
+
+
+class Message(NamedTuple):
+    """A serialised message: topic, type as `sensor_msgs/msg/Image`, CDR bytes, stamp in ns."""
+
+    topic: str
+    type: str
+    payload: bytes
+    stamp_ns: int
+
+    def later(self, later_ns: int) -> Message:
+        """The same message, stamped later.
+
+        Its bytes too, where they begin with the stamp; a static transform's stays as it is.
+        """
+        old, stamp_ns = self.payload, self.stamp_ns + later_ns
+        if header_stamp_ns(old, ros1=False) != self.stamp_ns:
+            return self._replace(stamp_ns=stamp_ns)
+        stamp = struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
+        payload = b"".join((old[:4], stamp, memoryview(old)[12:]))
+        return self._replace(payload=payload, stamp_ns=stamp_ns)
+
+
+def ros2_types() -> Any:
+    """Message types of ROS 2 by name, as rosbags has them."""
+    return typestore(ros1=False)
+
+
+def make_header(stamp_ns: int, frame_id: str) -> Any:
+    """`std_msgs/Header` of a time and a frame of reference."""
+    kinds = ros2_types().types
+    time = kinds["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    return kinds["std_msgs/msg/Header"](time, frame_id)
+
+
+def make_wrench(header: Any, values: np.ndarray) -> Any:
+    """`geometry_msgs/WrenchStamped` of force in N and torque in N·m, (6,)."""
+    kinds = ros2_types().types
+    vector, wrench = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Wrench"]
+    numbers = [float(value) for value in values]
+    return kinds[WRENCH](header, wrench(vector(*numbers[:3]), vector(*numbers[3:])))
+
+
+def serialise(message: Any, kind: str) -> bytes:
+    """CDR of a message object of rosbags."""
+    return bytes(ros2_types().serialize_cdr(message, kind))
+
+
+class FrameMessages:
+    """Makes the messages of frames: depth and, where there are, camera info and other measurements.
+
+    Of the colour image the bytes are those that were recorded.
+
+    Parameters
+    ----------
+    encoding : {"32FC1", "16UC1"}
+        Depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m.
+    prefix : str
+        What the topic names begin with.
+    frame_id : str
+        Name of the depth camera's frame in the headers.
+    """
+
+    def __init__(
+        self,
+        encoding: Encoding = "32FC1",
+        prefix: str = "/bubble",
+        frame_id: str = "bubble_depth_optical_frame",
+    ) -> None:
+        self._encoding, self._prefix, self._frame_id = encoding, prefix.rstrip("/"), frame_id
+
+    @property
+    def colour_topic(self) -> str:
+        """Topic of colour images that are not compressed."""
+        return f"{self._prefix}/{COLOUR_NAMES[IMAGE]}"
+
+    def of(self, frame: Frame, stamp_ns: int | None = None) -> Iterator[Message]:
+        """Messages of a frame, stamped `stamp_ns`, its own stamp, or its `time_s` where that is 0.
+
+        The depth image comes last: what belongs to it is there when it arrives.
+        """
+        stamp = stamp_ns or frame.stamp_ns or max(round(frame.time_s * 1e9), 1)  # 0: unset
+        header = make_header(stamp, self._frame_id)
+        if frame.intrinsics is not None:
+            yield self._message(CAMERA_INFO, _camera_info(header, frame.intrinsics), stamp)
+        if frame.gas_pressure_pa is not None:
+            pressure = ros2_types().types[PRESSURE]
+            value = pressure(header, fluid_pressure=frame.gas_pressure_pa, variance=0.0)
+            yield self._message(PRESSURE, value, stamp)
+        if frame.wrench is not None:
+            yield self._message(WRENCH, make_wrench(header, frame.wrench), stamp)
+        if (colour := frame.colour) is not None:
+            yield from self.of_colour(colour, stamp + round(1e9 * (colour.time_s - frame.time_s)))
+        yield self._message(IMAGE, self._image(header, frame.depth_m), stamp)
+
+    def of_colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
+        """Image, its own camera info, and the colour camera's pose where it is not the depth's.
+
+        Where that is not known, the image is in a frame of reference that nothing places.
+        """
+        camera, frame_id = colour.camera, self._frame_id
+        if not (camera.placed and np.array_equal(camera.T_D_C, np.eye(4))):
+            frame_id = f"{frame_id}_color"
+        if camera.placed and frame_id != self._frame_id:
+            pose = _transforms(make_header(0, self._frame_id), frame_id, camera.T_D_C)
+            yield Message(STATIC_TRANSFORMS, TRANSFORMS, serialise(pose, TRANSFORMS), stamp)
+        header = make_header(stamp, frame_id)
+        if camera.intrinsics is not None and camera.own:
+            info = _camera_info(header, camera.intrinsics)
+            yield self._message(CAMERA_INFO, info, stamp, COLOUR_NAMES)
+        image = _image(header, colour.read())
+        yield self._message(image.__msgtype__, image, stamp, COLOUR_NAMES)
+
+    def _message(
+        self, kind: str, message: Any, stamp: int, names: dict[str, str] = NAMES
+    ) -> Message:
+        return Message(f"{self._prefix}/{names[kind]}", kind, serialise(message, kind), stamp)
+
+    def _image(self, header: Any, depth_m: np.ndarray) -> Any:
+        height, width = depth_m.shape
+        if self._encoding == "16UC1":
+            millimetres = np.rint(np.nan_to_num(depth_m, posinf=0.0, neginf=0.0) * 1e3)
+            pixels = np.clip(millimetres, 0, 65_535).astype("<u2")
+        else:
+            pixels = np.ascontiguousarray(depth_m, dtype="<f4")
+        step = width * pixels.itemsize
+        return _image(header, EncodedImage(self._encoding, pixels.tobytes(), width, height, step))
+
+
+def _image(header: Any, encoded: EncodedImage) -> Any:
+    """`sensor_msgs/Image` or `sensor_msgs/CompressedImage` with the same bytes."""
+    kinds, data = ros2_types().types, np.frombuffer(encoded.data, np.uint8)
+    if encoded.encoding in COMPRESSED_ENCODINGS:
+        return kinds[COMPRESSED_IMAGE](header, encoded.encoding, data)
+    place = (encoded.height, encoded.width, encoded.encoding)
+    return kinds[IMAGE](header, *place, is_bigendian=0, step=encoded.step, data=data)
+
+
+def _transforms(header: Any, child: str, pose: np.ndarray) -> Any:
+    """`tf2_msgs/TFMessage` of one pose (4, 4) in the header's frame."""
+    kinds = ros2_types().types
+    transform = kinds["geometry_msgs/msg/Transform"](
+        kinds["geometry_msgs/msg/Vector3"](*pose[:3, 3].tolist()),
+        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
+    )
+    stamped = kinds["geometry_msgs/msg/TransformStamped"](header, child, transform)
+    return kinds[TRANSFORMS]([stamped])
+
+
+def _camera_info(header: Any, camera: Intrinsics) -> Any:
+    region = ros2_types().types["sensor_msgs/msg/RegionOfInterest"]
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    model = "plumb_bob" if camera.distortion_model == "none" else camera.distortion_model
+    return ros2_types().types[CAMERA_INFO](
+        header=header,
+        height=camera.height,
+        width=camera.width,
+        distortion_model=model,
+        d=np.array((*camera.distortion, *[0.0] * 5)[:5]),
+        k=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+        r=np.eye(3).ravel(),
+        p=np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1.0, 0]),
+        binning_x=0,
+        binning_y=0,
+        roi=region(0, 0, 0, 0, do_rectify=False),
+    )

@@ -1,0 +1,99 @@
+"""The colour images of a recording, and the image of a moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from bubbleviz.camera import ColourImage, EncodedImage
+from bubbleviz.recordings.bag import Bag, Topic
+from bubbleviz.recordings.colour_topics import find_camera
+from bubbleviz.recordings.frame import usual_step
+from bubbleviz.recordings.time_series import Laps, Moment, Series, recorded_series
+
+
+@dataclass(frozen=True)
+class ColourAround:
+    """Finds the colour image nearest to a time after a frame, s; called, as `Frame.find_colour`.
+
+    Attributes
+    ----------
+    images : Series of ColourImage
+    moment : Moment
+    time_s : float
+        Of the frame.
+    within_ns : int
+        An image further off is none of that moment.
+    """
+
+    images: Series[ColourImage]
+    moment: Moment
+    time_s: float
+    within_ns: int
+
+    def __call__(self, after_s: float) -> ColourImage | None:
+        """Of the images there were when this was made."""
+        found = self.images.nearest(self.moment.later(round(1e9 * after_s)), self.within_ns)
+        if found is None:
+            return None
+        k, off_ns = found
+        return replace(self.images.item(k), time_s=self.time_s + after_s + 1e-9 * off_ns)
+
+
+class RecordedColour:
+    """Colour images beside the depth images of a recording; only headers are read here.
+
+    Parameters
+    ----------
+    bag : Bag
+    topic : Topic
+        Of the colour images.
+    depth : Topic
+        Of the depth images.
+    reading : callable
+        Runs a function that reads a message, one at a time, errors as of a damaged file.
+    by_log : bool
+        Whether frames are timed by their log times.
+    laps : Laps, optional
+        Those of the depth images, where there is more than one.
+
+    Attributes
+    ----------
+    topic : Topic
+    images : Series of ColourImage
+    camera : ColourCamera
+    encoding : str
+    size : (int, int)
+        Width and height, pixels.
+    rate_hz : float or None
+        One over the median period; None for fewer than two images.
+    """
+
+    def __init__(
+        self,
+        bag: Bag,
+        topic: Topic,
+        depth: Topic,
+        reading: Callable[[Callable[[], EncodedImage]], EncodedImage],
+        *,
+        by_log: bool = False,
+        laps: Laps | None = None,
+    ) -> None:
+        messages = bag.messages(topic)
+
+        def image(k: int) -> ColourImage:
+            read = partial(reading, lambda: EncodedImage.of(messages.message(k)))
+            return ColourImage(read, messages.stamp_ns(k), camera=self.camera)
+
+        self.topic, self.camera = topic, find_camera(bag, topic, depth)
+        self.images = recorded_series(messages, image, by_log=by_log, laps=laps)
+        first = EncodedImage.of(messages.message(0))
+        self.encoding, self.size = first.encoding, first.size
+        step = usual_step(np.diff(messages.log_ns))
+        self.rate_hz = None if step is None else 1e9 / step
+
+    def __len__(self) -> int:
+        return len(self.images)

@@ -1,0 +1,313 @@
+"""Recordings as frames, with random access; messages are read only when needed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bubbleviz.camera import ColourImage, EncodedImage, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.recordings.bag import Bag, Messages, damage
+from bubbleviz.recordings.colour_topics import find_colour
+from bubbleviz.recordings.depth_topics import (
+    CAMERA_INFO,
+    COMPRESSED_IMAGE,
+    MARKERS,
+    POINT_CLOUD,
+    PRESSURE,
+    STRING,
+    WRENCH,
+    find_depth,
+    find_intrinsics,
+    first_of_type,
+    metres_per_unit,
+)
+from bubbleviz.recordings.frame import Frame, usual_step
+from bubbleviz.recordings.message_decoding import decode_cloud, decode_depth, encoding_of
+from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour
+from bubbleviz.recordings.time_series import (
+    NEAREST_NS,
+    VALUES,
+    Laps,
+    Moment,
+    Series,
+    recorded_series,
+    values_at,
+    without_garbage,
+)
+
+SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
+
+
+class Recording:
+    """Frames of a rosbag2 (folder, `.mcap`, `.db3`), a ROS 1 `.bag` or one of a RealSense.
+
+    Frames are ordered by the header stamps of the depth images. When any of them is unset, the log
+    times take their place for all frames. Where they begin again, as a looped replay's do, one lap
+    follows the other. Any thread may read; one reads at a time.
+
+    Parameters
+    ----------
+    path : path-like
+    depth_topic, info_topic, pressure_topic, wrench_topic, colour_topic : str, optional
+        Topics to use; without them the first depth images, and of the others those of the right
+        message type that are nearest by name (and for the camera info: of the image's size), so
+        that two sensors in one recording are told apart by `depth_topic` alone.
+
+    Attributes
+    ----------
+    name : str
+        File name.
+    path : Path
+    bag : Bag
+        The recording by topics.
+    times_s : (F,) float array
+        Time of each frame since the first, s.
+    stamps_ns : (F,) int64 array
+        The stamps they come from, ns.
+    size : (int, int)
+        Width and height of the depth images, pixels.
+    encoding : str
+        Encoding of the depth images; `points` where they are point clouds.
+    intrinsics : Intrinsics or None
+    depth_topic : Topic
+    colour : RecordedColour or None
+        The colour images of the same sensor.
+    remark : str
+        What the user should know about it, or what lies beside it; empty for nothing.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged or truncated, or has no depth images.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        depth_topic: str | None = None,
+        info_topic: str | None = None,
+        pressure_topic: str | None = None,
+        wrench_topic: str | None = None,
+        colour_topic: str | None = None,
+    ) -> None:
+        self._lock = threading.Lock()
+        self.bag = Bag(path)
+        self.remark = self.bag.note
+        self.path = self.bag.path
+        self.name = self.path.name or str(self.path)
+        try:
+            self.depth_topic = find_depth(self.bag, depth_topic)
+            self._unit_m = metres_per_unit(self.bag, self.depth_topic)
+            self._open_images(info_topic)
+            _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
+            self.intrinsics: Intrinsics | None = intrinsics
+            self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
+            self.colour = self._colour(colour_topic)
+        except BaseException:
+            self.bag.close()
+            raise
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
+        index = int(index)
+        with self._lock, damage(self.path, f"frame {index}"):
+            k = int(self._order[index])
+            depth = self._decoded(self._images.message(k))
+            if depth.shape != self.size[::-1]:
+                raise ValueError(
+                    f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
+                    f"{self.size[1]} pixels"
+                )
+            return Frame(
+                index=index,
+                time_s=float(self.times_s[index]),
+                depth_m=depth,
+                intrinsics=self.intrinsics,
+                stamp_ns=int(self.stamps_ns[index]),
+                find_colour=partial(self._colour_near, index) if self.colour else None,
+                **values_at(self._series, self._moment(index)),
+            )
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of files."""
+        with self._lock:
+            self.bag.close()
+
+    def colour_at(self, time_s: float) -> ColourImage | None:
+        """Colour image nearest to a time of the frames, within half a period; None without one."""
+        index = int(np.abs(self.times_s - time_s).argmin())
+        return self._colour_near(index, time_s - float(self.times_s[index]))
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether a wrench was recorded."""
+        return WRENCH in self._series
+
+    def gas_pressures_pa(self) -> np.ndarray:
+        """Every recorded gas pressure, shape (n,), absolute, Pa; empty where there is none."""
+        if (series := self._series.get(PRESSURE)) is None:
+            return np.empty(0)
+        with self._lock, damage(self.path, "the gas pressure"):
+            return np.array([series.item(k)[0] for k in range(len(series))])
+
+    def marks(self) -> tuple[tuple[int, str], ...]:
+        """Markers and notes made while recording: the frame of each, and its text."""
+        found = [
+            topic for topic in self.bag.topics if (topic.name, topic.type) == (MARKERS, STRING)
+        ]
+        if not found:
+            return ()
+        with self._lock, damage(self.path, "the markers"):
+            messages = self.bag.messages(found[0])
+            log_ns = self._images.log_ns[self._order]
+            return tuple(
+                (int(np.abs(log_ns - messages.log_ns[k]).argmin()), str(messages.message(k).data))
+                for k in range(len(messages))
+            )
+
+    def _moment(self, index: int) -> Moment:
+        """Of a frame; by its key, which is its stamp where there is one lap."""
+        return Moment(int(self._keys[index]), int(self._images.log_ns[self._order[index]]))
+
+    def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
+        """Colour image nearest to a time after that of a frame."""
+        if self.colour is None:
+            return None
+        time_s = float(self.times_s[index])
+        find = ColourAround(self.colour.images, self._moment(index), time_s, self._half_period_ns)
+        with self._lock, damage(self.path, f"the colour image at {time_s + after_s:.3f} s"):
+            return find(after_s)
+
+    def _colour(self, name: str | None) -> RecordedColour | None:
+        topic = find_colour(self.bag, self.depth_topic, name)
+        if topic is None:
+            return None
+        period = usual_step(np.diff(self.stamps_ns))
+        self._half_period_ns = NEAREST_NS if period is None else int(period) // 2
+
+        def reading(read: Callable[[], EncodedImage]) -> EncodedImage:
+            with self._lock, damage(self.path, f"a colour image on {topic.name}"):
+                return read()
+
+        with damage(self.path, f"the colour images on {topic.name}"):
+            return RecordedColour(
+                self.bag, topic, self.depth_topic, reading, by_log=self._by_log, laps=self._laps
+            )
+
+    def _decoded(self, message: Any) -> np.ndarray:
+        if self.depth_topic.type == POINT_CLOUD:
+            return decode_cloud(message, self.intrinsics)
+        return decode_depth(message, self._unit_m)
+
+    def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
+        """Width and height of the images; those of a cloud without rows are its camera's."""
+        if self.depth_topic.type == COMPRESSED_IMAGE:
+            with damage(self.path, f"the first image on {self.depth_topic.name}"):
+                height, width = decode_depth(first).shape
+            return width, height
+        if self.depth_topic.type != POINT_CLOUD or first.height > 1:
+            return int(first.width), int(first.height)
+        info = first_of_type(self.bag, CAMERA_INFO, info_topic, near=self.depth_topic.name)
+        if info is None:
+            raise InputError(
+                f"{self.path}: the points on {self.depth_topic.name} have no rows and columns; "
+                "record the camera info with them"
+            )
+        camera = self.bag.messages(info).message(0)
+        return int(camera.width), int(camera.height)
+
+    def _open_images(self, info_topic: str | None) -> None:
+        self._images = self.bag.messages(self.depth_topic)
+        if len(self._images) == 0:
+            raise InputError(f"{self.path}: the index lists no depth images; record it again")
+        first = self._images.message(0)
+        self.size = self._size_of(first, info_topic)
+        self.encoding = encoding_of(first)
+        stamps = without_garbage(_header_stamps(self._images), self._images.log_ns)
+        self._by_log = not stamps.all()
+        if self._by_log:
+            stamps = self._images.log_ns
+        laps = Laps(stamps, self._images.log_ns)
+        self._laps = laps if len(laps) > 1 and not self._by_log else None
+        times = stamps if self._laps is None else laps.times_ns(stamps)
+        self._order = np.argsort(times, kind="stable")
+        self._keys = laps.keys(stamps, laps.number)[self._order]
+        self.stamps_ns = times[self._order]
+        self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
+
+    def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:
+        """Series of what was measured beside the images, by type, of topics that may be named."""
+        found: dict[str, Series[np.ndarray]] = {}
+        for kind, name in names.items():
+            topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
+            messages = None if topic is None else self.bag.messages(topic)
+            if messages:  # an index may list none
+                found[kind] = recorded_series(
+                    messages, partial(_values, messages, kind), by_log=self._by_log, laps=self._laps
+                )
+        return found
+
+
+def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
+    return VALUES[kind](messages.message(k))
+
+
+def _header_stamps(images: Messages) -> np.ndarray:
+    """Header stamps of the images, ns; 0 where unset.
+
+    Each costs the decompression of the chunk's first blocks (0.1 ms). In a long recording whose
+    sampled stamps all are the log times to the nanosecond, the others are taken to be, too.
+    """
+    if len(images) > SAMPLED_ABOVE:
+        sample = np.linspace(0, len(images) - 1, 64).astype(int)
+        if all(images.stamp_ns(int(k)) == images.log_ns[k] for k in sample):
+            return images.log_ns
+    return np.array([images.stamp_ns(k) for k in range(len(images))], dtype=np.int64)
+
+
+# The size of the force that a wrench sensor beside the bubble measured.
+
+
+def measured_force(wrench_n: np.ndarray, contact_free: np.ndarray) -> np.ndarray:
+    """|F| of recorded wrenches less their bias, N.
+
+    The axes of a force/torque sensor are rarely documented, so only the size can be compared. Its
+    bias is the median over the contact-free frames.
+
+    Parameters
+    ----------
+    wrench_n : (F, 3) array
+        Forces as recorded, N; NaN where a frame has none.
+    contact_free : (F,) bool array
+
+    Returns
+    -------
+    (F,) array
+        NaN for frames without a wrench, and for all where no contact-free frame has one.
+    """
+    free = wrench_n[contact_free & np.isfinite(wrench_n).all(axis=1)]
+    bias = np.median(free, axis=0) if len(free) else np.full(3, np.nan)
+    return np.asarray(np.linalg.norm(wrench_n - bias, axis=1))
+
+
+def force_of(wrench: np.ndarray | None) -> np.ndarray:
+    """Force (3,) of a frame's wrench (6,), N; NaN without one."""
+    return np.full(3, np.nan) if wrench is None else np.asarray(wrench[:3], float)

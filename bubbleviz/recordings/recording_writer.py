@@ -1,0 +1,84 @@
+"""Frames to a recording: rosbag2 with MCAP storage, zstd."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from bubbleviz.errors import InputError
+from bubbleviz.files import whole_file
+from bubbleviz.recordings.frame import Frame
+from bubbleviz.recordings.mcap_file import McapFile
+from bubbleviz.recordings.message_encoding import Encoding, FrameMessages
+
+CHUNK_BYTES = 1 << 20
+"""About a depth image before compression: reading one frame decompresses little else."""
+
+
+class RecordingWriter:
+    """Writes frames as a recording that `Recording` and every ROS 2 tool reads.
+
+    Use it as a context manager: the recording appears whole when the block ends, and not at all
+    when it raises. Topics are made for what the frames have: depth and, where there are, camera
+    info, gas pressure, wrench and colour images.
+
+    Parameters
+    ----------
+    path : path-like
+        `X.mcap` for one bare file, any other name for a rosbag2 folder.
+    encoding : {"32FC1", "16UC1"}
+        Depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m.
+    prefix : str
+        What the topic names begin with.
+    frame_id : str
+        Name of the camera's frame in the headers.
+    overwrite : bool
+        Replace what is at `path`.
+
+    Raises
+    ------
+    InputError
+        The path exists or cannot be written, or no frame was written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        encoding: Encoding = "32FC1",
+        prefix: str = "/bubble",
+        frame_id: str = "bubble_depth_optical_frame",
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.count = 0
+        self._messages = FrameMessages(encoding, prefix, frame_id)
+        self._open_files = ExitStack()
+        self._overwrite = overwrite
+        self._file: McapFile
+
+    def __enter__(self) -> RecordingWriter:
+        with ExitStack() as stack:
+            temporary = stack.enter_context(whole_file(self.path, overwrite=self._overwrite))
+            self._file = McapFile(temporary, name=self.path.name, chunk_bytes=CHUNK_BYTES)
+            stack.push(self._finish)
+            self._open_files = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._open_files.__exit__(*error)
+
+    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None and self.count:
+            self._file.close()
+            return
+        self._file.discard()
+        if kind is None:
+            raise InputError(f"{self.path}: no frames to write; nothing was written")
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame; its stamp is `stamp_ns`, or `time_s` where that is 0."""
+        for message in self._messages.of(frame):
+            self._file.write(message, log_ns=message.stamp_ns)
+        self.count += 1

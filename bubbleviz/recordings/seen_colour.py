@@ -1,0 +1,89 @@
+"""The colour image of a frame and, painted on the membrane, its texture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bubbleviz.camera import ColourCamera, DepthCamera
+from bubbleviz.errors import InputError
+from bubbleviz.recordings.frame import Frame
+
+
+@dataclass(frozen=True)
+class SeenColour:
+    """What the colour camera saw at the time of a frame.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8 array or None
+    camera : ColourCamera
+    reason : str
+        Why there is no image, in a few words; empty where there is one.
+    """
+
+    rgb: np.ndarray | None = None
+    camera: ColourCamera = field(default_factory=ColourCamera)
+    reason: str = ""
+
+    @classmethod
+    def of(cls, frame: Frame) -> SeenColour:
+        """Decode the colour image of a frame."""
+        if frame.find_colour is None:
+            return cls(reason=frame.no_colour)
+        try:
+            found = frame.colour
+            if found is None:
+                return cls(reason="no colour image at this time")
+            return cls(found.rgb(), found.camera)
+        except InputError:  # the depth image is there, and does not depend on it
+            return cls(reason="the colour image cannot be decoded")
+
+    def aligned(self, depth: DepthCamera) -> bool:
+        """Whether its pixels are those of the depth image."""
+        same = self.camera.intrinsics == depth.intrinsics
+        return same and np.array_equal(self.camera.T_D_C, np.eye(4))
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A colour image on the membrane as it is deformed.
+
+    Attributes
+    ----------
+    colour : SeenColour
+    place : (n, 2) array
+        Where in the image each node is: shares of its width from the left and of its height from
+        the top.
+    seen : (n,) bool array
+        Nodes inside the image.
+    reason : str
+        Why there is nothing to paint, in a few words; empty where there is.
+    """
+
+    colour: SeenColour
+    place: np.ndarray
+    seen: np.ndarray
+    reason: str = ""
+
+    @classmethod
+    def of(cls, colour: SeenColour, nodes_m: np.ndarray, depth: DepthCamera) -> Texture:
+        """Texture of nodes (n, 3) in B, m, whose depth camera is `depth`."""
+        camera = placed(colour.camera, depth)
+        if colour.rgb is None or camera is None:
+            nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)
+            return cls(colour, *nothing, colour.reason or "no camera info of the colour image")
+        T, own = camera.T_B_C, camera.intrinsics
+        points = (nodes_m - T[:3, 3]) @ T[:3, :3]
+        before = points[:, 2] > 0.0
+        points[~before] = (0.0, 0.0, 1.0)
+        place = (own.project(points) + 0.5) / (own.width, own.height)  # whole at pixel centres
+        return cls(colour, place, before & np.all((place >= 0.0) & (place <= 1.0), axis=1))
+
+
+def placed(colour: ColourCamera, depth: DepthCamera) -> DepthCamera | None:
+    """The colour camera in the bubble frame; None where its intrinsics are not known."""
+    if colour.intrinsics is None:
+        return None
+    return DepthCamera(colour.intrinsics, depth.T_B_C @ colour.T_D_C)

@@ -1,0 +1,154 @@
+"""Matching recordings with sensors: image sizes must agree; finds the preset that fits."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+from bubbleviz.errors import InputError
+from bubbleviz.files import preset_names
+from bubbleviz.recordings.depth_topics import CAMERA_INFO, of_type
+from bubbleviz.recordings.message_decoding import COMPRESSED
+from bubbleviz.recordings.recording import Recording
+from bubbleviz.sensor import Sensor, load_sensor
+
+WEATHER_PA = 5e3
+"""Change of the atmospheric pressure at one place, Pa: records lie 5 kPa around the mean."""
+AUTO = "auto"
+"""Sensor name that stands for the preset whose camera has the recording's image size."""
+
+
+def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) -> None:
+    """Refuse a recording that is not of the sensor's camera.
+
+    Raises
+    ------
+    InputError
+        The images, or the camera info recorded beside them, have another size.
+    """
+    _check_camera_info(recording)
+    own = (sensor.camera.width, sensor.camera.height)
+    if recording.size != own:
+        raise size_refusal(str(recording.path), recording.size, sensor_name, own)
+
+
+def size_refusal(
+    images: str, size: tuple[int, int], sensor_name: str | Path, own: tuple[int, int]
+) -> InputError:
+    """The error to raise about images that are not of the size of the sensor's camera."""
+    return InputError(
+        f"{images}: images are {_by(size)} pixels but the camera of sensor "
+        f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
+    )
+
+
+def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
+    """Name and sensor for a recording: as given, or `preset_for` it for `auto` and None.
+
+    Raises
+    ------
+    InputError
+        There is no such sensor, or it does not fit the recording.
+    """
+    if name is None or str(name) == AUTO:
+        name = preset_for(recording)
+    sensor = load_sensor(name)
+    shown = sensor.name if isinstance(name, Sensor) else str(name)
+    check_fits(recording, sensor, shown)
+    return shown, sensor
+
+
+def gas_warning(measured_pa: float | None, known_pa: float, where: str = "in the recording") -> str:
+    """What to say of a gas pressure that is not this sensor's; empty for nothing.
+
+    Parameters
+    ----------
+    measured_pa : float or None
+        Absolute, Pa, of any frame: a press adds hundreds of pascals.
+    known_pa : float
+        Without contact, as the sensor file has it, Pa.
+    where : str
+        It was measured.
+    """
+    if measured_pa is None or abs(measured_pa - known_pa) <= WEATHER_PA:
+        return ""
+    return (
+        f"gas pressure of {1e-3 * measured_pa:.1f} kPa {where}, {1e-3 * known_pa:.1f} kPa "
+        "(atmospheric and gauge) in the sensor file: more than weather; correct the sensor file"
+    )
+
+
+def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sensor]:
+    """`fitting_sensor` of a recording that is not open yet."""
+    with Recording(path) as recording:
+        return fitting_sensor(recording, name)
+
+
+def preset_for(recording: Recording) -> str:
+    """Name of the one sensor preset whose camera has the recording's image size.
+
+    Raises
+    ------
+    InputError
+        None has, or several have.
+    """
+    return preset_of_size(recording.size, str(recording.path))
+
+
+def preset_of_size(size: tuple[int, int], images: str) -> str:
+    """Name of the one sensor preset whose camera has images of this size.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Width and height, pixels.
+    images : str
+        What has that size, to name in an error.
+
+    Raises
+    ------
+    InputError
+        None has, or several have.
+    """
+    names = preset_names("sensors")
+    sizes = {name: _camera_size(load_sensor(name)) for name in names}
+    fitting = [name for name in names if sizes[name] == size]
+    if len(fitting) == 1:
+        return fitting[0]
+    known = ", ".join(f"{name} ({_by(sizes[name])})" for name in fitting or names)
+    how_many = "several presets have" if fitting else "no preset has"
+    raise InputError(
+        f"{images}: {how_many} a camera of {_by(size)} pixels; "
+        f"give --sensor: a sensor file or one of {known}"
+    )
+
+
+def _check_camera_info(recording: Recording) -> None:
+    """Refuse when the only camera info in the depth topic's namespace is of another image size.
+
+    The reader passes over camera infos of other sizes, as a colour camera's; one beside the depth
+    images means that they were cropped or scaled and the intrinsics no longer hold.
+    """
+    if recording.intrinsics is not None:
+        return
+    topic_name = PurePosixPath(recording.depth_topic.name)
+    if topic_name.name == COMPRESSED:  # below the topic of the images as they were
+        topic_name = topic_name.parent
+    namespace = topic_name.parent
+    for topic in of_type(recording.bag, CAMERA_INFO):
+        if PurePosixPath(topic.name).parent != namespace:
+            continue
+        message = recording.bag.messages(topic).message(0)
+        size = (int(message.width), int(message.height))
+        if size != recording.size:
+            raise InputError(
+                f"{recording.path}: camera info on {topic.name} is for {_by(size)} pixels but the "
+                f"images are {_by(recording.size)}; record both from one camera without scaling"
+            )
+
+
+def _camera_size(sensor: Sensor) -> tuple[int, int]:
+    return sensor.camera.width, sensor.camera.height
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]}×{size[1]}"

@@ -1,0 +1,19 @@
+from .optical_flow import (
+    BLOCK_PX as BLOCK_PX,
+    FlowField as FlowField,
+    FlowPreset as FlowPreset,
+    OpticalFlow as OpticalFlow,
+    opencv as opencv,
+)
+from .slip import (
+    SlipFinder as SlipFinder,
+    SlipStart as SlipStart,
+)
+from .traction_estimator import (
+    TractionEstimator as TractionEstimator,
+    TractionOptions as TractionOptions,
+    TractionStart as TractionStart,
+)
+from .traction_problem import (
+    within_cone as within_cone,
+)

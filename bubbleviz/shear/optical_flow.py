@@ -1,0 +1,342 @@
+"""How the texture of the membrane moved from rest, by optical flow of the colour images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+from bubbleviz.recordings import MIN_FRAMES, mean_inflation, temporal_correlation
+from bubbleviz.wording import how_to_install
+
+# OpenCV, which only optical flow needs.
+
+
+def opencv() -> Any:
+    """The module `cv2`; InputError where it is not installed."""
+    try:
+        import cv2  # an optional extra
+    except ImportError as error:
+        raise InputError(
+            f"optical flow: OpenCV is not installed; {how_to_install('colour')}"
+        ) from error
+    return cv2
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """OpenCV uses the calling thread alone: its pool would compete with what runs beside it."""
+    cv2 = opencv()
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+# Grey images freed of brightness and contrast, and how precisely their texture tells motion.
+
+
+_CONTRAST_WINDOW_PX = 31
+"""Side of the neighbourhood that brightness and contrast are taken from: some speckles."""
+_LEAST_CONTRAST = 4.0
+"""Standard deviation, grey levels, of what is not taken for texture: the noise of a camera."""
+_MIDDLE, _SCALE = 128.0, 42.0
+"""Grey level of the mean, and levels of one standard deviation: ± 3 of them fit 8 bits."""
+
+
+def normalised(grey: np.ndarray) -> np.ndarray:
+    """Image (H, W) less its local mean over its local contrast, uint8 around 128.
+
+    A membrane that tilts is lit anew: by that its texture must not seem to move.
+    """
+    cv2 = opencv()
+    image = np.asarray(grey, np.float32)
+    side = (_CONTRAST_WINDOW_PX, _CONTRAST_WINDOW_PX)
+    mean = cv2.blur(image, side)
+    contrast = cv2.sqrBoxFilter(image, -1, side)
+    image = image - mean
+    mean *= mean  # in place from here on: allocating takes as long as computing
+    contrast -= mean
+    np.maximum(contrast, 0.0, out=contrast)
+    contrast += np.float32(_LEAST_CONTRAST**2)
+    image /= np.sqrt(contrast, out=contrast)
+    return np.asarray(cv2.convertScaleAbs(image, alpha=_SCALE, beta=_MIDDLE))
+
+
+def motion_bound(image: np.ndarray, variance: np.ndarray, window: int) -> np.ndarray:
+    """Cramér–Rao bound of the motion of a window around each pixel, (H, W), pixels.
+
+    In the direction that the texture tells least about; inf where it tells nothing.
+
+    Parameters
+    ----------
+    image : (H, W) array
+    variance : (H, W) array
+        Of the noise of a pixel of it, grey levels squared.
+    window : int
+        Side, pixels.
+    """
+    cv2 = opencv()
+    image = np.asarray(image, np.float32)
+    # Scharr's kernel has weights 3, 10, 3 on both sides: 1/32 makes it a slope a pixel
+    gx = cv2.Scharr(image, cv2.CV_32F, 1, 0, scale=1.0 / 32.0)
+    gy = cv2.Scharr(image, cv2.CV_32F, 0, 1, scale=1.0 / 32.0)
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        return np.asarray(cv2.boxFilter(values, -1, (window, window), normalize=False))
+
+    xx, yy, xy = summed(gx * gx), summed(gy * gy), summed(gx * gy)
+    least = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+    noise = cv2.blur(np.asarray(variance, np.float32), (window, window))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(least > 0.0, np.sqrt(noise / least), np.inf)
+
+
+FlowPreset = Literal["fast", "balanced", "fine"]
+"""Finest level of the pyramid and rounds of refinement: what sets time and error. The least that
+finds the force as well as the others, by `benchmarks shear`, is used where none is chosen."""
+
+BLOCK_PX = 8
+"""Side of a block, of which one motion is told; as far as OpenCV's patches reach."""
+
+_PYRAMID: dict[FlowPreset, tuple[int, int]] = {"fast": (2, 0), "balanced": (1, 0), "fine": (1, 5)}
+_WINDOW_PX = BLOCK_PX + 1  # about the middle pixel of a block, so that its mean is that pixel's
+_WASHED_OUT = 250  # grey level of a pixel that may be saturated
+_LARGEST_SIGMA_PX = 0.1  # of motion at rest; chosen: flow that is worse tells less than depth does
+_LARGEST_DISAGREEMENT_PX = 1.0
+"""Of forward and backward flow: beyond it one of them followed something else."""
+_DISAGREED, _SMOOTHED = 0.5, 0.1
+"""Variance of a component for a squared pixel of disagreement, and of bend: the Laplacian of the
+motion over blocks, of which a flow that is averaged misses a part. Of synthetic motions."""
+_LEAST_SHARE = 0.01  # of the blocks; chosen: fewer are no membrane
+_MOST_IMAGES = 40  # that noise is learned from: more cost time and tell no more
+
+
+@dataclass(frozen=True)
+class FlowField:
+    """Motion of the texture from the reference image to a frame.
+
+    Attributes
+    ----------
+    pixel : (k,) int array
+        Flat index in the reference image, ascending.
+    moved_px : (k, 2) array
+        Motion, x to the right and y down, pixels.
+    sigma_px : (k,) array
+        Standard deviation of each component, pixels.
+    shape : (int, int)
+        Height and width of the reference image.
+    problem : str
+        Why there is little or nothing to trust, one clause; empty where there is enough.
+    """
+
+    pixel: np.ndarray
+    moved_px: np.ndarray
+    sigma_px: np.ndarray
+    shape: tuple[int, int]
+    problem: str = ""
+
+    def lengths_px(self) -> np.ndarray:
+        """Length of the motion as an image of blocks (H // 8, W // 8), px; NaN where unknown."""
+        image = np.full([side // BLOCK_PX for side in self.shape], np.nan)
+        row, column = np.divmod(self.pixel, self.shape[1])
+        image[row // BLOCK_PX, column // BLOCK_PX] = np.linalg.norm(self.moved_px, axis=1)
+        return image
+
+
+class OpticalFlow:
+    """Measures motion against contact-free images, by blocks of 8×8 pixels.
+
+    Dense inverse search (Kroeger et al. 2016) of OpenCV, forward and backward: what they disagree
+    by tells their error. Made by `of`.
+
+    Attributes
+    ----------
+    preset : {"fast", "balanced", "fine"}
+    shape : (int, int)
+        Height and width of the images.
+    pixel : (b,) int array
+        Middle pixel of each block that has texture, flat index.
+    noise_px : (b,) array
+        Standard deviation of the motion of a membrane at rest: as learned from the contact-free
+        images, and no better than the Cramér–Rao bound.
+    problem : str
+        Why the images are of no use, one clause; empty where they are.
+    """
+
+    def __init__(
+        self,
+        reference: np.ndarray,
+        preset: FlowPreset,
+        pixel: np.ndarray,
+        noise_px: np.ndarray,
+        problem: str,
+    ) -> None:
+        self.preset, self.shape = preset, reference.shape
+        self.pixel, self.noise_px = pixel, noise_px
+        self.problem = problem
+        self._reference = reference
+        self._search = _search(preset)
+
+    @classmethod
+    def of(
+        cls,
+        images: Iterable[np.ndarray],
+        preset: FlowPreset = "fast",
+        mask: np.ndarray | None = None,
+    ) -> OpticalFlow:
+        """Learn the reference and the noise from contact-free images.
+
+        Parameters
+        ----------
+        images : iterable of (H, W) uint8 arrays
+            Grey, of at least 5 frames.
+        preset : {"fast", "balanced", "fine"}
+        mask : (H, W) bool array, optional
+            Pixels that see the membrane.
+
+        Raises
+        ------
+        InputError
+            Too few images, sizes that differ, an unknown preset, or OpenCV is not installed.
+        """
+        if preset not in get_args(FlowPreset):
+            raise InputError(
+                f"optical flow: no preset {preset!r}; use {', '.join(get_args(FlowPreset))}"
+            )
+        stack = _stacked(images)
+        mean = stack.mean(axis=0, dtype=np.float32)
+        stack = stack[:: -(-len(stack) // _MOST_IMAGES)]
+        reference = normalised(mean)
+        frames = [normalised(image) for image in stack]
+        bound = motion_bound(reference, _grey_variance(np.stack(frames)), _WINDOW_PX)
+        search = _search(preset)
+        flows = np.stack([_middles(_averaged(search.calc(reference, f, None))) for f in frames])
+        variance = flows.var(axis=0, ddof=1).max(axis=-1)
+        noise = np.maximum(_middles(bound), np.sqrt(variance))
+        washed_out = _middles(_spread(mean >= _WASHED_OUT))
+        unseen = np.zeros_like(washed_out) if mask is None else _middles(_spread(~mask))
+        good = (noise < _LARGEST_SIGMA_PX) & ~washed_out & ~unseen
+        middle = _middles(np.arange(mean.size).reshape(mean.shape))
+        return cls(
+            reference,
+            preset,
+            middle[good],
+            noise[good],
+            _why_useless(good, washed_out & ~unseen, unseen),
+        )
+
+    def measure(self, grey: np.ndarray) -> FlowField:
+        """Motion from rest to an image (H, W), uint8.
+
+        Raises
+        ------
+        InputError
+            The image is of another size.
+        """
+        if grey.shape != self.shape:
+            raise InputError(
+                f"colour image: {grey.shape[1]}×{grey.shape[0]} pixels, the contact-free ones have "
+                f"{self.shape[1]}×{self.shape[0]}; use images of one camera mode"
+            )
+        if self.problem:
+            return self.nothing(self.problem)
+        frame = normalised(grey)
+        with one_thread():  # the other cores are left to the depth estimate
+            forward = _averaged(self._search.calc(self._reference, frame, None))
+            backward = _averaged(self._search.calc(frame, self._reference, None))
+        moved = forward.reshape(-1, 2)[self.pixel]
+        place = moved + np.stack(np.divmod(self.pixel, self.shape[1])[::-1], axis=1)
+        disagreement = np.linalg.norm(moved + _sampled(backward, place), axis=1)
+        bend = np.linalg.norm(self._bend(forward), axis=1)
+        washed_out = _sampled(_spread(grey >= _WASHED_OUT).astype(np.float32), place) > 0.0
+        inside = np.all((place >= 0) & (place <= np.array(self.shape[::-1]) - 1), axis=1)
+        good = (disagreement < _LARGEST_DISAGREEMENT_PX) & inside & ~washed_out
+        variance = self.noise_px**2 + _DISAGREED * disagreement**2 + _SMOOTHED * bend**2
+        sigma = np.sqrt(variance[good])
+        problem = "" if good.mean() > 0.5 else "most of the texture is not found again"
+        return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
+
+    def nothing(self, problem: str) -> FlowField:
+        """No motion of any block, and why."""
+        return FlowField(np.empty(0, int), np.empty((0, 2)), np.empty(0), self.shape, problem)
+
+    def _bend(self, flow: np.ndarray) -> np.ndarray:
+        """Laplacian of a flow over neighbouring blocks, at each block with texture, (b, 2)."""
+        cv2 = opencv()
+        blocks = _middles(flow)
+        bend = cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
+        return bend[tuple(index // BLOCK_PX for index in np.divmod(self.pixel, self.shape[1]))]
+
+
+def _search(preset: FlowPreset) -> Any:
+    cv2 = opencv()
+    search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    finest, rounds = _PYRAMID[preset]
+    search.setFinestScale(finest)
+    search.setVariationalRefinementIterations(rounds)
+    return search
+
+
+def _stacked(images: Iterable[np.ndarray]) -> np.ndarray:
+    """Images as one (F, H, W) uint8 array."""
+    found = [np.asarray(image, np.uint8) for image in images]
+    if len(found) < MIN_FRAMES:
+        raise InputError(
+            f"colour images: {len(found)} of contact-free frames; give at least {MIN_FRAMES}"
+        )
+    if len({image.shape for image in found}) > 1:
+        raise InputError("colour images: sizes differ; give frames of one camera and mode")
+    return np.stack(found)
+
+
+def _grey_variance(frames: np.ndarray) -> np.ndarray:
+    """Variance of one frame's noise, (H, W)."""
+    deviations = frames - frames.mean(axis=0, dtype=np.float32)
+    sigma = np.sqrt(np.mean(deviations**2, axis=0))
+    sparse = deviations[:, ::4, ::4]
+    lost = mean_inflation(temporal_correlation(sparse, sigma[::4, ::4])) / len(frames)
+    share = max(1.0 - lost, 1.0 / len(frames))
+    return np.asarray(sigma**2 / share)
+
+
+def _middles(image: np.ndarray) -> np.ndarray:
+    """Values at the middle pixels of all whole blocks, (rows, columns, …)."""
+    half = BLOCK_PX // 2
+    rows, columns = (side // BLOCK_PX * BLOCK_PX for side in image.shape[:2])
+    return image[half:rows:BLOCK_PX, half:columns:BLOCK_PX]
+
+
+def _averaged(flow: np.ndarray) -> np.ndarray:
+    """Mean of a flow (H, W, 2) over the window of a block around each pixel."""
+    return np.asarray(opencv().blur(flow, (_WINDOW_PX, _WINDOW_PX)))
+
+
+def _spread(mask: np.ndarray) -> np.ndarray:
+    """Pixels (H, W) with one of a mask in the window of a block around them."""
+    kernel = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
+    return np.asarray(opencv().dilate(mask.astype(np.uint8), kernel)) > 0
+
+
+def _sampled(image: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Values (k, …) of an image at places (k, 2), x and y; those of its edge outside it."""
+    cv2 = opencv()
+    x, y = np.asarray(place, np.float32).T[:, :, None]
+    found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found)[:, 0]
+
+
+def _why_useless(good: np.ndarray, washed_out: np.ndarray, unseen: np.ndarray) -> str:
+    """Why hardly a block can be followed; empty where enough can."""
+    seen = max(int(np.count_nonzero(~unseen)), 1)
+    if np.count_nonzero(good) > _LEAST_SHARE * good.size:
+        return ""
+    if np.count_nonzero(washed_out) > 0.5 * seen:
+        return "the colour image is over-exposed"
+    return "the membrane shows no texture in the colour image"

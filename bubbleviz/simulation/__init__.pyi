@@ -1,0 +1,69 @@
+from .depth_noise import (
+    DepthNoise as DepthNoise,
+    dome as dome,
+    resized as resized,
+    strided as strided,
+    with_nodes as with_nodes,
+    with_noise as with_noise,
+    with_pixels as with_pixels,
+)
+from .inflated_rubber import (
+    ATMOSPHERE_PA as ATMOSPHERE_PA,
+    CAMERA_NOISE as CAMERA_NOISE,
+    InflatedRubber as InflatedRubber,
+    InflatedSensor as InflatedSensor,
+)
+from .live_scenes import (
+    finger_pose as finger_pose,
+    grip_poses as grip_poses,
+    oversized_nut as oversized_nut,
+    simulation as simulation,
+)
+from .presses import (
+    GRID_OBJECTS as GRID_OBJECTS,
+    HELD_OUT_OBJECTS as HELD_OUT_OBJECTS,
+    SMOOTH_OBJECTS as SMOOTH_OBJECTS,
+    Press as Press,
+    made as made,
+    press_path as press_path,
+    presses as presses,
+    touching_height as touching_height,
+)
+from .printed_speckle import (
+    PrintedMembrane as PrintedMembrane,
+    Speckle as Speckle,
+)
+from .rubber_truth import (
+    EDGE_RADIUS_M as EDGE_RADIUS_M,
+    TRUTH_NODES as TRUTH_NODES,
+    RubberPresses as RubberPresses,
+    RubberTruth as RubberTruth,
+    refined_press as refined_press,
+    rubber_sensor as rubber_sensor,
+)
+from .synthetic_source import (
+    FINER as FINER,
+    KnowsTruth as KnowsTruth,
+    Model as Model,
+    NoisyLoop as NoisyLoop,
+    SyntheticSource as SyntheticSource,
+    Truth as Truth,
+    default_path as default_path,
+    default_press as default_press,
+    dome_size as dome_size,
+    sharpened as sharpened,
+    simulation_mesh as simulation_mesh,
+    truth_of as truth_of,
+)
+from .truth_bank import (
+    LinearPresses as LinearPresses,
+    Presses as Presses,
+    Sighting as Sighting,
+    TruthBank as TruthBank,
+    noise_name as noise_name,
+)
+from .truth_file import (
+    KnownRecording as KnownRecording,
+    known_beside as known_beside,
+    read_truth as read_truth,
+)

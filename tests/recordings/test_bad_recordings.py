@@ -1,0 +1,271 @@
+"""Whatever is wrong with a recording is one line that names the file, and no traceback."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message, MessageIndex
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, IndexType, Writer
+
+from bubbleviz.api.frames import info
+from bubbleviz.errors import InputError
+from bubbleviz.recordings import Recording
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        info(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert path.name in message
+    return message
+
+
+def read_all(path: Path) -> None:
+    info(path)
+    with Recording(path) as recording:
+        for k in range(len(recording)):
+            recording[k]
+
+
+def test_missing(tmp_path: Path) -> None:
+    assert "no such recording" in refusal(tmp_path / "nope.mcap")
+    assert "no such recording" in refusal(tmp_path / ("x" * 5000))
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
+def test_empty_file(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"rec{suffix}"
+    path.touch()
+    refusal(path)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag", ".txt", ""])
+def test_something_else(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"rec{suffix}"
+    path.write_bytes(b"not a recording at all, but some text\n" * 100)
+    refusal(path)
+
+
+def test_folder_without_recording(tmp_path: Path) -> None:
+    assert "no recording in this folder" in refusal(tmp_path)
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: [1, 2]\n")
+    refusal(tmp_path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_messages(tmp_path: Path, kind: str) -> None:
+    assert "no messages" in refusal(BagMaker(kind).write(tmp_path))
+
+
+def test_no_depth_topic(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.pressure(START, 1e5)
+    assert "no depth image" in refusal(bag.write(tmp_path))
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "mono16", "64FC1", ""])
+def test_wrong_encoding(tmp_path: Path, encoding: str) -> None:
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0), encoding)
+    message = refusal(bag.write(tmp_path))
+    assert repr(encoding) in message
+    assert "16UC1" in message
+
+
+def test_unknown_distortion(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0))
+    bag.camera_info(START, model="equidistant", d=[0.1, 0.0, 0.0, 0.0])
+    assert "equidistant" in refusal(bag.write(tmp_path))
+
+
+def test_a_frame_of_another_size_or_with_too_little_data(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0))
+    bag.image(START + PERIOD, depth_image(1, 12, 16))
+    bag.image(START + 2 * PERIOD, depth_image(2), data=np.zeros(7, dtype=np.uint8))
+    with Recording(bag.write(tmp_path)) as recording:
+        with pytest.raises(InputError, match=r"frame 1.*16×12"):
+            recording[1]
+        with pytest.raises(InputError, match="frame 2"):
+            recording[2]
+        np.testing.assert_array_equal(recording[0].depth_m, depth_image(0))  # still usable
+
+
+def test_payload_that_is_no_image(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0))
+    path = bag.write(tmp_path)
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(tmp_path / "bad", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(
+            "/cam/depth/image", "sensor_msgs/msg/Image", typestore=bag.store
+        )
+        writer.write(connection, START, b"\x00\x01\x00\x00garbage")
+    refusal(tmp_path / "bad")
+    read_all(path)
+
+
+@pytest.mark.parametrize("kind", ["db3 file", "bag none", "bag lz4"])
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+def test_truncated(tmp_path: Path, kind: str, share: float) -> None:
+    path = fill(BagMaker(kind)).write(tmp_path)
+    os.truncate(path, int(path.stat().st_size * share))
+    with pytest.raises(InputError) as caught:
+        read_all(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["mcap file", "mcap folder"])
+def test_a_truncated_mcap_of_rosbag2_opens(tmp_path: Path, kind: str) -> None:
+    path = fill(BagMaker(kind)).write(tmp_path)
+    file = path if path.is_file() else next(path.glob("*.mcap"))
+    os.truncate(file, file.stat().st_size - 20)  # in its summary: no chunk is lost
+    assert frames_up_to_the_cut(path) == 6
+    os.truncate(file, 300)
+    assert "was cut off before its first message" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"index_types": IndexType.NONE}, {"use_chunking": False}],
+    ids=["indexed", "without indexes", "without chunks"],
+)
+def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(
+    tmp_path: Path, options: dict[str, Any]
+) -> None:
+    path = fill(BagMaker("mcap file"), frames=20).write(tmp_path)
+    rewrite(path, **options)
+    whole, found = path.read_bytes(), list[int]()
+    for share in np.linspace(0.02, 0.999, 15):
+        path.write_bytes(whole[: int(share * len(whole))])
+        try:
+            found.append(frames_up_to_the_cut(path))
+        except InputError as error:
+            assert "was cut off" in str(error) or "no depth image" in str(error)
+            found.append(0)
+    assert found == sorted(found) and len(set(found)) > 5
+    assert found[0] == 0 and found[-1] == 20
+
+
+def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path: Path) -> None:
+    path, cut = fill(BagMaker("mcap file"), frames=20).write(tmp_path), tmp_path / "cut.mcap"
+    rewrite(path)
+    whole, frames = path.read_bytes(), 0
+    with path.open("rb") as file:
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                before, inside = frames, breakup_chunk(record)
+                frames += sum(isinstance(m, Message) and len(m.data) > 3000 for m in inside)
+                # a file system may give a file its size before it has what was written to it
+                cut.write_bytes(whole[: file.tell() - 1000] + bytes(1000))
+                assert not before or frames_up_to_the_cut(cut) == before
+            if isinstance(record, Chunk | MessageIndex) and frames:
+                cut.write_bytes(whole[: file.tell()])
+                assert frames_up_to_the_cut(cut) == frames
+    assert frames == 20
+
+
+def test_a_chunk_whose_checksum_is_another_is_refused(tmp_path: Path) -> None:
+    path = fill(BagMaker("mcap file")).write(tmp_path)
+    rewrite(path)
+    with path.open("rb") as file:
+        chunk = next(
+            r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk)
+        )
+    checksum = chunk.uncompressed_crc.to_bytes(4, "little")
+    path.write_bytes(path.read_bytes().replace(checksum, bytes([checksum[0] ^ 1]) + checksum[1:]))
+    with pytest.raises(InputError, match="checksum does not match"):
+        read_all(path)
+
+
+def rewrite(path: Path, **options: Any) -> None:
+    """The same messages by the `mcap` library, in chunks of a few images."""
+    with path.open("rb") as file:
+        messages = list(make_reader(file).iter_messages())
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=8_000, **options)
+        writer.start("ros2", "another recorder")
+        channels: dict[str, int] = {}
+        for schema, channel, message in messages:
+            assert schema is not None
+            if channel.topic not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", kind)
+            at_ns = message.log_time
+            writer.add_message(channels[channel.topic], at_ns, message.data, at_ns)
+        writer.finish()
+
+
+def frames_up_to_the_cut(path: Path) -> int:
+    """How many frames open, each as it was recorded."""
+    with Recording(path) as recording:
+        assert "ends early" in recording.bag.note
+        for k in range(len(recording)):
+            np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+        return len(recording)
+
+
+@pytest.mark.parametrize(
+    "kind", ["mcap file", "mcap folder", "mcap file lz4", "db3 file", "bag none", "bag bz2"]
+)
+def test_mutations_are_read_or_refused(tmp_path: Path, kind: str) -> None:
+    """Flipped, overwritten, doubled and removed bytes: nothing but InputError comes out."""
+    path = fill(BagMaker(kind.removesuffix(" lz4")), frames=2).write(tmp_path)
+    if kind.endswith("lz4"):  # as our recorder writes
+        rewrite(path, compression=CompressionType.LZ4)
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    pristine = {file: file.read_bytes() for file in files}
+    rng = random.Random(kind)
+    refused = 0
+    for _ in range(int(os.environ.get("BUBBLEVIZ_MUTATIONS", "40"))):
+        file = rng.choice(files)
+        file.write_bytes(mutated(pristine[file], rng))
+        try:
+            read_all(path)
+        except InputError as error:
+            assert "\n" not in str(error)
+            refused += 1
+        file.write_bytes(pristine[file])
+    assert refused > 5  # else the mutations prove nothing
+    read_all(path)
+
+
+def mutated(data: bytes, rng: random.Random) -> bytes:
+    at = rng.randrange(len(data))
+    count = rng.choice([1, 4, 8, 64, 1000])
+    junk = rng.choice([b"\xff" * count, bytes(count), rng.randbytes(count)])
+    return rng.choice(
+        [
+            data[:at] + junk + data[at + count :],
+            data[:at] + data[at + count :],
+            data[:at] + junk + data[at:],
+            data[:at] + data[at : at + count] + data[at:],
+        ]
+    )
+
+
+def test_unreadable_file(tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root reads everything")
+    path = fill(BagMaker("mcap file")).write(tmp_path)
+    path.chmod(0)
+    refusal(path)
+
+
+def test_a_folder_whose_file_is_gone(tmp_path: Path) -> None:
+    path = fill(BagMaker("mcap folder")).write(tmp_path)
+    next(path.glob("*.mcap")).unlink()
+    refusal(path)
+    shutil.rmtree(path)

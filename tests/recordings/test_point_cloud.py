@@ -1,0 +1,109 @@
+"""Point clouds as other programs lay them out in memory."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera import Intrinsics
+from bubbleviz.recordings import decode_cloud
+
+CAMERA = Intrinsics(5, 4, 6.0, 7.0, 2.0, 1.5)
+POINTS = np.random.default_rng(0).uniform(0.1, 0.2, (4, 5, 3))
+
+
+def cloud(
+    points: np.ndarray,
+    *,
+    kind: str = "<f4",
+    step: int = 24,
+    padding: int = 8,
+    offsets: tuple[int, int, int] = (4, 16, 8),
+    **changes: Any,
+) -> SimpleNamespace:
+    """A PointCloud2 of points (h, w, 3) among other bytes, with padding after every row."""
+    height, width, _ = points.shape
+    row = width * step + padding
+    data = np.random.default_rng(1).integers(0, 256, height * row, np.uint8)
+    for i in range(height):
+        for j in range(width):
+            for value, offset in zip(points[i, j], offsets, strict=True):
+                start = i * row + j * step + offset
+                data[start : start + np.dtype(kind).itemsize] = list(
+                    np.array(value, kind).tobytes()
+                )
+    fields = [
+        SimpleNamespace(name=name, offset=offset, datatype={4: 7, 8: 8}[np.dtype(kind).itemsize])
+        for name, offset in zip("xyz", offsets, strict=True)
+    ]
+    message = {
+        "height": height, "width": width, "point_step": step, "row_step": row, "data": data,
+        "is_bigendian": kind.startswith(">"), "fields": fields,
+    }  # fmt: skip
+    return SimpleNamespace(**{**message, **changes})
+
+
+@pytest.mark.parametrize(
+    ("kind", "offsets", "step"),
+    [("<f4", (4, 16, 8), 24), (">f4", (0, 4, 8), 12), ("<f8", (8, 0, 16), 32)],
+)
+def test_the_layout_of_fields_steps_and_rows_is_the_message_s(
+    kind: str, offsets: tuple[int, int, int], step: int
+) -> None:
+    decoded = decode_cloud(cloud(POINTS, kind=kind, offsets=offsets, step=step), None)
+    np.testing.assert_array_equal(decoded, POINTS[..., 2].astype(np.float32))
+
+
+def test_what_is_no_distance_is_no_return() -> None:
+    points = POINTS.copy()
+    points[0, :4, 2] = np.nan, np.inf, 0.0, -0.1
+    decoded = decode_cloud(cloud(points), None)
+    assert np.isnan(decoded[0, :4]).all() and np.isfinite(decoded[0, 4])
+    np.testing.assert_array_equal(decoded[1:], points[1:, :, 2].astype(np.float32))
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8"])
+def test_points_without_rows_go_where_the_camera_sees_them(kind: str) -> None:
+    """The nearest of those that meet in a pixel; none outside the image or behind it."""
+    rows, columns = np.indices((4, 5))
+    z = np.random.default_rng(2).uniform(0.1, 0.2, (4, 5)).astype(np.float32).astype(float)
+    at = np.stack([(columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy], axis=-1)
+    image = np.dstack([at * z[..., None], z])
+    image[2, 3] = np.nan  # a hole
+    behind, outside = -image[:1, :2], np.array([[[0.3, 0.0, 0.1], [0.0, -0.3, 0.1]]])
+    farther = 1.4 * image
+    points = np.concatenate([p.reshape(-1, 3) for p in (farther, image, farther, behind, outside)])
+    offsets = (0, 8, 16) if kind == "<f8" else (0, 4, 8)
+    decoded = decode_cloud(cloud(points[None], kind=kind, offsets=offsets), CAMERA)
+    expected = np.where(np.isnan(image[..., 2]), np.nan, z)
+    np.testing.assert_allclose(decoded, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"row_step": 5 * 24 - 1}, "not plausible"),
+        ({"point_step": 0}, "not plausible"),
+        ({"point_step": 2000, "row_step": 20_000}, "not plausible"),
+        ({"width": 0}, "not plausible"),
+        ({"data": np.zeros(4 * 128 - 1, np.uint8)}, "are no cloud of 4×5 points"),
+        ({"fields": []}, "no fields x, y, z"),
+    ],
+)
+def test_numbers_that_do_not_fit_are_refused(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        decode_cloud(cloud(POINTS, **change), None)
+    whole = cloud(POINTS, data=cloud(POINTS).data[: 4 * 128])
+    assert decode_cloud(whole, None).shape == (4, 5)
+
+
+def test_whole_numbers_are_no_points_and_a_row_alone_needs_a_camera() -> None:
+    message = cloud(POINTS)
+    message.fields[1].datatype = 5
+    with pytest.raises(ValueError, match="no floating point"):
+        decode_cloud(message, None)
+    with pytest.raises(ValueError, match="needs the camera info"):
+        decode_cloud(cloud(POINTS[:1]), None)

@@ -1,0 +1,336 @@
+"""Recordings are read as what another program wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bagmaker import (
+    HEIGHT,
+    KINDS,
+    PERIOD,
+    SECOND,
+    START,
+    WIDTH,
+    BagMaker,
+    depth_image,
+    fill,
+    pressure_at,
+)
+from compressed_depth import compressed
+
+from bubbleviz.errors import InputError
+from bubbleviz.recordings import Recording, bag_storage as chunks
+
+
+def test_every_format_gives_the_frames_written(press: Path) -> None:
+    with Recording(press) as recording:
+        assert len(recording) == 6
+        np.testing.assert_allclose(recording.times_s, np.arange(6) * PERIOD / SECOND, atol=1e-12)
+        for k in (5, 0, 3, 3, 1):  # any order
+            frame = recording[k]
+            np.testing.assert_array_equal(frame.depth_m, depth_image(k))
+            assert frame.depth_m.dtype == np.float32
+            assert (frame.index, frame.stamp_ns) == (k, START + k * PERIOD)
+            assert frame.time_s == recording.times_s[k]
+            assert frame.gas_pressure_pa == pytest.approx(pressure_at(frame.stamp_ns), abs=1e-6)
+            np.testing.assert_allclose(frame.wrench, [k, 2, 3, 4, 5, 6])
+            assert frame.intrinsics is not None
+            assert (frame.intrinsics.width, frame.intrinsics.height) == (WIDTH, HEIGHT)
+            assert (frame.intrinsics.fx, frame.intrinsics.cy) == (30.0, 11.5)
+            assert frame.intrinsics.distortion_model == "none"  # plumb_bob with zeros
+
+
+def write_compressed(
+    folder: Path, kind: str, encoding: str, cut: int | None = None, more: str = ""
+) -> Path:
+    """Depth as its publisher compresses it, beside compressed colour, and with a hole."""
+    bag, topic = BagMaker(kind), "/cam/depth/image/compressedDepth"
+    image = "sensor_msgs/msg/CompressedImage"
+    for k in range(4):
+        stamp = START + k * PERIOD
+        depth = depth_image(k)
+        depth[3, 5] = np.nan
+        text, data = compressed(depth, encoding)
+        pixels = np.frombuffer(data[:cut], np.uint8)
+        header = bag.header(stamp)
+        bag.camera_info(stamp)
+        jpeg = np.arange(9, dtype=np.uint8)
+        bag.add("/cam/color/compressed", image, stamp, header=header, format="jpeg", data=jpeg)
+        bag.add(topic, image, stamp, header=header, format=text + more, data=pixels)
+    return bag.write(folder)
+
+
+@pytest.mark.parametrize("kind", ["mcap file", "db3 folder", "bag none"])
+@pytest.mark.parametrize(("encoding", "off_m"), [("16UC1", 5.1e-4), ("32FC1", 2e-5)])
+def test_compressed_depth_is_read(tmp_path: Path, kind: str, encoding: str, off_m: float) -> None:
+    with Recording(write_compressed(tmp_path, kind, encoding, more=" png")) as recording:
+        assert (len(recording), recording.size) == (4, (WIDTH, HEIGHT))
+        assert recording.encoding == encoding
+        assert recording.intrinsics is not None
+        for k in range(4):
+            depth, true = recording[k].depth_m, depth_image(k)
+            assert depth.dtype == np.float32 and np.isnan(depth[3, 5])
+            true[3, 5] = np.nan
+            assert np.nanmax(np.abs(depth - true)) < off_m
+            np.testing.assert_array_equal(np.isnan(depth), np.isnan(true))
+
+
+@pytest.mark.parametrize(
+    ("cut", "more", "says"),
+    [(60, "", "no compressed depth image"), (5, "", "no compressed"), (None, " rvl", "as PNG")],
+)
+def test_compressed_depth_that_cannot_be_read_is_refused(
+    tmp_path: Path, cut: int | None, more: str, says: str
+) -> None:
+    path = write_compressed(tmp_path, "mcap file", "16UC1", cut, more)
+    with pytest.raises(InputError, match=says):
+        Recording(path)
+
+
+def test_index_outside_is_an_index_error(press: Path) -> None:
+    with Recording(press) as recording:
+        for k in (-1, 6, 10**6):
+            with pytest.raises(IndexError):
+                recording[k]
+
+
+def test_a_bag_split_over_files_is_one_recording(tmp_path: Path) -> None:
+    for part in (1, 0):
+        bag = BagMaker("mcap file")
+        for k in range(3 * part, 3 * part + 3):
+            bag.image(START + k * PERIOD, depth_image(k))
+        bag.write(tmp_path, f"rec_{part}")
+    for leftover in ("rec_0", "rec_1"):
+        (tmp_path / leftover / "metadata.yaml").unlink()
+        (tmp_path / leftover).rmdir()
+    with Recording(tmp_path) as recording:
+        for k in range(6):
+            np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+
+
+def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    for log, k in enumerate((2, 0, 1)):
+        bag.image(START + k * PERIOD, depth_image(k), log=START + log)
+    with Recording(bag.write(tmp_path)) as recording:
+        assert (np.diff(recording.times_s) > 0).all()
+        for k in range(3):
+            np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+
+
+@pytest.mark.parametrize("frames", [3, 40])
+def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path: Path, frames: int) -> None:
+    """A replay that begins again has its old stamps again, whether or not they go back far."""
+    bag, laps = BagMaker("mcap file"), 3
+    for log in range(laps * frames):
+        bag.image(START + (log % frames) * PERIOD, depth_image(log % 5), log=START + log * PERIOD)
+        bag.pressure(START + (log % frames) * PERIOD, 1e5 + log, log=START + log * PERIOD)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(np.diff(recording.times_s), PERIOD * 1e-9)
+        for log in (0, frames - 1, frames, 2 * frames + 1):
+            frame = recording[log]
+            np.testing.assert_array_equal(frame.depth_m, depth_image(log % 5))
+            assert frame.gas_pressure_pa == pytest.approx(1e5 + log)
+
+
+def test_what_belongs_together_in_a_recorded_loop_is_told_by_its_stamps(tmp_path: Path) -> None:
+    """Images arrive up to half a second after the gas pressure of the same moment, in bursts."""
+    bag, laps, frames, late = BagMaker("mcap file"), 3, 40, np.random.default_rng(0)
+    free = START
+    for k in range(laps * frames):
+        lap, moment = divmod(k, frames)
+        stamp, sent = START + moment * PERIOD, START + k * PERIOD
+        bag.pressure(stamp, 1e5 + 10.0 * k, log=sent)
+        free = max(free + 1, sent + int(late.integers(0, SECOND // 2)) * (moment % 7 != 0))
+        if (lap, moment) != (1, 0) and not 12 <= moment < 15:  # some are lost
+            bag.image(stamp, depth_image(k % 5), log=free)
+    kept = [k for k in range(laps * frames) if k != frames and not 12 <= k % frames < 15]
+    with Recording(bag.write(tmp_path)) as recording:
+        assert len(recording) == len(kept)
+        assert (np.diff(recording.times_s) > 0.0).all()
+        for index, k in enumerate(kept):
+            assert recording[index].gas_pressure_pa == pytest.approx(1e5 + 10.0 * k)
+            np.testing.assert_array_equal(recording[index].depth_m, depth_image(k % 5))
+        lap = recording.times_s[: frames - 3]
+        np.testing.assert_allclose(np.diff(lap), np.diff(kept[: frames - 3]) * PERIOD * 1e-9)
+
+
+def test_without_stamps_the_log_times_count(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    for k in range(4):
+        bag.image(0, depth_image(k), log=START + k * PERIOD)
+        bag.pressure(0, pressure_at(START + k * PERIOD), log=START + k * PERIOD)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(recording.times_s, np.arange(4) * PERIOD / SECOND, atol=1e-12)
+        assert recording[2].gas_pressure_pa == pytest.approx(pressure_at(START + 2 * PERIOD))
+
+
+@pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
+def test_pressure_beyond_its_range_is_the_nearest_or_none(
+    tmp_path: Path, late_s: float, found: bool
+) -> None:
+    bag = BagMaker("mcap file")
+    bag.pressure(START, 106_000.0)
+    bag.image(START + round(late_s * SECOND), depth_image(0))
+    bag.image(START - round(late_s * SECOND), depth_image(1))
+    with Recording(bag.write(tmp_path)) as recording:
+        expected = 106_000.0 if found else None
+        assert [recording[k].gas_pressure_pa for k in range(2)] == [expected] * 2
+
+
+def test_without_gas_pressure_wrench_and_camera_info_they_are_none(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0))
+    with Recording(bag.write(tmp_path)) as recording:
+        frame = recording[0]
+        assert (frame.gas_pressure_pa, frame.wrench, frame.intrinsics) == (None, None, None)
+        assert not recording.has_wrench
+
+
+def test_the_depth_image_is_found_among_others_and_may_be_chosen(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    grey = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
+    infrared = np.full((HEIGHT, WIDTH), 500, dtype=np.uint16)
+    bag.image(START, grey, "mono8", topic="/cam/depth/confidence")
+    bag.image(START, infrared, "16UC1", topic="/cam/infrared/image")
+    bag.image(START, depth_image(0), topic="/cam/depth/image")
+    path = bag.write(tmp_path)
+    with Recording(path) as recording:
+        assert recording.depth_topic.name == "/cam/depth/image"
+    with Recording(path, depth_topic="/cam/infrared/image") as recording:
+        assert recording[0].depth_m[0, 0] == np.float32(0.5)
+    with pytest.raises(InputError, match="/nope"):
+        Recording(path, depth_topic="/nope")
+    with pytest.raises(InputError, match="/nope"):
+        Recording(path, pressure_topic="/nope")
+
+
+def test_camera_info_of_the_same_camera_and_size_is_taken(tmp_path: Path) -> None:
+    bag = BagMaker("mcap file")
+    bag.camera_info(START, topic="/other/camera_info", k=np.eye(3).ravel() * 7)
+    bag.camera_info(START, topic="/cam/color/camera_info", width=1280, height=720)
+    bag.camera_info(START)
+    bag.image(START, depth_image(0))
+    with Recording(bag.write(tmp_path)) as recording:
+        assert recording.intrinsics is not None
+        assert recording.intrinsics.fx == 30.0
+
+
+def test_reading_one_frame_does_not_decompress_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    bag = BagMaker("mcap file")
+    for k in range(20):
+        noise = rng.uniform(0.1, 0.2, (480, 640)).astype(np.float32)
+        bag.image(START + k * PERIOD, noise)
+    path = bag.write(tmp_path)
+    inflated = [0]
+    original = chunks.LazyChunk.read
+
+    def counting(self: chunks.LazyChunk, count: int) -> bytes:
+        before = self.memory
+        part = original(self, count)
+        inflated[0] += self.memory - before
+        return part
+
+    monkeypatch.setattr(chunks.LazyChunk, "read", counting)
+    image = 640 * 480 * 4
+    with Recording(path) as recording:
+        assert inflated[0] < 2 * image  # 20 headers and the first image
+        inflated[0] = 0
+        recording[13]
+        assert inflated[0] < 1.2 * image
+
+
+def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bubbleviz.recordings.recording.SAMPLED_ABOVE", 100)
+    reads = []
+    bag, jittered = BagMaker("mcap file"), BagMaker("mcap file")
+    for k in range(300):
+        bag.image(START + k * PERIOD, depth_image(k, 2, 3))
+        jittered.image(START + k * PERIOD, depth_image(k, 2, 3), log=START + k * PERIOD + k % 7)
+    from bubbleviz.recordings import Messages
+
+    original = Messages.stamp_ns
+    monkeypatch.setattr(Messages, "stamp_ns", lambda m, k: reads.append(k) or original(m, k))
+    with Recording(bag.write(tmp_path, "same")) as recording:
+        assert len(reads) == 64
+        np.testing.assert_allclose(np.diff(recording.times_s), PERIOD / SECOND, atol=1e-12)
+    with Recording(jittered.write(tmp_path, "jittered")) as recording:
+        np.testing.assert_allclose(np.diff(recording.times_s), PERIOD / SECOND, atol=1e-12)
+
+
+def test_real_recording_against_rosbags(punyo_press: Path) -> None:
+    """Frames and pressures of the real press as rosbags' own sequential reader gives them."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([punyo_press]) as reader, Recording(punyo_press) as recording:
+        by_type = {c.msgtype: c for c in reader.connections}
+        images = by_type["sensor_msgs/msg/Image"]
+        stamps, pressures = [], []
+        for connection, _, raw in reader.messages([by_type["sensor_msgs/msg/FluidPressure"]]):
+            message = reader.deserialize(raw, connection.msgtype)
+            stamps.append(message.header.stamp.sec * SECOND + message.header.stamp.nanosec)
+            pressures.append(message.fluid_pressure)
+        for k, (connection, _, raw) in enumerate(reader.messages([images])):
+            if k % 15:
+                continue
+            message = reader.deserialize(raw, connection.msgtype)
+            pixels = message.data.view(np.float32).reshape(480, 640)
+            frame = recording[k]
+            np.testing.assert_array_equal(np.nan_to_num(frame.depth_m), pixels)
+            offsets = np.array(stamps) - frame.stamp_ns
+            expected = np.interp(0.0, offsets, pressures)
+            assert frame.gas_pressure_pa == pytest.approx(expected, abs=0.01)
+        assert len(recording) == 90
+        assert recording.intrinsics is not None
+        assert recording.intrinsics.distortion_model == "inverse_brown_conrady"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_closing_lets_go_of_the_file(tmp_path: Path, kind: str) -> None:
+    path = fill(BagMaker(kind)).write(tmp_path)
+    descriptors = Path("/proc/self/fd")
+    if not descriptors.is_dir():
+        pytest.skip("needs /proc to count open files")
+    before = len(list(descriptors.iterdir()))
+    with Recording(path) as recording:
+        recording[0]
+        assert len(list(descriptors.iterdir())) > before
+    assert len(list(descriptors.iterdir())) == before
+
+
+@pytest.mark.parametrize("garbage", [5, 86_400 * SECOND, 2_100_000_000 * SECOND])
+def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path: Path, garbage: int) -> None:
+    bag = BagMaker("mcap file")
+    for k in range(7):
+        log = START + k * PERIOD
+        bag.image(garbage if k == 3 else log - SECOND, depth_image(k), log=log)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(recording.times_s, np.arange(7) * PERIOD * 1e-9)
+        np.testing.assert_array_equal(recording[3].depth_m, depth_image(3))
+
+
+def test_a_file_of_the_realsense_library(tmp_path: Path) -> None:
+    """Its topics, encoding and unit; an infrared image has the same encoding."""
+    bag, stem = BagMaker("bag lz4"), "/device_0/sensor_0"
+    units = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
+    for k in range(2):
+        infrared = {"encoding": "mono16", "topic": f"{stem}/Infrared_1/image/data"}
+        bag.image(START + k * PERIOD, units[::-1], **infrared)
+        depth = {"encoding": "mono16", "topic": f"{stem}/Depth_0/image/data"}
+        bag.image(START + k * PERIOD, units, **depth)
+    info = f"{stem}/Depth_0/info/camera_info"
+    bag.camera_info(START, model="Inverse Brown Conrady", d=[0.1, 0, 0, 0, 0], topic=info)
+    bag.add(f"{stem}/option/Depth_Units/value", "std_msgs/msg/Float32", START, data=1e-4)
+    with Recording(bag.write(tmp_path)) as recording:
+        assert len(recording) == 2
+        expected = np.where(units > 0, 1e-4 * units, np.nan)
+        np.testing.assert_allclose(recording[1].depth_m, expected, rtol=1e-6)
+        assert recording.intrinsics is not None
+        assert recording.intrinsics.distortion_model == "inverse_brown_conrady"

@@ -1,0 +1,121 @@
+"""Step 5: inflation levels and the open chamber: what each pixel is off by, λ, gauge pressure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton
+
+from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
+from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
+from bubbleviz_ui.engine.solver_server import RECORDINGS
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.file_dialogs import file_to_open
+
+
+class RectificationPage(Page):
+    """Residual of the last frame before and after rectification; further inflation levels."""
+
+    name = "Levels"
+    title = "Rectification"
+    todo = "Add recordings of the untouched sensor at other inflation levels, if you have any."
+    sets = ("levels", "vented")
+    next_title = "Look at the rectification"
+
+    def __init__(self, calibration: Calibration, units: Units) -> None:
+        super().__init__(calibration, units)
+        self.before, self.after = ImageView("around zero"), ImageView("around zero")
+        self.levels = QLabel(wordWrap=True)
+        self.add, self.drop = QPushButton("Add a level…"), QPushButton("Remove the last")
+        self.add.setToolTip("Recording of the untouched sensor at another inflation level")
+        self.drop.setToolTip("Remove the recording added last")
+        self.vented = QPushButton("Open chamber…")
+        self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
+        self.numbers = Numbers()
+        row = fill(QHBoxLayout(), self.add, self.drop)
+        # what is to be done here first: a small screen shows no more without scrolling
+        fill(self.column, self.levels, row, self.vented, self.before, self.after, self.numbers, 1)
+        self.add.clicked.connect(self._choose_level)
+        self.vented.clicked.connect(self._choose_vented)
+        self.drop.clicked.connect(
+            lambda: calibration.edit("Remove a level", levels=calibration.settings.levels[:-1])
+        )
+
+    def add_level(self, path: Path) -> None:
+        """Rectify with another inflation level, too."""
+        levels = (*self.calibration.settings.levels, path)
+        self.calibration.edit(f"Add the level {path.name}", levels=levels)
+
+    def set_vented(self, path: Path) -> None:
+        """Take the atmospheric pressure from a recording of the open chamber."""
+        self.calibration.edit(f"Take {path.name} as the open chamber", vented=path)
+
+    def is_done(self, answer: Answer) -> bool:
+        """Whether other levels are used."""
+        return bool(answer.work.settings.levels or answer.work.settings.vented)
+
+    def show_answer(self, answer: Answer) -> None:
+        """Show both images, their rms and the levels."""
+        unit, last = self.units.fine_length, answer.last
+        before = last.before_m if last is not None else None
+        after = last.after_m if last is not None else None
+        limit = 3.0 * float(np.nanstd(before)) if before is not None else 1.0
+        for view, title, image in (
+            (self.before, "Last frame before", before),
+            (self.after, "Last frame after", after),
+        ):
+            view.show_image(title, image, unit, -limit, limit)
+        for name, image in (("rms before", before), ("rms after", after)):
+            rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
+            self.numbers.set(name, unit.text(rms))
+        self._show_levels(answer)
+        self._show_rubber(answer)
+
+    def _show_levels(self, answer: Answer) -> None:
+        levels = self.calibration.settings.levels
+        self.drop.setEnabled(bool(levels))
+        names = ", ".join(path.name for path in levels)
+        self.levels.setText(
+            f"Further levels: {names}" if levels else "One level: an offset for each pixel."
+        )
+        line = answer.draft.pixels.line if answer.draft.pixels is not None else None
+        if line is None or answer.draft.found is None:
+            self.numbers.set("line", "offset only")
+            self.numbers.set("holds over", None)
+            return
+        mask = answer.draft.found.pixels.mask
+        slope, spread = float(np.median(line.slope[mask])), float(np.std(line.slope[mask]))
+        self.numbers.set("line", f"slope {slope:.4f}, spread {spread:.4f}, {line.levels} levels")
+        span = float(np.median((line.farthest_m - line.nearest_m)[mask]))
+        text = f"{self.units.length.text(span)}; beyond, the nearest level's offset"
+        self.numbers.set("holds over", text)
+
+    def _show_rubber(self, answer: Answer) -> None:
+        """λ and gauge pressure as levels, press and open chamber tell, or why they do not."""
+        found, pressure = answer.draft.found, self.units.gas_pressure
+        rubber = found.rubber if found is not None else None
+        if rubber is None:
+            self.numbers.set("λ", "not determined: add levels, or press and hold")
+            self.numbers.set("gauge pressure", None)
+            self.numbers.set("gauge pressure rests on", "the sensor file's atmospheric pressure")
+            return
+        stretch, gauge = rubber.prestretch, rubber.gauge
+        if stretch is None:
+            self.numbers.set("λ", f"not determined: {rubber.why_not}")
+        else:
+            self.numbers.set("λ", "{}, 95 % interval {} … {}".format(*stretch.texts(3)))
+        text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
+        self.numbers.set("gauge pressure", text)
+        self.numbers.set("gauge pressure rests on", rubber.gauge_rests_on)
+
+    def _choose_vented(self) -> None:
+        path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")
+        if path is not None:
+            self.set_vented(path)
+
+    def _choose_level(self) -> None:
+        path = file_to_open(self, "Add an inflation level", RECORDINGS, of="recording")
+        if path is not None:
+            self.add_level(path)

@@ -1,0 +1,161 @@
+"""Colour maps of the 3-D view."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from matplotlib import colormaps
+
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.shell import theme
+
+ENTRIES = 256
+NEUTRAL_ENTRIES = 5
+"""Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
+BLEND_ENTRIES = 20
+DARKEST = 0.28
+"""Share of a map that is too dark to be told from the shadows of the membrane."""
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue, 0 … 255, of `#rrggbb`."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def pressure_colours(name: str) -> np.ndarray:
+    """Entries (256, 4) uint8: neutral at zero, then a uniform map: brighter is stronger."""
+    sampled = colormaps[name](np.linspace(DARKEST, 1.0, ENTRIES))
+    values = np.asarray(sampled * 255.0).astype(np.uint8)
+    neutral = np.array([*rgb(theme.NEUTRAL), 255], float)
+    values[:NEUTRAL_ENTRIES] = neutral
+    blend = slice(NEUTRAL_ENTRIES, NEUTRAL_ENTRIES + BLEND_ENTRIES)
+    share = np.linspace(0.0, 1.0, BLEND_ENTRIES)[:, None]
+    values[blend] = (1 - share) * neutral + share * values[blend]
+    return values
+
+
+def residual_colours(middle: str) -> np.ndarray:
+    """Entries (256, 4) uint8: blue where measured nearer than modelled, green where farther.
+
+    `middle` is between. Neither end is a colour of the pressure map, so the two are never mistaken
+    for each other.
+    """
+    ends = (theme.NEARER, middle, theme.FARTHER)
+    nearer, between, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
+    share = np.linspace(-1.0, 1.0, ENTRIES)[:, None]
+    values = np.where(share < 0, nearer, farther) * abs(share) + between * (1.0 - abs(share))
+    return values.astype(np.uint8)
+
+
+def lookup_table(values: np.ndarray) -> Any:
+    """Table of VTK with such entries (256, 4) uint8."""
+    table = pv.LookupTable()
+    table.values = values
+    table.nan_color = theme.UNKNOWN
+    return table
+
+
+# Ends of the colour and length scales: the user's, else by what was seen, rounded up.
+
+
+STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+PRESSURE_SHARE = 0.25
+"""The pressure scale starts at this share of the gauge pressure: noise must not look strong."""
+OUTLIERS = 2
+"""Frames whose pressure may be beyond the scale while others are shown."""
+RESIDUAL_TIMES_RMS = 3.0  # covers 99.7 % of Gaussian noise
+SMALLEST_FORCE_N = 2.0  # N, end of the axis before there is any contact
+SMALLEST_RESIDUAL_M = 1e-4  # m, a depth camera's noise
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Upper ends of the scales in use."""
+
+    pressure_pa: float
+    residual_m: float
+    force_n: float
+
+
+def rounded_up(value: float) -> float:
+    """Smallest round number (1, 1.5, 2, 3, …, times a power of ten) not below a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step for step in STEPS if step * power >= value * (1 - 1e-9)) * power
+
+
+class HeldRanges:
+    """Scales that grow with the data and never shrink, so colours stay comparable.
+
+    That of pressure covers the frames that are shown, and all that were seen but the highest two.
+    All sensors of a view are drawn on the same. Ends are round in the operator's units.
+    """
+
+    def __init__(self, units: Units) -> None:
+        self._units = units
+        self._held = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+        self._peaks_pa: dict[tuple[object, int], float] = {}
+        self._shown_pa: dict[object, float] = {}
+
+    def set_sensor(self, sensor: Sensor) -> None:
+        """Begin anew for another source; what other sensors of the view show stays covered."""
+        start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
+        self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+        self._peaks_pa = {}
+
+    def take(self, who: object, result: Result) -> None:
+        """Cover what one of the sensors shows."""
+        pressure, residual, force = 0.0, 0.0, 0.0
+        estimate, patch = result.trusted_estimate, result.trusted_patch
+        if estimate is not None:
+            residual = RESIDUAL_TIMES_RMS * estimate.residual_rms_m
+            if estimate.status == "ok":
+                pressure = float(estimate.contact_pressure_pa.max(initial=0.0))
+        if patch is not None:
+            force = float(np.linalg.norm(patch.force_n))
+        held, self._shown_pa[who] = self._held, pressure
+        self._held = Ranges(
+            _grown(held.pressure_pa, self._usual_peak((who, result.frame.index), pressure)),
+            _grown(held.residual_m, residual),
+            _grown(held.force_n, force),
+        )
+
+    def leave(self, who: object) -> None:
+        """Forget what a sensor showed that shows nothing any more."""
+        self._shown_pa.pop(who, None)
+
+    def of(self, choices: Choices) -> Ranges:
+        """Scales to draw with."""
+        pressure = self._held.pressure_pa
+        for shown in self._shown_pa.values():
+            pressure = _grown(pressure, shown)
+        units, held = self._units, self._held
+        return Ranges(
+            choices.pressure_max_pa or _round_in(units.pressure, pressure),
+            choices.residual_max_m or _round_in(units.length, held.residual_m),
+            held.force_n,
+        )
+
+    def _usual_peak(self, frame: tuple[object, int], peak_pa: float) -> float:
+        """Highest pressure of the frames seen, Pa, the `OUTLIERS` highest left out."""
+        if math.isfinite(peak_pa):
+            self._peaks_pa[frame] = max(peak_pa, self._peaks_pa.get(frame, 0.0))
+        highest = sorted(self._peaks_pa.items(), key=itemgetter(1))[-1 - OUTLIERS :]
+        self._peaks_pa = dict(highest)
+        return highest[0][1] if len(highest) > OUTLIERS else 0.0
+
+
+def _grown(held: float, seen: float) -> float:
+    return rounded_up(seen) if math.isfinite(seen) and seen > held else held
+
+
+def _round_in(unit: Unit, si: float) -> float:
+    """A value not below `si`, in SI, that is round in a unit."""
+    return rounded_up(unit.of(si)) / unit.of(1.0)

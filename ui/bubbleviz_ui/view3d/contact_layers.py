@@ -1,0 +1,565 @@
+"""The membrane, coloured by contact pressure; neutral where nothing touches it."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.output import Measured
+from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import COLOUR_MAPS
+from bubbleviz_ui.model.source_facts import DOUBTS, force_text, tangential_text
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colours import lookup_table, pressure_colours
+from bubbleviz_ui.view3d.layer import (
+    Canvas,
+    Layer,
+    Picture,
+    Surface,
+    hatch,
+    in_front,
+    light_plainly,
+    pairs,
+)
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.text import ColourBar, beside_bars, text_at
+
+
+class MembraneLayer(Layer):
+    """The deformed surface with a colour bar in the operator's pressure unit.
+
+    One colour of its own, at rest, while the estimate is not to be trusted; hatched where pressure
+    is no evidence of contact.
+    """
+
+    name, cut = "membrane", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._map = COLOUR_MAPS[0]
+        self._table = lookup_table(pressure_colours(self._map))
+        actor = self.add(
+            canvas.surface.poly,
+            scalars=canvas.surface.PRESSURE,
+            cmap=self._table,
+            show_scalar_bar=False,
+            smooth_shading=False,
+            ambient=0.25,
+            diffuse=0.75,
+            specular=0.0,  # a highlight would look like pressure
+        )
+        light_plainly(actor)
+        actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
+        actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
+        self._unexplained = pv.Triangle()  # an empty mesh cannot be added
+        self._hatching = self.add(self._unexplained, color=theme.UNTRUSTED, lighting=False)
+        self._hatching.SetPickable(False)
+        in_front(self._hatching, -90.0)
+        hatch(self._hatching)
+        self._bar = ColourBar(canvas.view, self._table, "contact pressure", upper=True)
+
+    def draw(self, picture: Picture) -> None:
+        """Take the colour range and the opacity; the surface itself is shared."""
+        unit = self.canvas.units.pressure
+        high = unit.of(picture.ranges.pressure_pa)
+        self._bar.set_range(0.0, high, unit)
+        self.actor.mapper.scalar_range = (0.0, high)
+        self.actor.prop.opacity = picture.choices.membrane_opacity
+        estimate = picture.result.estimate
+        self.actor.mapper.scalar_visibility = estimate is None or estimate.trusted
+        if picture.choices.colour_map != self._map:
+            self._map = picture.choices.colour_map
+            self._table.values = pressure_colours(self._map)
+        unexplained = None if estimate is None else estimate.unexplained_pressure_pa
+        there = unexplained is not None and bool(unexplained.any())
+        self._hatching.SetVisibility(there)
+        if unexplained is not None and there:
+            self._unexplained.copy_from(self.canvas.surface.around(unexplained > 0.0))
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide the surface and its bar."""
+        super().set_visible(visible)
+        self._bar.set_visible(visible)
+
+
+class WireframeLayer(Layer):
+    """The edges of the mesh."""
+
+    name, cut = "wireframe", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        edges = self.add(
+            canvas.surface.poly,
+            style="wireframe",
+            color=theme.WIREFRAME,
+            line_width=1,
+            lighting=False,
+        )
+        in_front(edges, -60.0)
+
+
+# Outlines of contact patches: of the one that is shown, and of settings that are compared.
+
+
+CHUNK = 256
+"""Lines have room for a multiple of so many pieces: VTK is slower where their number changes."""
+
+
+class ContourLayer(Layer):
+    """Contour lines on the displayed surface.
+
+    A thick line is the edge of the patch, thin ones are the band that holds the true edge.
+    """
+
+    name, cut = "contour", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._edge = _Line(self, theme.LINE, line_width=3)
+        self._band = _Line(self, theme.FAINT_LINE, line_width=1)
+        self._has(False)
+
+    def draw(self, picture: Picture) -> None:
+        """Trace the edge of the patch and its band; nothing without contact."""
+        patch, estimate = picture.result.trusted_patch, picture.result.estimate
+        if patch is not None and patch.area_m2 > 0:
+            surface, band = self.canvas.surface, patch.edge_half_width_m
+            self._edge.draw(surface.edge(estimate, patch))
+            levels = () if math.isnan(band) else (band, -band)
+            self._band.draw(surface.edge(estimate, patch, levels))
+        self._has(patch is not None and patch.area_m2 > 0)
+
+
+class ObjectPatchLayer(Layer):
+    """The edge of the patch by the object; nothing where its pose is lost."""
+
+    name, cut = "object_patch", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._edge = _Line(self, theme.OBJECT_PATCH, -250.0, line_width=3)
+        self._has(False)
+
+    def draw(self, picture: Picture) -> None:
+        """Trace the edge, where there is one."""
+        patch = picture.result.object_patch
+        if patch is not None:
+            self._edge.draw(self.canvas.surface.line(patch.level))
+        self._has(patch is not None)
+
+
+class ComparedLayer(Layer):
+    """Outlines of settings that are compared, in pictures of the frame that they were tried on."""
+
+    name, cut = "compared", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._outlines = [_Outline(self, colour) for colour in theme.COMPARED]
+        self._measured: tuple[Measured | str | None, ...] = (None, None)
+
+    def take(self, measured: tuple[Measured | str | None, ...]) -> None:
+        """Take what A and B were measured to be; anything but a `Measured` for none."""
+        self._measured = measured
+
+    def draw(self, picture: Picture) -> None:
+        """Trace the patches of A and B, unless they are of another frame."""
+        shown, larger = picture.result.frame.index, picture.choices.exaggeration
+        for outline, one in zip(self._outlines, self._measured, strict=True):
+            there = one if isinstance(one, Measured) else None
+            if there is not None and there.result.frame.index != shown:
+                there = None
+            outline.draw(there, larger)
+
+
+class _Outline:
+    """The edge of a patch on the shape that its own setting found."""
+
+    def __init__(self, layer: Layer, colour: str) -> None:
+        self._surface = Surface(layer.canvas.units)
+        self._line = _Line(layer, colour, -300.0, line_width=2)
+        self._mesh: MembraneMesh | None = None
+
+    def draw(self, measured: Measured | None, exaggeration: float) -> None:
+        patch = None if measured is None else measured.result.trusted_patch
+        if measured is None or patch is None or patch.area_m2 == 0.0:
+            self._line.draw(np.empty((0, 2, 3)))
+            return
+        if measured.mesh is not self._mesh:
+            self._mesh = measured.mesh
+            self._surface.set_mesh(measured.mesh)
+        shape = self._surface.shape_of(measured.result.estimate, exaggeration)
+        if shape is not None:
+            self._surface.draw(shape)
+        self._line.draw(self._surface.edge(measured.result.estimate, patch))
+
+
+class _Line:
+    """Straight pieces of a line in a buffer with spare room, whose pieces have no length."""
+
+    def __init__(self, layer: Layer, colour: str, units: float = -200.0, **look: float) -> None:
+        self._poly = pv.PolyData()
+        self._reserve(1)
+        self.actor = layer.add(self._poly, color=colour, lighting=False, **look)
+        in_front(self.actor, units)
+
+    def draw(self, pieces: np.ndarray) -> None:
+        """Draw pieces (k, 2, 3) in B in place of those before."""
+        self._reserve(len(pieces))
+        ends = pieces.reshape(-1, 3)
+        self._ends[: len(ends)] = ends
+        self._ends[len(ends) :] = ends[-1] if len(ends) else self._ends[0]
+        self._poly.Modified()
+
+    def _reserve(self, count: int) -> None:
+        room = -(-max(count, 1) // CHUNK) * CHUNK
+        if 2 * room > self._poly.n_points:
+            self._poly.points = np.zeros((2 * room, 3))
+            self._poly.lines = pairs(room)
+            self._ends = self._poly.points
+
+
+# Contact pressure as lines that end on the membrane, as long as the pressure is high.
+
+
+LONGEST = 0.5
+"""Line at the end of the pressure scale, in heights of the dome."""
+
+
+class VectorsLayer(Layer):
+    """One line a node, along its normal; of no length where there is no pressure."""
+
+    name, cut = "vectors", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._longest_m = 0.02
+        self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
+        lines = self.add(self._poly, color=theme.ORANGE, line_width=2, lighting=False)
+        lines.SetPickable(False)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take the number of nodes and the size of another sensor."""
+        self._longest_m = LONGEST * float(np.ptp(mesh.nodes[:, 2]))
+        self._poly.points = np.repeat(mesh.nodes, 2, axis=0)
+        self._poly.lines = pairs(len(mesh.nodes))
+
+    def draw(self, picture: Picture) -> None:
+        """Place the lines; nothing without an estimate."""
+        if picture.shape is None:
+            return
+        shape = picture.shape
+        share = shape.pressure_pa / picture.ranges.pressure_pa
+        ends = shape.nodes_m + (self._longest_m * share)[:, None] * shape.normals
+        self._poly.points[0::2] = ends
+        self._poly.points[1::2] = shape.nodes_m
+        self._poly.GetPoints().Modified()
+        self._poly.Modified()
+
+
+# The contact force: an arrow that ends at the centre of pressure, its length the force.
+
+
+TO_THE_FRONT = -4000.0
+"""In front of the membrane: the tip may lie behind a dent."""
+
+
+class ForceLayer(Layer):
+    """Arrow along the resultant, drawn on the side it comes from."""
+
+    name = "force"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        arrow = pv.Arrow(
+            start=(-1, 0, 0), direction=(1, 0, 0), tip_length=0.3, tip_radius=0.07,
+            shaft_radius=0.025,
+        )  # fmt: skip
+        self._longest_m = 0.05
+        in_front(self.add(arrow, color=theme.FORCE, ambient=0.4), TO_THE_FRONT)
+        self._has(False)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Scale to the size of the sensor: the end of the force scale is the dome's height."""
+        self._longest_m = float(np.ptp(mesh.nodes[:, 2]))
+
+    def draw(self, picture: Picture) -> None:
+        """Place the arrow; nothing without contact."""
+        patch = picture.result.trusted_patch
+        force = float(np.linalg.norm(patch.force_n)) if patch is not None else 0.0
+        touched = patch is not None and patch.area_m2 > 0 and force > 0
+        if patch is not None and touched:
+            length = self._longest_m * force / picture.ranges.force_n
+            self.actor.user_matrix = _place(
+                patch.force_n / force, patch.center_of_pressure_m, length
+            )
+        self._has(touched)
+
+
+def _place(direction: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:
+    """Matrix that puts the unit arrow's tip (its origin) at a point along a direction."""
+    side = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    second = np.cross(direction, side)
+    second /= np.linalg.norm(second)
+    T = np.eye(4)
+    T[:3, :3] = length * np.column_stack([direction, second, np.cross(direction, second)])
+    T[:3, 3] = tip
+    return T
+
+
+# Large text in the view: is there contact, how strong, how large.
+
+
+LEFT = 0.02
+"""Where text begins, as a share of the view's width."""
+HEAD, REST = 26, 15  # px, of the fonts
+TOP, BELOW = 14, 36  # px, above the headline, and from there to what belongs to it
+SMALLEST, TALL = 0.75, 400
+"""Share of these sizes in a low view, and height from which all is as large as it is, px."""
+APART = "   "
+"""Between what may be in lines of its own."""
+HATCHED = "hatched: pressure without evidence of contact, not in the force"
+
+
+class ReadoutLayer(Layer):
+    """Lines in the upper left corner: a headline and what belongs to it."""
+
+    name = "readout"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._head = _text_actor(canvas.view)
+        self._rest = _text_actor(canvas.view)
+        self._alarm = _text_actor(canvas.view, theme.UNTRUSTED)
+        self.actors += [self._head, self._rest, self._alarm]
+        self._about = ""
+        canvas.view.rendering.connect(self._fit)
+
+    def draw(self, picture: Picture) -> None:
+        """Write the numbers of this result."""
+        head, rest = readout(picture.result, self.canvas.units)
+        doubtful = picture.result.estimate is not None and not picture.result.estimate.trusted
+        self._head.SetInput("" if doubtful else head)
+        self._alarm.SetInput(head if doubtful else "")
+        self._about = rest
+
+    def _fit(self) -> None:
+        """Keep the text beside the colour bars: a smaller headline, more lines below it."""
+        height = self.canvas.view.room[1]
+        share = min(1.0, max(SMALLEST, height / TALL))
+        head, rest, top = share * HEAD, share * REST, 1.0 - share * TOP / height
+        for text in (self._head, self._alarm):
+            _put(text, head, top)
+            size = head * min(1.0, self._room_for(text))
+            _put(text, size, top)
+            rest = min(rest, size)
+        _put(self._rest, rest, 1.0 - share * (TOP + BELOW) / height)
+        self._rest.SetInput(self._about)
+        if self._room_for(self._rest) < 1.0:
+            parts = self._about.replace("\n", APART).split(APART)
+            self._rest.SetInput("\n".join(map(self._wrapped, parts)))
+
+    def _wrapped(self, line: str) -> str:
+        """A line in as many as it needs."""
+        self._rest.SetInput(line)
+        share = self._room_for(self._rest)
+        return line if share >= 1.0 else textwrap.fill(line, max(math.floor(share * len(line)), 1))
+
+    def _room_for(self, text: Any) -> float:
+        """Width beside the colour bars over that of a text."""
+        view, box = self.canvas.view, [0.0] * 4
+        text.GetBoundingBox(view.renderer, box)
+        width = view.room[0]
+        return width * (beside_bars(width) - LEFT) * view.pixel / max(box[1] - box[0], 1.0)
+
+
+def readout(result: Result, units: Units) -> tuple[str, str]:
+    """Headline, and the lines below it, for a result."""
+    estimate, patch = result.estimate, result.patch
+    if estimate is None or patch is None:
+        return "", ""
+    if not estimate.trusted:
+        return DOUBTS[estimate.status], estimate.reason
+    if estimate.status == "no_contact" or patch.area_m2 <= 0:
+        return "no contact", ""
+    peak = units.pressure.text(float(estimate.contact_pressure_pa.max()))
+    area = units.area.with_range(patch.area_m2, *patch.area_interval_m2)
+    patches = f"patch {area}"
+    if result.object_patch is not None:
+        by_object = units.area.text(result.object_patch.area_m2)
+        patches = f"patch (white) {area}{APART}by object (green) {by_object}"
+    tangential = f"tangential {tangential_text(result, units)}"
+    unexplained = estimate.unexplained_pressure_pa
+    hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
+    rest = f"peak {peak}{APART}{tangential}{APART}{patches}{hatched}"
+    return f"contact  {force_text(result, units)}", rest
+
+
+def _put(text: Any, size: float, top: float) -> None:
+    text.GetTextProperty().SetFontSize(math.floor(size))
+    text.GetPositionCoordinate().SetValue(LEFT, top)
+
+
+def _text_actor(view: View, colour: str | None = None) -> Any:
+    actor = text_at(view, REST, (LEFT, 1.0), colour)
+    actor.GetTextProperty().SetVerticalJustificationToTop()
+    view.renderer.AddViewProp(actor)
+    return actor
+
+
+# Contact traction as arrows: its normal and its tangential part, in two colours on one scale.
+
+
+LONGEST_TRACTION = 0.5
+"""Arrow at the end of the pressure scale, in heights of the dome."""
+TRACTION_HEAD = (-0.25, 0.12)
+"""Where a barb of an arrow ends, from its point: back along it and aside, in its lengths."""
+
+
+class TractionLayer(Layer):
+    """Arrows at the nodes that are touched; nothing where no traction is known.
+
+    The normal part ends on the membrane, as it presses; the tangential one begins there.
+    """
+
+    name, cut = "traction", True
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._longest_m = 0.02
+        self._arrows = tuple(_empty() for _ in range(2))
+        for poly, colour in zip(self._arrows, (theme.ORANGE, theme.BLUE), strict=True):
+            lines = self.add(poly, color=colour, line_width=3, lighting=False)
+            lines.SetPickable(False)
+            in_front(lines, -120.0)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take the size of another sensor."""
+        self._longest_m = LONGEST_TRACTION * float(np.ptp(mesh.nodes[:, 2]))
+
+    def draw(self, picture: Picture) -> None:
+        """Draw the traction of a result."""
+        traction, shape = picture.result.traction, picture.shape
+        known = traction is not None and traction.status in ("ok", "depth_alone")
+        self._has(known)
+        if traction is None or shape is None or not known:
+            return
+        touched = np.flatnonzero(traction.nodal_force_n.any(axis=1))
+        scale = self._longest_m / picture.ranges.pressure_pa
+        normal, along = (scale * part[touched] for part in traction.parts_pa)
+        nodes, normals = shape.nodes_m[touched], shape.normals[touched]
+        if traction.status == "depth_alone":
+            along = along[:0]
+        _put_arrows(self._arrows[0], nodes - normal, normal, np.roll(normals, 1, axis=1))
+        _put_arrows(self._arrows[1], nodes[: len(along)], along, normals[: len(along)])
+
+
+def _empty() -> pv.PolyData:
+    return pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
+
+
+def _put_arrows(
+    poly: pv.PolyData, starts: np.ndarray, ways: np.ndarray, across: np.ndarray
+) -> None:
+    """Make arrows (k, 3), their barbs in the plane across a direction (k, 3)."""
+    if not len(starts):
+        poly.copy_from(_empty())
+        return
+    ends, aside = starts + ways, np.cross(across, ways)
+    back = ends + TRACTION_HEAD[0] * ways
+    points = np.stack(
+        [starts, ends, back + TRACTION_HEAD[1] * aside, ends, back - TRACTION_HEAD[1] * aside],
+        axis=1,
+    )
+    count = len(starts)
+    pairs = 5 * np.arange(count)[:, None, None] + np.array([[0, 1], [1, 2], [3, 4]])
+    lines = np.concatenate([np.full((count, 3, 1), 2), pairs], axis=2)
+    new = pv.PolyData(points.reshape(-1, 3), lines=lines.ravel())
+    poly.copy_from(new)
+
+
+# What the colour camera sees, painted on the membrane as it is deformed.
+
+
+FADED = 0.1
+"""Share of the pressure scale from which on the membrane has the colours of pressure alone."""
+NOTE = 15  # px, of the font
+
+
+class TextureLayer(Layer):
+    """The image on the shared surface; pressure shows through where the membrane is drawn, too.
+
+    A note says why there is nothing to paint.
+    """
+
+    name, cut = "texture", True
+    SHADE = "texture shade"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._image = pv.ImageData(dimensions=(1, 1, 1))
+        self._take_image(np.zeros((1, 1, 3), np.uint8))
+        actor = self.add(
+            canvas.surface.poly, color="white", ambient=0.55, diffuse=0.45, specular=0.0
+        )
+        self._texture = pv.Texture(self._image)
+        self._texture.SetInterpolate(True)
+        self._texture.SetRepeat(False)
+        actor.SetTexture(self._texture)
+        actor.SetPickable(False)
+        mapper = actor.mapper
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray(self.SHADE)
+        mapper.SetColorModeToDirectScalars()
+        in_front(actor, -30.0)
+        self._note = text_at(canvas.view, NOTE, (0.5, 0.16))  # above the scale bar
+        self._note.GetTextProperty().SetJustificationToCentered()
+        canvas.view.renderer.AddViewProp(self._note)
+        self.actors.append(self._note)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Make room for its nodes on the surface."""
+        poly, count = self.canvas.surface.poly, len(mesh.nodes)
+        poly.point_data[self.SHADE] = np.zeros((count, 4), np.uint8)
+        poly.active_texture_coordinates = np.zeros((count, 2), np.float32)
+        self.actor.mapper.ScalarVisibilityOn()
+
+    def draw(self, picture: Picture) -> None:
+        """Paint the image; nothing where the estimate is not to be trusted."""
+        texture = picture.result.texture
+        self._note.SetInput("")
+        self._has(texture is not None)
+        if texture is None or picture.shape is None:
+            return
+        if texture.colour.rgb is None or texture.reason:
+            self._note.SetInput(texture.reason)
+            self.actor.SetVisibility(False)
+            return
+        self._take_image(texture.colour.rgb)
+        poly, choices = self.canvas.surface.poly, picture.choices
+        poly.active_texture_coordinates[:] = texture.place
+        cover = texture.seen.astype(float)
+        if "membrane" in choices.layers:
+            share = picture.shape.pressure_pa / (FADED * picture.ranges.pressure_pa)
+            cover *= 1.0 - np.minimum(share, 1.0)
+        poly.point_data[self.SHADE][:, :3] = 255
+        poly.point_data[self.SHADE][:, 3] = 255.0 * cover
+        poly.Modified()
+        self.actor.prop.opacity = choices.membrane_opacity
+
+    def _take_image(self, rgb: np.ndarray) -> None:
+        """Write the pixels, rows from the top, into the texture."""
+        height, width = rgb.shape[:2]
+        if self._image.n_points != height * width or "rgb" not in self._image.point_data:
+            self._image.dimensions = (width, height, 1)
+            self._image.point_data["rgb"] = np.zeros((height * width, 3), np.uint8)
+        self._image.point_data["rgb"][:] = rgb.reshape(-1, 3)
+        self._image.Modified()

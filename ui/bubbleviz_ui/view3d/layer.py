@@ -1,0 +1,272 @@
+"""What every 3-D layer has: actors, whether they are seen, and how they are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkCommonExecutionModel import vtkAlgorithm
+
+from bubbleviz.diagnostics import Probed
+from bubbleviz.membrane import MembraneMesh, level_line, midway
+from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.view3d.colours import Ranges
+from bubbleviz_ui.view3d.render_view import LIGHTS, View
+
+# The displayed surface: one VTK mesh that membrane, wireframe, contour and rim share.
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The displayed shape of the membrane, shared by the layers that lie on it.
+
+    Attributes
+    ----------
+    nodes_m, normals : (n, 3) arrays
+        Deformed nodes and their normals in B.
+    pressure_pa : (n,) array
+        Contact pressure.
+    """
+
+    nodes_m: np.ndarray
+    normals: np.ndarray
+    pressure_pa: np.ndarray
+
+
+class Surface:
+    """Holds the vertices; changed in place, never replaced.
+
+    Attributes
+    ----------
+    poly : pyvista.PolyData
+        Nodes in B, m; point data `PRESSURE` in displayed units.
+    """
+
+    PRESSURE = "contact pressure"
+
+    def __init__(self, units: Units) -> None:
+        self._units = units
+        self._mesh: MembraneMesh | None = None
+        self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
+        self._make_arrays(np.eye(3), np.eye(3))
+
+    def set_mesh(self, mesh: MembraneMesh) -> None:
+        """Take the reference mesh of another sensor, at rest."""
+        self._mesh = mesh
+        self.poly.point_data.clear()
+        self.poly.points = mesh.nodes
+        self.poly.faces = cells(mesh.triangles)
+        self._make_arrays(mesh.nodes, mesh.normals)
+
+    def _make_arrays(self, nodes: np.ndarray, normals: np.ndarray) -> None:
+        """Arrays that are changed in place from now on."""
+        self.poly.points = nodes.astype(float)
+        self.poly.point_data["Normals"] = normals.astype(float)
+        self.poly.point_data[self.PRESSURE] = np.zeros(len(nodes))
+        self.poly.GetPointData().SetActiveNormals("Normals")
+        self.poly.GetPointData().SetActiveScalars(self.PRESSURE)
+        self._points, self._normals = self.poly.points, self.poly.point_data["Normals"]
+        self._pressure = self.poly.point_data[self.PRESSURE]
+
+    def shape_of(self, estimate: Estimate | None, exaggeration: float = 1.0) -> Shape | None:
+        """Shape bubbleviz found, its displacement drawn larger; None without an estimate."""
+        self._beyond = None
+        if estimate is None or self._mesh is None:
+            return None
+        nodes = self._mesh.deformed(exaggeration * estimate.motion_m)
+        if exaggeration != 1.0:
+            self._beyond = nodes - self._mesh.deformed(estimate.motion_m)
+        normals = replace(self._mesh, nodes=nodes).normals
+        return Shape(nodes, normals, estimate.contact_pressure_pa)
+
+    def true_place(self, point_m: np.ndarray) -> np.ndarray:
+        """Where a point (3,) of the drawn surface is without exaggeration, in B."""
+        if self._beyond is None:
+            return point_m
+        away = np.sum((np.asarray(self.poly.points) - point_m) ** 2, axis=1)
+        return point_m - self._beyond[int(np.argmin(away))]
+
+    def drawn_node(self, place: Probed) -> np.ndarray:
+        """Where the node of a place is drawn, (3,) in B."""
+        if self._beyond is None:
+            return place.node_m
+        return place.node_m + self._beyond[place.node]
+
+    _beyond: np.ndarray | None = None
+
+    def draw(self, shape: Shape) -> None:
+        """Move the vertices and colour them, in place."""
+        self._points[:] = shape.nodes_m
+        self._normals[:] = shape.normals
+        self._pressure[:] = self._units.pressure.of(1.0) * shape.pressure_pa
+        self.poly.Modified()
+
+    def around(self, nodes: np.ndarray) -> pv.PolyData:
+        """The triangles at some nodes (n,) bool, as drawn."""
+        assert self._mesh is not None
+        triangles = self._mesh.triangles
+        return pv.PolyData(self._points, cells(triangles[nodes[triangles].any(axis=1)]))
+
+    def edge(
+        self, estimate: Estimate | None, patch: Patch, levels: tuple[float, ...] = (0.0,)
+    ) -> np.ndarray:
+        """Pieces (k, 2, 3) of the lines where a patch has some levels, as drawn."""
+        fine = None if estimate is None or patch.fine_level is None else estimate.fine
+        if fine is None or patch.fine_level is None:
+            return self.line(patch.level, levels)
+        nodes = midway(np.asarray(self._points), fine.ends)
+        return self._lines(nodes, fine.mesh.corners, patch.fine_level, levels)
+
+    def line(self, field: np.ndarray, levels: tuple[float, ...] = (0.0,)) -> np.ndarray:
+        """Pieces (k, 2, 3) of the lines where a field (n,) has some levels, as drawn."""
+        if self._mesh is None:
+            return np.empty((0, 2, 3))
+        return self._lines(np.asarray(self._points), self._mesh.corners, field, levels)
+
+    @staticmethod
+    def _lines(
+        nodes: np.ndarray, corners: np.ndarray, field: np.ndarray, levels: tuple[float, ...]
+    ) -> np.ndarray:
+        lines = [level_line(nodes, corners, field, level) for level in levels]
+        return np.concatenate([np.empty((0, 2, 3)), *lines])
+
+
+def cells(points: np.ndarray) -> np.ndarray:
+    """VTK's list of cells of the same kind by their points (k, m): triangles, lines or vertices."""
+    return np.insert(points, 0, points.shape[1], axis=1).ravel()
+
+
+def pairs(count: int) -> np.ndarray:
+    """Cells of so many lines, each between two following points of its own."""
+    return cells(np.arange(2 * count).reshape(count, 2))
+
+
+PERIOD, STROKE = 8, 3
+"""Of hatching, along a row of pixels of the picture."""
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What the layers of a sensor are drawn on: a view, one surface, the operator's units."""
+
+    view: View
+    surface: Surface
+    units: Units
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One result, ready to draw; `shape` is None when no estimate was asked for."""
+
+    result: Result
+    shape: Shape | None
+    ranges: Ranges
+    choices: Choices
+
+
+class Layer:
+    """One thing in the 3-D view. Its actors are made once and live as long as the view.
+
+    Parameters
+    ----------
+    canvas : Canvas
+
+    Attributes
+    ----------
+    name : str
+        Of `registry.LAYERS`.
+    cut : bool
+        The section plane cuts it open.
+    actors : list
+        What VTK draws of it, the main one first.
+    """
+
+    name = ""
+    cut = False
+
+    def __init__(self, canvas: Canvas) -> None:
+        self.canvas = canvas
+        self.actors: list[Any] = []
+        self._visible, self._any = True, True
+
+    @property
+    def actor(self) -> Any:
+        """The first actor, which is the layer's main one."""
+        return self.actors[0]
+
+    def add(self, data: Any, **look: Any) -> Any:
+        """Add an actor, seen while the layer is; as `View.add_mesh`."""
+        actor = self.canvas.view.add_mesh(data, reset_camera=False, render=False, **look)
+        # Straight to the mapper: pyvista puts an algorithm in Python between, run every picture.
+        if isinstance(data, vtkAlgorithm):
+            actor.mapper.SetInputConnection(data.GetOutputPort())
+        elif "scalars" in look:
+            actor.mapper.SetInputDataObject(data)
+            actor.mapper.SetScalarModeToUsePointFieldData()
+            actor.mapper.SelectColorArray(look["scalars"])
+        self.actors.append(actor)
+        return actor
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take the geometry of another sensor."""
+
+    def draw(self, picture: Picture) -> None:
+        """Draw a result in place; called only while the layer is visible."""
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide."""
+        self._visible = visible
+        self._update()
+
+    def _has(self, something: bool) -> None:
+        """Hide the actors while there is nothing to draw."""
+        self._any = something
+        self._update()
+
+    def _update(self) -> None:
+        for actor in self.actors:
+            actor.SetVisibility(self._visible and self._any)
+
+
+def add_mark(view: View, data: Any, units: float = -6000.0, **look: Any) -> Any:
+    """Add an actor in front of others that no click finds; as `View.add_mesh` and `in_front`."""
+    actor = view.add_mesh(data, reset_camera=False, render=False, **look)
+    actor.SetPickable(False)
+    in_front(actor, units)
+    return actor
+
+
+def in_front(actor: Any, units: float) -> None:
+    """Draw an actor nearer than it is, by an offset in the units of VTK's coincident topology."""
+    mapper = actor.mapper
+    mapper.SetResolveCoincidentTopologyToPolygonOffset()
+    mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, units)
+    mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)
+    mapper.SetRelativeCoincidentTopologyPointOffsetParameter(units)
+
+
+def hatch(actor: Any) -> None:
+    """Draw strokes of an actor alone, diagonal and equally far apart from any point of view."""
+    code = f"if (mod(gl_FragCoord.x + gl_FragCoord.y, {PERIOD}.0) >= {STROKE}.0) discard;"
+    light = "//VTK::Light::Impl"
+    shader = actor.GetShaderProperty()
+    shader.AddFragmentShaderReplacement(light, True, f"{code}\n{light}", False)
+
+
+def light_plainly(actor: Any) -> None:
+    """Light an actor that has no specular part by the view's lights without highlights.
+
+    The picture is the same; VTK's own shader computes a highlight of each light at every pixel
+    nevertheless, which doubles the time of the membrane with software rendering.
+    """
+    shares = []
+    for position, intensity in LIGHTS:
+        towards = ", ".join(f"{x:.9g}" for x in np.array(position) / np.linalg.norm(position))
+        shares.append(f"{intensity:.9g} * max(0.0, dot(normalVCVSOutput, vec3({towards})))")
+    code = f"fragOutput0 = vec4(ambientColor + ({' + '.join(shares)}) * diffuseColor, opacity);"
+    actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Light::Impl", True, code, False)

@@ -1,0 +1,299 @@
+"""How the bubble frame lies, and how long a length is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D, vtkTextActor
+
+from bubbleviz.camera import DepthCamera
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.result import Result
+from bubbleviz.sensor import Camera, Sensor
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colours import lookup_table, residual_colours, rgb
+from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.text import ColourBar, write_in
+
+CORNER = 80
+"""Side of the corner of the view that the axes take, px."""
+SHARE = 0.16
+"""Longest bar as a share of the view's width: beside it is room for the caption of a video."""
+TICK, BOTTOM, TEXT = 5.0, 10.0, 13  # px
+
+
+class AxesLayer(Layer):
+    """Axes of B in a corner, and a scale bar beside them."""
+
+    name = "axes"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._axes = canvas.view.add_axes(interactive=False, xlabel="x", ylabel="y", zlabel="z")
+        for caption in (
+            self._axes.GetXAxisCaptionActor2D(),
+            self._axes.GetYAxisCaptionActor2D(),
+            self._axes.GetZAxisCaptionActor2D(),
+        ):
+            write_in(canvas.view, caption.GetCaptionTextProperty(), TEXT)
+            caption.GetTextActor().SetTextScaleModeToNone()
+        scale = ScaleBar(canvas.view, canvas.units, left=CORNER)
+        self.actors += [self._axes, *scale.actors]
+        canvas.view.rendering.connect(self._fit)
+
+    def _fit(self) -> None:
+        """Keep the axes their size, however large the picture is."""
+        width, height = self.canvas.view.room
+        widget = self.canvas.view.renderer.axes_widget
+        widget.SetViewport(0.0, 0.0, min(CORNER / width, 1.0), min(CORNER / height, 1.0))
+
+
+class ScaleBar:
+    """A round length (1, 2, 5 · 10ᵏ) at the bottom of the picture, as long as the picture allows.
+
+    It is true in the depth of the point about which the view turns.
+
+    Parameters
+    ----------
+    view : View
+    units : Units
+    left : float
+        Where it begins, pixels.
+
+    Attributes
+    ----------
+    actors : list
+        To be shown or hidden together.
+    """
+
+    def __init__(self, view: View, units: Units, left: float) -> None:
+        self._view, self._units, self._left = view, units, left
+        self._bar = pv.PolyData(np.zeros((4, 3)), lines=[4, 0, 1, 2, 3])
+        mapper = vtkPolyDataMapper2D()
+        mapper.SetInputData(self._bar)
+        self._line, self._label = vtkActor2D(), vtkTextActor()
+        self._line.SetMapper(mapper)
+        write_in(view, self._label.GetTextProperty(), TEXT)
+        self.actors = [self._line, self._label]
+        for actor in self.actors:
+            view.renderer.AddViewProp(actor)
+        view.follow_theme(self._paint)
+        view.rendering.connect(self._fit)
+
+    def _fit(self) -> None:
+        """Choose the length, and draw it, for the picture that is about to be made."""
+        (width, height), camera = self._view.room, self._view.camera
+        pixel_m = 2.0 * camera.distance * math.tan(math.radians(camera.view_angle) / 2.0) / height
+        length_m = _round_length(SHARE * width * pixel_m)
+        left, right, top = self._left, self._left + length_m / pixel_m, BOTTOM + TICK
+        ends = np.array([[left, top], [left, BOTTOM], [right, BOTTOM], [right, top]])
+        self._bar.points[:, :2] = np.round(self._view.pixel * ends)
+        self._bar.Modified()
+        self._line.GetProperty().SetLineWidth(2.0 * self._view.pixel)
+        unit = self._units.length
+        self._label.SetInput(f"{unit.of(length_m):.4g} {unit.symbol}")
+        self._label.SetPosition(self._view.pixel * left, self._view.pixel * (top + 2.0))
+
+    def _paint(self, colours: theme.Colours) -> None:
+        self._line.GetProperty().SetColor(*(c / 255 for c in rgb(colours.text)))
+
+
+def _round_length(most_m: float) -> float:
+    """Largest of 1, 2, 5 · 10ᵏ that is no longer."""
+    decade = 10.0 ** math.floor(math.log10(most_m))
+    return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most_m)
+
+
+# The depth camera's field of view.
+
+
+LINES = np.array([[2, 0, 1], [2, 0, 2], [2, 0, 3], [2, 0, 4], [2, 1, 2], [2, 2, 3], [2, 3, 4],
+                  [2, 4, 1]])  # fmt: skip
+
+
+class FrustumLayer(Layer):
+    """Lines from the camera through the corners of the image, as far as the membrane."""
+
+    name = "frustum"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._poly = pv.PolyData(np.zeros((5, 3)), lines=LINES.ravel())
+        self._camera: Camera | None = None
+        self._far_m = 0.1
+        self._drawn_for: object = None
+        lines = self.add(self._poly, line_width=1, lighting=False)
+        canvas.view.follow_theme(lambda colours: setattr(lines.prop, "color", colours.frustum))
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Take another camera and its distance to the membrane."""
+        self._camera = sensor.camera
+        self._far_m = float(np.linalg.norm(mesh.nodes.mean(axis=0) - sensor.camera.position_m))
+        self._drawn_for = None
+
+    def draw(self, picture: Picture) -> None:
+        """Follow the recording's intrinsics, which win over the sensor's."""
+        intrinsics = picture.result.frame.intrinsics
+        if self._camera is None or self._drawn_for == (intrinsics or "sensor"):
+            return
+        self._drawn_for = intrinsics or "sensor"
+        self._poly.points[:] = _corners(DepthCamera.of(self._camera, intrinsics), self._far_m)
+        self._poly.Modified()
+
+
+def _corners(camera: DepthCamera, far_m: float) -> np.ndarray:
+    """Camera centre and the four corners of its image at a depth, in B."""
+    slopes = camera.intrinsics.slopes()[[0, 0, -1, -1], [0, -1, -1, 0]]
+    corners = np.column_stack([slopes, np.ones(4)]) * far_m
+    return np.vstack([camera.center, corners @ camera.T_B_C[:3, :3].T + camera.center])
+
+
+# The rim: where the membrane is clamped.
+
+
+class RimLayer(Layer):
+    """Open boundary of the displayed surface."""
+
+    name = "rim"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self.add(pv.PolyData([[0.0, 0.0, 0.0]]), line_width=3, lighting=False)
+        self._own: str | None = None
+        canvas.view.follow_theme(self._take_colours)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Find the boundary of the new mesh; it is clamped, so once is enough."""
+        rim = self.canvas.surface.poly.extract_feature_edges(
+            boundary_edges=True,
+            non_manifold_edges=False,
+            feature_edges=False,
+            manifold_edges=False,
+            clear_data=True,
+        )
+        self.actor.mapper.SetInputData(rim)
+
+    def paint(self, colour: str | None) -> None:
+        """Take a sensor's own colour; None: the theme's."""
+        self._own = colour
+        self.actor.prop.color = colour or self._themes
+
+    def _take_colours(self, colours: theme.Colours) -> None:
+        self._themes = colours.rim
+        self.paint(self._own)
+
+
+# The measured points, coloured by residual, by patch membership, or plain.
+
+
+CHUNK = 1024
+"""The buffers change in steps, so a few points more or less change no array's size."""
+
+DOT, BALL = 2, 3
+"""Size of a point that is flat, and of one that is shaded, px."""
+SPARSE = 0.5
+"""With fewer than this share of the points that may be drawn, flat ones are a pixel larger."""
+
+
+class CloudLayer(Layer):
+    """Point cloud in buffers with some room; spare points repeat the last one."""
+
+    name, cut = "cloud", True
+    RESIDUAL = "residual"
+    COLOUR = "colour"
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        view = canvas.view
+        self._poly = pv.PolyData(np.zeros((1, 3)))
+        self._table = lookup_table(residual_colours(theme.of(view).cloud))
+        self._reserve(CHUNK)
+        actor = self.add(
+            self._poly,
+            scalars=self.RESIDUAL,
+            cmap=self._table,
+            point_size=BALL if view.quality.round_points else DOT,
+            show_scalar_bar=False,
+            interpolate_before_map=False,
+            **view.quality.points,
+        )
+        actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
+        self._bar = ColourBar(view, self._table, "residual", upper=False)
+        view.follow_theme(self._take_colours)
+
+    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
+        """Put the points of the old sensor away."""
+        self._poly.points[:] = 0.0
+
+    def draw(self, picture: Picture) -> None:
+        """Write the points and their colours into the buffers."""
+        result = picture.result
+        if result.cloud_m is None or len(result.cloud_m) == 0:
+            self._has(False)
+            return
+        self._reserve(len(result.cloud_m))
+        _fill(self._poly.points, result.cloud_m)
+        if not self.canvas.view.quality.round_points:
+            sparse = len(result.cloud_m) < SPARSE * (picture.choices.cloud_points or 0)
+            self.actor.prop.point_size = DOT + 1 if sparse else DOT
+        by_residual = picture.choices.cloud_colour == "residual"
+        if by_residual and result.cloud_residual_m is not None:
+            self._colour_by_residual(result.cloud_residual_m, picture.ranges.residual_m)
+        else:
+            self._colour(result if picture.choices.cloud_colour == "patch" else None)
+        self._poly.Modified()
+        self._has(True)
+        self._bar.set_visible(self._visible and by_residual)
+
+    def set_visible(self, visible: bool) -> None:
+        """Show or hide the points and their bar."""
+        super().set_visible(visible)
+        self._bar.set_visible(visible)
+
+    def _take_colours(self, colours: theme.Colours) -> None:
+        self._plain = colours.cloud
+        self._table.values = residual_colours(colours.cloud)
+
+    def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
+        unit = self.canvas.units.length
+        high = unit.of(high_m)
+        _fill(self._poly.point_data[self.RESIDUAL], unit.of(1.0) * residual_m)
+        self._bar.set_range(-high, high, unit)
+        self.actor.mapper.scalar_range = (-high, high)
+        self._use(self.RESIDUAL, direct=False)
+
+    def _colour(self, patch_of: Result | None) -> None:
+        """Colour all points alike but those of a result's patch."""
+        colours = self._poly.point_data[self.COLOUR]
+        colours[:] = rgb(self._plain)
+        patch = patch_of.patch if patch_of is not None else None
+        pixels = patch_of.cloud_pixels if patch_of is not None else None
+        if patch is not None and patch.pixel_mask is not None and pixels is not None:
+            inside = patch.pixel_mask.ravel()[pixels]
+            colours[: len(inside)][inside] = rgb(theme.PATCH_POINT)
+        self._use(self.COLOUR, direct=True)
+
+    def _use(self, array: str, *, direct: bool) -> None:
+        mapper = self.actor.mapper
+        mapper.SelectColorArray(array)
+        mapper.SetColorModeToDirectScalars() if direct else mapper.SetColorModeToMapScalars()
+
+    def _reserve(self, count: int) -> None:
+        size = -(-count // CHUNK) * CHUNK
+        if size <= self._poly.n_points <= size + 2 * CHUNK:
+            return
+        self._poly.point_data.clear()
+        self._poly.points = np.zeros((size, 3), np.float32)
+        self._poly.verts = np.insert(np.arange(size), 0, size)
+        self._poly.point_data[self.RESIDUAL] = np.zeros(size, np.float32)
+        self._poly.point_data[self.COLOUR] = np.zeros((size, 3), np.uint8)
+
+
+def _fill(buffer: np.ndarray, values: np.ndarray) -> None:
+    """Write values into the head of a buffer and repeat the last in the rest."""
+    buffer[: len(values)] = values
+    buffer[len(values) :] = values[-1]

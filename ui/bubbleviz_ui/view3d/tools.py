@@ -1,0 +1,304 @@
+"""The distance between two points one has clicked."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, Literal
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import ArrayLike
+from PySide6.QtCore import QObject, Qt, QTimer
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkPlane
+from vtkmodules.vtkFiltersCore import vtkCutter
+from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkWindowToImageFilter
+
+from bubbleviz.camera import DepthCamera
+from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.layer import Surface, add_mark
+from bubbleviz_ui.view3d.render_view import POINTS_PER_INCH, View
+from bubbleviz_ui.view3d.text import beside_bars
+
+
+class Distance:
+    """Two points and the line between them; a third click begins anew.
+
+    Attributes
+    ----------
+    points_m : list of (3,) arrays
+        What was clicked, in B.
+    """
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+        self.points_m: list[np.ndarray] = []
+        self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
+        dots = {"point_size": 10, **view.quality.points}
+        self._line = add_mark(view, self._poly, color=theme.GREEN, line_width=2, lighting=False)
+        self._dots = add_mark(view, self._poly, color=theme.GREEN, **dots)
+        self.clear()
+
+    @property
+    def length_m(self) -> float | None:
+        """Distance in m; None before the second click."""
+        if len(self.points_m) < 2:
+            return None
+        return float(np.linalg.norm(self.points_m[1] - self.points_m[0]))
+
+    @property
+    def middle_m(self) -> np.ndarray:
+        """Middle (3,) of what was clicked, in B."""
+        middle: np.ndarray = np.mean(self.points_m, axis=0)
+        return middle
+
+    def add(self, point_m: np.ndarray) -> None:
+        """Take a point (3,) in B."""
+        self.points_m = [*self.points_m, point_m][-2:] if len(self.points_m) < 2 else [point_m]
+        self._poly.points[:] = np.array([self.points_m[0], self.points_m[-1]])
+        self._poly.Modified()
+        self._dots.visibility = True
+        self._line.visibility = len(self.points_m) == 2
+        self._view.refresh()
+
+    def clear(self) -> None:
+        """Forget the points."""
+        self.points_m = []
+        self._dots.visibility = self._line.visibility = False
+        self._view.refresh()
+
+
+# What lies under a pixel of the 3-D view; on the GUI thread, as all of VTK.
+
+
+TOLERANCE = 0.004
+"""How near to a measured point one must be, as a share of the view's diagonal."""
+
+
+class Picker:
+    """Finds the place on a surface, or the point of a cloud where no surface is.
+
+    What is hidden, or cut away by clipping planes, is not found.
+
+    Parameters
+    ----------
+    view : View
+    surface, cloud : actor
+    """
+
+    def __init__(self, view: View, surface: Any, cloud: Any) -> None:
+        self._view, self._surface, self._cloud = view, surface, cloud
+        self._on_surface = vtkCellPicker()
+        self._on_surface.SetTolerance(0.0)
+        self._on_surface.PickFromListOn()
+        self._on_surface.AddPickList(surface)
+
+    def at(self, x: float, y: float) -> np.ndarray | None:
+        """Point (3,) in B under a place of the view in Qt's pixels; None where nothing is."""
+        ratio, picker = self._view.devicePixelRatioF(), self._on_surface
+        left, up = ratio * x, self._view.height() * ratio - ratio * y - 1.0
+        if self._surface.GetVisibility() and picker.Pick(left, up, 0.0, self._view.renderer):
+            return np.array(picker.GetPickPosition())
+        return self._in_cloud(x, y) if self._cloud.GetVisibility() else None
+
+    def _in_cloud(self, x: float, y: float) -> np.ndarray | None:
+        """Point of the cloud nearest to the eye among those close to a place of the view."""
+        points = _not_cut_away(self._cloud.mapper)
+        size = np.array([self._view.width(), self._view.height()])
+        seen = self._view.projected(points)
+        off = 0.5 * size * (seen[:, :2] * (1, -1) + 1.0) - (x, y)
+        near = np.linalg.norm(off, axis=1) <= TOLERANCE * np.linalg.norm(size)
+        depth = np.where(near, seen[:, 2], np.inf)
+        return np.array(points[np.argmin(depth)]) if near.any() else None
+
+
+def _not_cut_away(mapper: Any) -> np.ndarray:
+    """Points (k, 3) in B of what a mapper draws, on the kept side of its clipping planes."""
+    points, planes = np.asarray(mapper.dataset.points), mapper.GetClippingPlanes()
+    for plane in planes or ():
+        points = points[(points - plane.GetOrigin()) @ plane.GetNormal() >= 0.0]
+    return points
+
+
+# A plane that cuts the scene open: what is on one side of it is not drawn.
+
+
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class Section:
+    """Clips actors and draws the line along which the plane cuts the membrane.
+
+    Parameters
+    ----------
+    view : View
+    surface : Surface
+    actors : sequence of actors
+        Those that are cut.
+    """
+
+    def __init__(self, view: View, surface: Surface, actors: list[Any]) -> None:
+        self._plane = vtkPlane()
+        self._actors, self._on = actors, False
+        cutter = vtkCutter()
+        cutter.SetInputData(surface.poly)
+        cutter.SetCutFunction(self._plane)
+        look = {"color": theme.ORANGE, "line_width": 3, "lighting": False}
+        self._line = add_mark(view, cutter, -200.0, **look)
+        self._line.mapper.SetInputConnection(cutter.GetOutputPort())
+        self._line.mapper.ScalarVisibilityOff()
+        self._line.visibility = False
+
+    def apply(self, choices: Choices) -> None:
+        """Cut as the user chose; not at all without an axis."""
+        axis = choices.section_axis
+        if axis is not None:
+            sign = -1.0 if choices.section_flipped else 1.0
+            normal = AXES[axis]
+            self._plane.SetOrigin(*(choices.section_at_m * n for n in normal))
+            self._plane.SetNormal(*(sign * n for n in normal))
+        if self._on != (axis is not None):
+            self._on = axis is not None
+            for actor in self._actors:
+                if self._on:
+                    actor.mapper.AddClippingPlane(self._plane)
+                else:
+                    actor.mapper.RemoveAllClippingPlanes()
+        on_surface = {"membrane", "wireframe", "contour"} & choices.layers
+        self._line.visibility = self._on and bool(on_surface)
+
+
+# The scene turning by itself.
+
+
+EVERY_MS = 33  # 30 pictures a second
+DEGREES_A_SECOND = 30.0  # once round in 12 s
+
+
+class Turntable(QObject):
+    """Turns the view about what is up, at a steady speed whatever a picture takes."""
+
+    def __init__(self, view: View) -> None:
+        super().__init__(view)
+        self._view = view
+        self._last_s = 0.0
+        self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=EVERY_MS)
+        self._timer.timeout.connect(self._turn)
+
+    @property
+    def turning(self) -> bool:
+        """Whether it turns."""
+        return self._timer.isActive()
+
+    def set_turning(self, turning: bool) -> None:
+        """Start or stop."""
+        self._last_s = time.perf_counter()
+        self._timer.start() if turning else self._timer.stop()
+
+    def _turn(self) -> None:
+        now = time.perf_counter()
+        self._view.camera.Azimuth(DEGREES_A_SECOND * (now - self._last_s))
+        self._last_s = now
+        self._view.refresh()
+
+
+# A picture of the 3-D view at any resolution, from the same window VTK draws in.
+
+
+def still(view: View, width: int, height: int) -> np.ndarray:
+    """Picture of the view as it is, (height, width, 3) uint8; text grows with it.
+
+    What the mouse points at is left out. VTK draws into a buffer of its own, so the window does not
+    change and nothing flashes up.
+    """
+    window = view.ren_win
+    left_out = [prop for prop in view.of_the_mouse if prop.GetVisibility()]
+    before, dpi = tuple(window.GetSize()), window.GetDPI()
+    view.makeCurrent()
+    try:
+        for prop in left_out:
+            prop.SetVisibility(False)
+        window.SetSize(width, height)
+        window.SetDPI(round(POINTS_PER_INCH * height / max(view.height(), 1)))
+        window.Render()
+        reader = vtkWindowToImageFilter()
+        reader.SetInput(window)
+        reader.ReadFrontBufferOff()
+        reader.ShouldRerenderOff()
+        reader.Update()
+        pixels = vtk_to_numpy(reader.GetOutput().GetPointData().GetScalars())
+        return np.ascontiguousarray(pixels.reshape(height, width, 3)[::-1])
+    finally:
+        for prop in left_out:
+            prop.SetVisibility(True)
+        window.SetSize(*before)
+        window.SetDPI(dpi)
+        view.doneCurrent()
+        view.refresh()
+
+
+# Where one can look from: along the axes, and as the depth camera does.
+
+
+Viewpoint = Literal["top", "side", "front", "camera"]
+DIRECTIONS = {
+    "top": ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
+    "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+    "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
+}
+"""From the middle of the membrane to the eye, and what is up, in B."""
+ANGLE_DEG = 30.0
+"""View angle of a fresh VTK camera."""
+
+
+def look_along(
+    view: View, towards: ArrayLike, up: ArrayLike, points_m: np.ndarray, zoom: float = 1.0
+) -> None:
+    """Look at points (k, 3) in B, all of which have room beside the colour bars.
+
+    Parameters
+    ----------
+    view : View
+    towards, up : (3,) array_like
+        From the middle of the points to the eye, and what is up, in B.
+    points_m : (k, 3) array
+    zoom : float
+        How near; 1 shows the whole box around the points.
+    """
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
+    middle, camera = (low + high) / 2, view.camera
+    camera.view_angle = ANGLE_DEG
+    camera.focal_point = tuple(middle)
+    camera.position = tuple(middle + np.asarray(towards))
+    camera.up = tuple(np.asarray(up))
+    view.renderer.ResetCamera(np.column_stack([low, high]).ravel())
+    camera.zoom(zoom)
+    _fit_beside_bars(view, points_m)
+
+
+def _fit_beside_bars(view: View, points_m: np.ndarray) -> None:
+    """Make the picture smaller, and move it left, until points (k, 3) fit beside the bars."""
+    camera, free = view.camera, 2.0 * beside_bars(view.width()) - 1.0
+    camera.SetWindowCenter(0.0, 0.0)
+    x, y, _ = view.projected(points_m).T
+    left, right = float(x.min()), float(x.max())
+    smaller = min(1.0, 1.0 / float(np.abs(y).max()))
+    if smaller * right > free:
+        smaller = min(smaller, (1.0 + free) / (right - left))
+    camera.zoom(smaller)
+    camera.SetWindowCenter(max(smaller * right - free, 0.0), 0.0)
+
+
+def look_as(view: View, camera: DepthCamera, far_m: float) -> None:
+    """Look with the eye of the depth camera, its image filling the view; `far_m` ahead is focus."""
+    T, own = camera.T_B_C, camera.intrinsics
+    vtk_camera = view.camera
+    vtk_camera.position = tuple(T[:3, 3])
+    vtk_camera.focal_point = tuple(T[:3, 3] + far_m * T[:3, 2])
+    vtk_camera.up = tuple(-T[:3, 1])
+    vtk_camera.SetWindowCenter(0.0, 0.0)
+    tall = own.height / own.fy
+    wide = own.width / own.fx * view.height() / max(view.width(), 1)
+    vtk_camera.view_angle = math.degrees(2.0 * math.atan(0.5 * max(tall, wide)))

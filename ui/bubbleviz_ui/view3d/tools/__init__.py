@@ -1,1 +1,0 @@
-"""Tools in the 3-D view: points of view, distance, cut, turntable, pictures."""

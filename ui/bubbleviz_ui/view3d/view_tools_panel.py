@@ -1,0 +1,273 @@
+"""3-D tools panel: look, point, measure, cut open, exaggerate, and take pictures."""
+
+from __future__ import annotations
+
+from operator import itemgetter
+from pathlib import Path
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QImage, QPixmap
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSlider,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from bubbleviz.diagnostics import Probed
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.model.choices import COLOUR_MAPS
+from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.panels.binding import bind, options, tool_button, watch_controls
+from bubbleviz_ui.panels.images_panel import words
+from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
+from bubbleviz_ui.view3d.object_layers import ProbeMarks
+from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.scene import Scene
+from bubbleviz_ui.view3d.text import PlaceText
+from bubbleviz_ui.view3d.tools import Distance, Turntable, Viewpoint, still
+
+VIEWS: dict[Viewpoint, str] = {
+    "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
+}  # fmt: skip
+SECTIONS = {None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"}
+TOOLS = {
+    "rotate": ("Rotate", "Drag rotates the scene, the wheel goes nearer"),
+    "probe": ("Probe", "Click on the membrane or a point: its numbers stay until Esc"),
+    "distance": ("Distance", "Click on two points; a third begins anew"),
+}
+HINTS = {
+    "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
+    "probe": ("Click on the membrane", "or on a measured point", ""),
+    "distance": ("Click on two points", "", ""),
+}
+"""In place of numbers."""
+LARGEST_PIXELS = 8192
+MOST_EXAGGERATED = 10.0
+SECTION_STEPS = 200
+WIDTH = 286
+"""Room for the numbers of a place, screen pixels."""
+
+
+class ViewTools(QWidget):
+    """Controls of the 3-D view that are no layers.
+
+    Attributes
+    ----------
+    said : Signal
+        A `UserMessage`.
+    """
+
+    said = Signal(object)
+
+    def __init__(
+        self, state: SessionState, controller: Controller, view: View, scene: Scene
+    ) -> None:
+        super().__init__()
+        self._state, self._view, self._scene = state, view, scene
+        self.tool = "rotate"
+        self.distance = Distance(view)
+        self.turntable = Turntable(view)
+        self.picked = Hover(controller)
+        self._marks, self._text = ProbeMarks(view), PlaceText(view, state.units)
+        self._reach_m = 0.1
+        self._make_buttons()
+        self._make_settings()
+        self._lay_out()
+        self._bind(state)
+        self._connect(controller)
+        self._on_choices()
+        watch_controls(self)
+        state.choices_changed.connect(self._on_choices)
+
+    def _make_buttons(self) -> None:
+        self.views = {
+            name: tool_button(title, f"Look from the {name}, in the bubble frame B", slim=True)
+            for name, title in VIEWS.items()
+        }
+        self.views["camera"].setToolTip("As the depth camera sees it")
+        self.tools = {
+            name: tool_button(title, tip, checkable=True, slim=True)
+            for name, (title, tip) in TOOLS.items()
+        }
+        group = QButtonGroup(self)
+        for button in self.tools.values():
+            group.addButton(button)
+        self.tools["rotate"].setChecked(True)
+        self.reading = [QLabel() for _ in range(3)]
+
+    def _make_settings(self) -> None:
+        self.colour_map = options(QComboBox(), {name: name for name in COLOUR_MAPS})
+        self.colour_map.setToolTip("Colours of the contact pressure, perceptually uniform")
+        self.exaggeration = QDoubleSpinBox(
+            minimum=0.0, maximum=MOST_EXAGGERATED, singleStep=0.5, suffix=" ×"
+        )
+        self.exaggeration.setToolTip("Displacement u drawn so many times as large")
+        self.section = options(QComboBox(), SECTIONS)
+        self.section_at = QSlider(Qt.Orientation.Horizontal)
+        self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
+        self.flipped = QCheckBox("other side")
+        self.section_text = QLabel()
+        self.section.setToolTip("Cut the membrane open across an axis of the bubble frame B")
+        self.section_at.setToolTip("Where the cutting plane is")
+        self.flipped.setToolTip("Show what is on the other side of the plane")
+        self.width_box, self.height_box = _pixels(), _pixels()
+        self.save = QPushButton("Save…")
+        self.save.setToolTip("Picture of the 3-D view at this size, PNG")
+        tip = "Rotate about the vertical by itself, 30° a second"
+        self.turn = tool_button("Turntable", tip, checkable=True, slim=True)
+
+    def _lay_out(self) -> None:
+        form = QFormLayout()
+        form.addRow("Colours", self.colour_map)
+        form.addRow("Exaggerate", self.exaggeration)
+        form.addRow("Section", self.section)
+        form.addRow(self.section_text, self.section_at)
+        form.addRow("", self.flipped)
+        form.addRow("Picture", _row(self.width_box, QLabel("×"), self.height_box, self.save))
+        fill(
+            QVBoxLayout(self),
+            _row(*self.views.values()),
+            _row(*self.tools.values(), self.turn),
+            *self.reading,
+            form,
+            1,
+            margins=(8, 10, 4, 10),
+            spacing=6,
+        )
+        self.setMinimumWidth(WIDTH)
+        self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
+
+    def _bind(self, state: SessionState) -> None:
+        bind(self.colour_map, state, "colour_map")
+        bind(self.exaggeration, state, "exaggeration")
+        bind(self.section, state, "section_axis")
+        bind(self.flipped, state, "section_flipped")
+        self._at = bind(
+            self.section_at,
+            state,
+            "section_at_m",
+            lambda at_m: round(SECTION_STEPS * at_m / self._reach_m),
+            lambda step: self._reach_m * step / SECTION_STEPS,
+        )
+        for side, box in enumerate((self.width_box, self.height_box)):
+            bind(box, state, "picture_size", itemgetter(side), lambda _: self._picture_size())
+
+    def _connect(self, controller: Controller) -> None:
+        for viewpoint, button in self.views.items():
+            button.clicked.connect(lambda _, name=viewpoint: self._scene.look(name))
+        for name, button in self.tools.items():
+            button.clicked.connect(lambda _, name=name: self.use_tool(name))
+        self.turn.toggled.connect(self.turntable.set_turning)
+        self.save.clicked.connect(self._choose_file)
+        self._view.clicked.connect(self._on_clicked)
+        self.picked.changed.connect(self._on_picked)
+        controller.opened.connect(self._on_opened)
+
+    # -- pointing -----------------------------------------------------------------------------
+
+    def use_tool(self, name: str) -> None:
+        """What a click in the view does from now on: `rotate` (nothing), `probe`, `distance`."""
+        self.tool = name
+        self.tools[name].setChecked(True)
+        self.picked.leave()
+        self.distance.clear()
+        pointer = Qt.CursorShape.ArrowCursor if name == "rotate" else Qt.CursorShape.CrossCursor
+        self._view.setCursor(pointer)
+        self._say()
+
+    def _on_clicked(self, x: float, y: float) -> None:
+        if self.tool == "rotate":
+            return
+        point = self._scene.pick(x, y)
+        if self.tool == "probe":
+            self.picked.leave() if point is None else self.picked.at_point(point)
+        elif point is not None:
+            self.distance.add(point)
+        self._say()
+
+    def _on_picked(self, place: Probed | None) -> None:
+        self._marks.show(place, self._scene.drawn_node(place))
+        self._say()
+
+    def _say(self) -> None:
+        """Write what was pointed at, in the view and in the panel, in the operator's units."""
+        place, length_m = self.picked.place, self.distance.length_m
+        if length_m is not None:
+            self._text.show(length_m, self.distance.middle_m)
+        else:
+            self._text.show(place, self._scene.drawn_node(place))
+        lines = HINTS[self.tool]
+        units, ends = self._state.units, self.distance.points_m
+        if self.tool == "probe" and place is not None:
+            lines = words(place, units)
+        elif self.tool == "distance" and length_m is not None:
+            dx, dy, dz = (units.length.of(float(d)) for d in ends[1] - ends[0])
+            digits = units.length.digits
+            lines = (
+                f"distance {units.length.text(length_m)}",
+                f"Δx {dx:.{digits}f} · Δy {dy:.{digits}f}",
+                f"Δz {dz:.{digits}f} {units.length.symbol}",
+            )
+        elif self.tool == "distance" and ends:
+            lines = ("Click on the other point", "", "")
+        for label, line in zip(self.reading, lines, strict=True):
+            label.setText(line)
+
+    # -- settings -----------------------------------------------------------------------------
+
+    def _on_opened(self, opened: Opened) -> None:
+        self._marks.set_camera(opened.camera.center)
+        self._reach_m = float(abs(opened.mesh.nodes).max())
+        self.distance.clear()
+        self._at.refresh()
+        self._say()
+
+    def _on_choices(self) -> None:
+        choices, length = self._state.choices, self._state.units.length
+        self.section_text.setText(f"at {length.text(choices.section_at_m)}")
+        for control in (self.section_at, self.flipped):
+            control.setEnabled(choices.section_axis is not None)
+        self._on_picked(self.picked.place)
+
+    # -- pictures -----------------------------------------------------------------------------
+
+    def _picture_size(self) -> tuple[int, int]:
+        return self.width_box.value(), self.height_box.value()
+
+    def save_picture(self, path: Path) -> None:
+        """Write the 3-D view at the chosen size."""
+        pixels = still(self._view, *self._picture_size())
+        height, width = pixels.shape[:2]
+        image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+        written = QPixmap.fromImage(image).save(str(path), picture_format(path))
+        self.said.emit(picture_saved(path, written=written))
+
+    def _choose_file(self) -> None:
+        title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"
+        path = file_to_save(self, title, "view.png", kinds, of="picture")
+        if path is not None:
+            self.save_picture(path)
+
+
+def _pixels() -> QSpinBox:
+    box = QSpinBox(minimum=16, maximum=LARGEST_PIXELS)
+    box.setKeyboardTracking(False)
+    box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
+    box.setToolTip("Pixels")
+    return box
+
+
+def _row(*widgets: QWidget) -> QHBoxLayout:
+    return fill(QHBoxLayout(), *widgets, 1, spacing=4)
