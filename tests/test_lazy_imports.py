@@ -82,7 +82,7 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need() -> Non
         "from scipy import ndimage; assert ndimage.label([0, 1, 1])[1] == 1"
     )
     unneeded = (
-        "bubbleviz.api.exporting",
+        "bubbleviz.api.converting",
         "bubbleviz.output.series",
         "bubbleviz_ui.importing.import_dialog",
         "bubbleviz_ui.shell.text_dialogs",

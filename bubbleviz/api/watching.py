@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from bubbleviz.api.connecting import offered, room_for, sensor_of, stopped_by_signals, zenoh_place
+from bubbleviz.api.connecting import offered, sensor_of
+from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult, OneBlasThread, Summary, counted
 from bubbleviz.calibration import PressureZero, zeroed
 from bubbleviz.diagnostics import ShearSummary, ShearTally, shear_line

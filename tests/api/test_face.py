@@ -80,7 +80,7 @@ def test_every_name_is_there_and_explained():
     assert set(bv.__all__) <= set(dir(bv))
     for name in bv.__all__:
         assert getattr(bv, name).__doc__
-    with pytest.raises(AttributeError, match="no attribute 'fly'"):
+    with pytest.raises(AttributeError, match="fly"):
         bv.fly  # noqa: B018
 
 

@@ -19,8 +19,9 @@ from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "frames"))
-from bagmaker import START, BagMaker, depth_image
 from small_press import small_source, write_small_sensor
+
+from tests.recordings.bagmaker import START, BagMaker, depth_image
 
 SIZE = (32, 24)
 """Width and height of the sensor's camera and of the bags' images."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,7 +123,7 @@ class Waiting(QObject):
 
 
 PLAIN = Demand(frozenset({"estimate", "patch"}))
-LOOKING = replace(PLAIN, looks=frozenset({"kappa_curve"}))
+LOOKING = PLAIN.looking(frozenset({"kappa_curve"}))
 
 
 @pytest.fixture

@@ -1,0 +1,43 @@
+from .api.batching import (
+    batch as batch,
+)
+from .api.connecting import (
+    connect as connect,
+)
+from .api.converting import (
+    convert as convert,
+)
+from .api.estimating import (
+    estimate as estimate,
+    register as register,
+    track as track,
+)
+from .api.exporting import (
+    export as export,
+)
+from .api.frames import (
+    info as info,
+    open as open,
+)
+from .api.identifying import (
+    identify as identify,
+)
+from .api.recording import (
+    publish as publish,
+    record as record,
+)
+from .api.simulating import (
+    simulate as simulate,
+)
+from .api.watching import (
+    watch as watch,
+)
+from .errors import (
+    InputError as InputError,
+)
+from .sensor import (
+    load_sensor as load_sensor,
+    save_sensor as save_sensor,
+)
+
+__version__: str

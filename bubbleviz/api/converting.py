@@ -1,0 +1,165 @@
+"""Other recordings, and folders of depth images, as recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from bubbleviz.api.results import Summary
+from bubbleviz.errors import InputError
+from bubbleviz.files import refuse_existing
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import (
+    INTRINSICS,
+    Encoding,
+    FrameSource,
+    ImageFolder,
+    Recording,
+    RecordingWriter,
+    is_image_folder,
+    read_gas_pressure,
+    read_intrinsics,
+    read_times,
+    read_wrench,
+)
+from bubbleviz.wording import count_of
+
+
+@dataclass(frozen=True)
+class ConvertSummary(Summary):
+    """Summary of a conversion."""
+
+    out: str
+    frames: int
+    duration_s: float
+    width: int
+    height: int
+    has_intrinsics: bool
+    has_gas_pressure: bool
+    has_wrench: bool
+    has_colour: bool
+
+    def to_text(self) -> str:
+        """Text for the terminal."""
+        parts = {
+            "intrinsics": self.has_intrinsics,
+            "gas pressure": self.has_gas_pressure,
+            "wrench": self.has_wrench,
+            "colour": self.has_colour,
+        }
+        return (
+            f"wrote {self.out}: {count_of(self.frames, 'frame')} of {self.width}×{self.height} "
+            f"pixels lasting {self.duration_s:.3g} s"
+            + "".join(f", {name}" for name, there in parts.items() if there)
+        )
+
+
+def convert(
+    source: str | Path,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress = quiet,
+    **beside: str | Path | float | None,
+) -> ConvertSummary:
+    """Write the frames of a recording or of a folder of depth images as a recording.
+
+    Parameters
+    ----------
+    source : path
+        A folder of images, or whatever `open` opens.
+    out : path
+        `X.mcap`, or a new folder for a rosbag2.
+    overwrite : bool
+        Replace what exists.
+    progress : Progress
+    **beside
+        Of a folder of images, see `images_of`: `intrinsics`, `times`, `gas_pressure`, `wrench`,
+        `rate_hz`, `metres_per_unit`.
+
+    Raises
+    ------
+    InputError
+        Something cannot be read or does not fit together, or `out` exists; nothing is written.
+    """
+    refuse_existing(out, overwrite=overwrite)
+    source = Path(source)
+    beside = {name: value for name, value in beside.items() if value is not None}
+    progress("opening", 0.0)
+    if is_image_folder(source):
+        images = images_of(source, **beside)  # type: ignore[arg-type]
+        return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
+    if beside:
+        raise InputError(
+            f"{source}: is no folder of images; intrinsics, times and measured values are its own"
+        )
+    with Recording(source) as recording:
+        whole_millimetres = recording.encoding == "16UC1"
+        return _written(recording, out, progress, whole_millimetres, overwrite=overwrite)
+
+
+def images_of(
+    folder: Path,
+    *,
+    intrinsics: Path | None = None,
+    times: Path | None = None,
+    gas_pressure: Path | None = None,
+    wrench: Path | None = None,
+    rate_hz: float | None = None,
+    metres_per_unit: float | None = None,
+) -> ImageFolder:
+    """The depth images of a folder with what belongs to them.
+
+    Parameters
+    ----------
+    folder : Path
+    intrinsics, times, gas_pressure, wrench : Path, optional
+        Files; see `bubbleviz.recordings.image_folder`. Intrinsics and times are looked for in the
+        folder, too, as `intrinsics.toml`, `intrinsics.json` and `times.csv`.
+    rate_hz : float, optional
+        Of the images, where they have no times.
+    metres_per_unit : float, optional
+    """
+    if rate_hz is not None and times is not None:
+        raise InputError(f"{folder}: give either a rate of the images or their times")
+    camera = intrinsics or _there(folder, *INTRINSICS)
+    times = times or (None if rate_hz else _there(folder, "times.csv"))
+    return ImageFolder(
+        folder,
+        intrinsics=None if camera is None else read_intrinsics(camera),
+        times_s=None if times is None else read_times(times),
+        rate_hz=rate_hz,
+        metres_per_unit=metres_per_unit,
+        gas_pressure=None if gas_pressure is None else read_gas_pressure(gas_pressure),
+        wrench=None if wrench is None else read_wrench(wrench),
+    )
+
+
+def _written(
+    source: FrameSource,
+    out: str | Path,
+    progress: Progress,
+    whole_millimetres: bool,
+    *,
+    overwrite: bool,
+) -> ConvertSummary:
+    pressure = wrench = colour = False
+    encoding: Encoding = "16UC1" if whole_millimetres else "32FC1"
+    with RecordingWriter(out, encoding=encoding, overwrite=overwrite) as writer:
+        for index in range(len(source)):
+            progress("converting", index / len(source))
+            frame = source[index]
+            pressure |= frame.gas_pressure_pa is not None
+            wrench |= frame.wrench is not None
+            colour |= frame.colour is not None
+            writer.write(frame)
+    height, width = frame.depth_m.shape
+    duration = float(source.times_s[-1])
+    has_camera = frame.intrinsics is not None
+    return ConvertSummary(
+        str(out), len(source), duration, width, height, has_camera, pressure, wrench, colour
+    )
+
+
+def _there(folder: Path, *names: str) -> Path | None:
+    return next((folder / name for name in names if (folder / name).is_file()), None)

@@ -1,0 +1,309 @@
+"""Live sources recorded, and published, until they end or ^C."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tqdm import tqdm
+
+from bubbleviz.api.connecting import offered
+from bubbleviz.api.results import Summary, counted
+from bubbleviz.errors import InputError
+from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, set_aside
+from bubbleviz.live import LiveStream, RawMessage, Recorder, RecorderStatus, open_stream, patience_s
+from bubbleviz.recordings import AUTO
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.wording import count_of
+
+if TYPE_CHECKING:
+    from bubbleviz.live import OfferedTopic, SessionOptions, ZenohPublisher
+
+_LOOK_S = 0.1  # s between looks at the stream; chosen
+_LINGER_S = 0.5
+"""How long the session stays open after the last message, so that it goes out."""
+_SETTLE_S = 0.3
+"""How long no more subscriptions must come before the first message: one subscriber has several."""
+
+
+@dataclass(frozen=True)
+class RecordSummary(Summary):
+    """Summary of `record`."""
+
+    source: str
+    out: str
+    messages: int
+    frames: int  # depth images among the messages that make frames
+    duration_s: float  # from the first message to the end
+    size_bytes: int
+    most_waiting_bytes: int  # how far the disk was behind at worst
+    stalls: int  # how often the source had to wait for it
+    counters: dict[str, Any]  # what was wrong with messages, which are recorded all the same
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        lines = [
+            f"wrote   {self.out}, {self.size_bytes / 1e6:.1f} MB",
+            f"frames  {self.frames} in {self.duration_s:.2f} s, "
+            f"{count_of(self.messages, 'message')}",
+        ]
+        wrong = {
+            name.replace("_", " "): count
+            for name, count in self.counters.items()
+            if isinstance(count, int) and count and name not in ("received", "frames", "skipped")
+        }
+        if wrong:
+            lines.append(f"notes   {counted(wrong)}; {self.counters['problem']}".rstrip("; "))
+        return "\n".join(lines)
+
+
+def record(
+    source: str,
+    out: str | Path,
+    *,
+    sensor: str | Path | Sensor = AUTO,
+    duration_s: float | None = None,
+    overwrite: bool = False,
+) -> RecordSummary:
+    """Record every message of a live source until the duration is over, it ends, or ^C.
+
+    The file is whole then; should the machine stop, it opens up to the last second.
+
+    Parameters
+    ----------
+    source : str
+        As of `connect`.
+    out : path
+        `X.mcap`, or a rosbag2 folder.
+    sensor : str, path or Sensor
+        Simulated by `synthetic:`, where `auto` is the built-in one.
+    duration_s : float, optional
+        Counted from the first message, s.
+    overwrite : bool
+        Replace what exists.
+
+    Raises
+    ------
+    InputError
+        The source or the file cannot be opened, nothing arrived, or the disk refused.
+    """
+    stream = open_stream(source, _simulated(sensor), any_size=True)
+    recorder = Recorder()
+    recorder.listen_to(stream)
+    first: float | None = None
+    with room_for(out, overwrite=overwrite):
+        recorder.start(out)
+        try:
+            with stopped_by_signals() as stop, stream:
+                first = _wait(stream, recorder, stop, duration_s, patience_s(source))
+        finally:
+            status = recorder.stop()
+        _check(status, stream, source)
+    now, counters = time.monotonic(), stream.counters()
+    return RecordSummary(
+        source=source,
+        out=str(status.path),
+        messages=status.messages,
+        frames=counters.frames,
+        duration_s=now - (first or now),
+        size_bytes=status.size_bytes,
+        most_waiting_bytes=status.most_waiting_bytes,
+        stalls=status.stalls,
+        counters=counters.as_dict(),
+    )
+
+
+def _simulated(sensor: str | Path | Sensor) -> Sensor:
+    return load_sensor(SYNTHETIC_SENSOR if str(sensor) == AUTO else sensor)
+
+
+def _wait(
+    stream: LiveStream,
+    recorder: Recorder,
+    stop: threading.Event,
+    duration_s: float | None,
+    patience: float,
+) -> float | None:
+    """Wait until recording ends; returns when the first message came (`time.monotonic`)."""
+    began, first = time.monotonic(), None
+    with tqdm(unit=" messages", disable=None, file=sys.stderr) as bar:  # only on a terminal
+        while not stop.wait(_LOOK_S if first is None else 0.5 * _LOOK_S):
+            status = recorder.status()
+            if status is None or status.problem:
+                return first
+            stream.take()  # frees the slot of a frame that is not solved here
+            bar.n = status.messages
+            bar.set_postfix_str(f"{status.size_bytes / 1e6:.1f} MB, {stream.status().text}")
+            now = time.monotonic()
+            if first is None and stream.counters().received:
+                first = now
+            if stream.source.link() == "ended":
+                return first
+            if duration_s is None:
+                continue
+            if now - (first or now) >= duration_s:
+                return first
+            if first is None and now - began > patience:
+                return None
+    return first
+
+
+def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
+    if status.problem:
+        raise InputError(status.problem)
+    problem, lost = stream.source.problem(), stream.source.link() == "lost"
+    if problem and not (lost and status.messages):  # what came before it was lost is in the file
+        raise InputError(f"--source {source}: {problem}")
+    if not status.messages:
+        there = offered(stream)
+        raise InputError(f"--source {source}: nothing arrived ({there}); nothing was written")
+
+
+@dataclass(frozen=True)
+class PublishSummary(Summary):
+    """Summary of `publish`."""
+
+    source: str
+    endpoint: str
+    sent: dict[str, int]  # messages by topic
+
+    def to_text(self) -> str:
+        """A line for each topic."""
+        return "\n".join(f"{count:>8}  {topic}" for topic, count in self.sent.items())
+
+
+def publish(
+    source: str,
+    *,
+    listen: str | None = None,
+    connect: str | None = None,
+    sensor: str | Path | Sensor = AUTO,
+    layout: Literal["rmw", "dds"] = "rmw",
+    domain: int = 0,
+    duration_s: float | None = None,
+    wait: bool = False,
+    **credentials: str | None,
+) -> PublishSummary:
+    """Publish every message of a source over Zenoh until the duration is over, it ends, or ^C.
+
+    Subscribers that are slow are waited for: nothing is lost on the way.
+
+    Parameters
+    ----------
+    source, sensor, duration_s
+        As of `record`.
+    listen, connect : str, optional
+        Endpoint that subscribers connect to, `tcp/127.0.0.1:7447` by default, or router to publish
+        through.
+    layout : {"rmw", "dds"}
+        Names of keys.
+    domain : int
+        ROS_DOMAIN_ID.
+    wait : bool
+        Start once somebody subscribes.
+    **credentials
+        As of `watch`.
+
+    Raises
+    ------
+    InputError
+        The source cannot be opened, the address cannot be bound, or no router answers; or it is to
+        wait, and its topics are not known before it starts.
+    """
+    from bubbleviz.live import ZenohPublisher  # `record` does without
+
+    place = zenoh_place(listen, connect, credentials)
+    sent: Counter[str] = Counter()
+    live = open_stream(source, _simulated(sensor), any_size=True).source
+    live.follow_colour()
+    topics = live.topics()
+    if wait and not topics:
+        raise InputError(f"--source {source}: its topics come with its messages; leave --wait out")
+    with (
+        stopped_by_signals() as stop,
+        ZenohPublisher(place, layout=layout, domain=domain, wait=True) as publisher,
+    ):
+
+        def send(message: RawMessage) -> None:
+            publisher.put(message.topic, message.type, message.payload, message.stamp_ns)
+            sent[message.topic] += 1
+
+        if wait:
+            _wait_for_subscriber(publisher, topics, stop)
+        live.start(send)
+        try:
+            began = None
+            while not stop.wait(0.02) and live.link() != "ended":
+                began = began or (time.monotonic() if sent else None)
+                if duration_s and began and time.monotonic() - began >= duration_s:
+                    break
+        finally:
+            live.stop()
+        stop.wait(_LINGER_S)
+    return PublishSummary(source, place.connect or place.listen or "", dict(sent))
+
+
+def _wait_for_subscriber(
+    publisher: ZenohPublisher, topics: tuple[OfferedTopic, ...], stop: threading.Event
+) -> None:
+    for topic in topics:
+        publisher.announce(topic.name, topic.type)
+    before = 0
+    while not stop.is_set() and (not before or publisher.subscribed != before):
+        before = publisher.subscribed
+        stop.wait(_SETTLE_S)
+
+
+def zenoh_place(
+    listen: str | None, connect: str | None, credentials: dict[str, str | None]
+) -> SessionOptions:
+    """Where to publish: at an endpoint, this computer's by default, or through a router."""
+    from bubbleviz.live import (
+        ROUTER,
+        Credentials,  # `record` does without
+        SessionOptions,
+    )
+
+    if listen is not None and connect is not None:
+        raise InputError("--listen and --connect: publish at a place or through a router, not both")
+    if connect is None:
+        listen = listen or ROUTER
+    option = "--connect" if listen is None else "--listen"
+    return SessionOptions(
+        f"{option} {listen or connect}", connect, listen, Credentials(**credentials)
+    )
+
+
+@contextmanager
+def room_for(out: str | Path, *, overwrite: bool) -> Iterator[None]:
+    """Room for a recording, which is written in place."""
+    if overwrite:
+        refuse_existing(out, overwrite=True)
+    with set_aside(*([Path(out)] if overwrite else [])):
+        yield
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """Event set by ^C and SIGTERM instead of their default action; main thread only."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    former = {
+        number: signal.signal(number, lambda *_: stop.set())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield stop
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
