@@ -17,20 +17,11 @@ SMALLEST_M = 5e-4  # of an object's box, m
 
 @dataclass(frozen=True)
 class RigidObject:
-    """A rigid object.
-
-    Attributes
-    ----------
-    name : str
-    vertices : (n, 3) array
-        In O, m.
-    triangles : (m, 3) int array
-        Counter-clockwise seen from outside.
-    """
+    """A rigid object."""
 
     name: str
-    vertices: np.ndarray
-    triangles: np.ndarray
+    vertices: np.ndarray  # (n, 3), in O, m
+    triangles: np.ndarray  # (m, 3) int, counter-clockwise seen from outside
 
 
 def load_object(

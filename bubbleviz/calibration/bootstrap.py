@@ -33,33 +33,20 @@ _CLIP = 3.0  # as the mean of a pixel is clipped
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """Contribution of each tile and frame to the error of Q numbers.
+    """Contribution of each tile and frame to the error of Q numbers."""
 
-    Attributes
-    ----------
-    static : (T, Q) array
-        Of what the mean range of each tile's pixels differs from the fitted surface by.
-    moving : (F, T, Q) array
-        Of what each frame differs from the mean by.
-    parameters : int
-        Numbers fitted to the tiles.
-    """
-
+    # (T, Q), of what the mean range of each tile's pixels differs from the fitted surface by
     static: np.ndarray
-    moving: np.ndarray
-    parameters: int
+    moving: np.ndarray  # (F, T, Q), of what each frame differs from the mean by
+    parameters: int  # numbers fitted to the tiles
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Bootstrap errors of Q numbers.
+    """Bootstrap errors of Q numbers."""
 
-    Attributes
-    ----------
-    tiles, frames : (R, Q) array
-        Errors when tiles, or blocks of frames beyond their noise, are drawn again.
-    """
-
+    # tiles, frames: (R, Q), errors when tiles, or blocks of frames beyond their noise, are drawn
+    # again
     tiles: np.ndarray
     frames: np.ndarray
 
@@ -85,31 +72,19 @@ def tile_numbers(pixels: np.ndarray, width: int, side: int) -> np.ndarray:
 
 
 def score_table(
-    depth_m: np.ndarray,
+    depth_m: np.ndarray,  # (F, P), z-depth of the pixels that took part, m; NaN: no return
+    # mean_depth_m, limit_m: (P,), their mean, and how far a sample may be from it to count (as in
+    # the mean), m
     mean_depth_m: np.ndarray,
     limit_m: np.ndarray,
+    # (P, Q), change of each number per change of each pixel's mean z-depth, unit/m
     influence: np.ndarray,
-    residual_m: np.ndarray,
-    tile: np.ndarray,
-    parameters: int,
+    residual_m: np.ndarray,  # (P,), mean z-depth minus that of the fitted surface, m
+    tile: np.ndarray,  # (P,) int
+    parameters: int,  # numbers fitted to the tiles
     progress: Progress = quiet,
 ) -> ScoreTable:
-    """Sums over tiles of influence times error, for every frame and for the mean.
-
-    Parameters
-    ----------
-    depth_m : (F, P) array
-        z-depth of the pixels that took part, m; NaN: no return.
-    mean_depth_m, limit_m : (P,) array
-        Their mean, and how far a sample may be from it to count (as in the mean), m.
-    influence : (P, Q) array
-        Change of each number per change of each pixel's mean z-depth, unit/m.
-    residual_m : (P,) array
-        Mean z-depth minus that of the fitted surface, m.
-    tile : (P,) int array
-    parameters : int
-        Numbers fitted to the tiles.
-    """
+    """Sums over tiles of influence times error, for every frame and for the mean."""
     tiles, numbers = int(tile.max()) + 1, influence.shape[1]
     sums = _tile_sums(influence, tile, tiles)
     static = (sums @ residual_m).reshape(numbers, tiles).T
@@ -128,26 +103,14 @@ def score_table(
 
 def samples_scores(
     samples: Samples,
-    pixels: np.ndarray,
+    pixels: np.ndarray,  # (P,) int, flat indices of those that took part
+    # (P, Q), change of each number per change of each pixel's mean range, unit/m
     influence: np.ndarray,
-    residual_m: np.ndarray,
-    parameters: int,
+    residual_m: np.ndarray,  # (P,), mean range minus that of the fitted surface, m
+    parameters: int,  # numbers fitted to the tiles
     progress: Progress = quiet,
 ) -> ScoreTable:
-    """Score table of samples.
-
-    Parameters
-    ----------
-    samples : Samples
-    pixels : (P,) int array
-        Flat indices of those that took part.
-    influence : (P, Q) array
-        Change of each number per change of each pixel's mean range, unit/m.
-    residual_m : (P,) array
-        Mean range minus that of the fitted surface, m.
-    parameters : int
-        Numbers fitted to the tiles.
-    """
+    """Score table of samples."""
     statistics = samples.statistics
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)

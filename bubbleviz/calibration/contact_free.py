@@ -14,36 +14,24 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import MIN_FRAMES, FrameSource, robust_sigma
 from bubbleviz.wording import count_of
 
-SIGNIFICANT = 6.0
-"""Standard deviations: noise does not get there in a recording's lifetime."""
+SIGNIFICANT = 6.0  # standard deviations: noise does not get there in a recording's lifetime
 
 _TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
 _COVERED = 0.01  # share of the view that a contact must move to count
 _SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
-LAG = 5
-"""Frames: apart enough for the camera's temporal filter to have forgotten."""
+LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
 
 
 @dataclass(frozen=True)
 class ContactFree:
-    """The leading contact-free frames of a recording.
+    """The leading contact-free frames of a recording."""
 
-    Attributes
-    ----------
-    frames : range
-        Indices 0 … end − 1.
-    depth_score : (F,) array
-        How many standard deviations the most changed 1 % of the view is from rest, per frame.
-    pressure_score : (F,) array or None
-        The same for the gas pressure; None where the recording has none.
-    ended_by : {"depth", "pressure", "recording"}
-        What saw the contact first; `recording`: none came.
-    """
-
-    frames: range
+    frames: range  # indices 0 … end − 1
+    # (F,), how many standard deviations the most changed 1 % of the view is from rest, per frame
     depth_score: np.ndarray
+    # (F,), the same for the gas pressure; None where the recording has none
     pressure_score: np.ndarray | None
-    ended_by: str
+    ended_by: str  # what saw the contact first; `recording`: none came
 
 
 def find_contact_free(source: FrameSource, progress: Progress = quiet) -> ContactFree:
@@ -52,10 +40,7 @@ def find_contact_free(source: FrameSource, progress: Progress = quiet) -> Contac
     The recording must start without contact: a contact that is there from the first frame and
     never changes cannot be told from the dome's own shape.
 
-    Raises
-    ------
-    InputError
-        Fewer than 5 frames before something moves.
+    Raises InputError: fewer than 5 frames before something moves.
     """
     tiles, pressures = _summaries(source, progress)
     depth_score = _score(tiles)
@@ -149,10 +134,8 @@ def _first_change(score: np.ndarray) -> int:
 # Find the frames of a press that is held, by the gas pressure.
 
 
-_HELD = 0.9
-"""Share of the largest rise of the gas pressure from which on a press counts as held."""
-_CLEAR = 10.0
-"""Standard deviations of the gas pressure by which a press must move it."""
+_HELD = 0.9  # share of the largest rise of the gas pressure from which on a press counts as held
+_CLEAR = 10.0  # standard deviations of the gas pressure by which a press must move it
 
 
 def held_frames(source: FrameSource, samples: Samples, progress: Progress = quiet) -> list[int]:

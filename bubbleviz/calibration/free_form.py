@@ -29,41 +29,25 @@ _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones change nothing
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A free-form surface and the numbers behind it.
+    """A free-form surface and the numbers behind it."""
 
-    Attributes
-    ----------
-    mesh : MembraneMesh
-        The corrected surface in B.
-    correction_m : (n,) array
-        Motion of each node from the cap, along the line from the origin of B, m.
-    smoothing : float
-        λ, relative to the one at which data and prior weigh alike.
-    left_out_rms_m : float
-        Robust rms error of ranges in tiles left out of the fit, m.
-    residual_m : (H, W) array
-        Measured minus cast range, m; NaN where there is no return or the ray misses the mesh.
-    left_out_m : (H, W) array
-        Measured minus predicted range of pixels whose tile was left out, m; NaN elsewhere.
-    system : System
-    """
-
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # the corrected surface in B
+    # (n,), motion of each node from the cap, along the line from the origin of B, m
     correction_m: np.ndarray
-    smoothing: float
-    left_out_rms_m: float
+    smoothing: float  # λ, relative to the one at which data and prior weigh alike
+    left_out_rms_m: float  # robust rms error of ranges in tiles left out of the fit, m
+    # (H, W), measured minus cast range, m; NaN where there is no return or the ray misses the mesh
     residual_m: np.ndarray
+    # (H, W), measured minus predicted range of pixels whose tile was left out, m; NaN elsewhere
     left_out_m: np.ndarray
     system: System
 
-    def influence(self, gradients: np.ndarray) -> np.ndarray:
-        """Change of numbers per change of each pixel's range, (P, Q), unit/m.
-
-        Parameters
-        ----------
-        gradients : (n, Q) array
-            Change of each number per motion of each node along its arm, unit/m.
-        """
+    def influence(
+        self,
+        # (n, Q), change of each number per motion of each node along its arm, unit/m
+        gradients: np.ndarray,
+    ) -> np.ndarray:
+        """Change of numbers per change of each pixel's range, (P, Q), unit/m."""
         system = self.system
         adjoint = symmetric_lu(system.matrix).solve(np.ascontiguousarray(gradients))
         return system.efficiency * system.weights[:, None] * (system.D @ adjoint)
@@ -71,26 +55,15 @@ class FreeForm:
 
 @dataclass(frozen=True)
 class System:
-    """The fit's last linear system, in the pixels that took part.
+    """The fit's last linear system, in the pixels that took part."""
 
-    Attributes
-    ----------
-    pixels : (P,) int array
-        Flat indices.
-    D : (P, n) sparse array
-        Derivative of their ranges for motion of the nodes along the arms.
-    weights : (P,) array
-    matrix : (n, n) sparse array
-        Normal matrix with the prior.
-    efficiency : float
-        Mean weight over mean slope of the robust loss: by how much the matrix overstates what
-        it takes to move the fit.
-    """
-
-    pixels: np.ndarray
+    pixels: np.ndarray  # (P,) int, flat indices
+    # (P, n) sparse, derivative of their ranges for motion of the nodes along the arms
     D: sparse.csr_array
-    weights: np.ndarray
-    matrix: sparse.csc_array
+    weights: np.ndarray  # (P,)
+    matrix: sparse.csc_array  # (n, n) sparse, normal matrix with the prior
+    # mean weight over mean slope of the robust loss: by how much the matrix overstates what it
+    # takes to move the fit
     efficiency: float
 
 
@@ -103,31 +76,17 @@ class _Normal:
 
 
 def fit_free_form(
-    start: MembraneMesh,
+    start: MembraneMesh,  # mesh of the fitted cap in B
     camera: DepthCamera,
-    range_m: np.ndarray,
-    use: np.ndarray,
-    scale_m: float,
+    range_m: np.ndarray,  # (H, W), mean contact-free range, m; NaN: no return
+    use: np.ndarray,  # (H, W) bool, pixels of the membrane that may take part
+    scale_m: float,  # length ℓ beyond which a correction is the cap's business, m
+    # side of the tiles left out in turn, pixels; several times the noise's correlation length, or
+    # what is left out is still known from its neighbours
     tile_px: int,
     progress: Progress = quiet,
 ) -> FreeForm:
-    """Correct a cap's mesh so that its modelled ranges fit the measured ones.
-
-    Parameters
-    ----------
-    start : MembraneMesh
-        Mesh of the fitted cap in B.
-    camera : DepthCamera
-    range_m : (H, W) array
-        Mean contact-free range, m; NaN: no return.
-    use : (H, W) bool array
-        Pixels of the membrane that may take part.
-    scale_m : float
-        Length ℓ beyond which a correction is the cap's business, m.
-    tile_px : int
-        Side of the tiles left out in turn, pixels; several times the noise's correlation
-        length, or what is left out is still known from its neighbours.
-    """
+    """Correct a cap's mesh so that its modelled ranges fit the measured ones."""
     arms = start.nodes / np.linalg.norm(start.nodes, axis=1, keepdims=True)
     caster = RayCaster(camera.center, camera.directions, start.triangles)
     pixels = np.flatnonzero((use & np.isfinite(range_m)).ravel())

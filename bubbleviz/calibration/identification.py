@@ -69,17 +69,12 @@ def errors_name(source: FrameSource) -> Iterator[None]:
         raise InputError(f"{source.name}: {error}") from error
 
 
-def seen_share(mesh: MembraneMesh, camera: DepthCamera, membrane: np.ndarray) -> float:
-    """Share of a dome's area that the camera sees.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-        The fitted dome over the rim plane, in B.
-    camera : DepthCamera
-    membrane : (H, W) bool array
-        Pixels that see the membrane; holes in it count as seen.
-    """
+def seen_share(
+    mesh: MembraneMesh,  # the fitted dome over the rim plane, in B
+    camera: DepthCamera,
+    membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane; holes in it count as seen
+) -> float:
+    """Share of a dome's area that the camera sees."""
     centres = mesh.nodes[mesh.triangles].mean(axis=1)
     T = camera.T_B_C
     uv = np.rint(camera.intrinsics.project((centres - T[:3, 3]) @ T[:3, :3])).astype(int)
@@ -103,10 +98,12 @@ def check_seen(name: str, share: float) -> None:
 
 def check_no_dent(
     name: str,
+    # (H, W), distance of the measured from the fitted surface, m, negative inside; NaN: none
     residual_m: np.ndarray,
-    membrane: np.ndarray,
+    membrane: np.ndarray,  # (H, W) bool
+    # how far from the membrane's outer edge, in pixels, a measurement can be trusted
     edge_px: float,
-    pixel_m: np.ndarray,
+    pixel_m: np.ndarray,  # (H, W), side of a pixel on the membrane, m
     dome: Ellipsoid,
 ) -> None:
     """Refuse a dome that is pressed in: contact in every frame, as far as it can be told.
@@ -114,17 +111,6 @@ def check_no_dent(
     A patch of the surface that lies deep inside the cap that fits the rest, so deep for its
     width that the membrane has lost half of its curvature there, is a contact: gas pressure
     alone makes a membrane bulge everywhere.
-
-    Parameters
-    ----------
-    residual_m : (H, W) array
-        Distance of the measured from the fitted surface, m, negative inside; NaN: none.
-    membrane : (H, W) bool array
-    edge_px : float
-        How far from the membrane's outer edge, in pixels, a measurement can be trusted.
-    pixel_m : (H, W) array
-        Side of a pixel on the membrane, m.
-    dome : Ellipsoid
     """
     inner = away_from_edges(ndimage.binary_fill_holes(_closed(membrane)), edge_px + 1.0)
     seen = inner & np.isfinite(residual_m)
@@ -188,35 +174,19 @@ _SEEN_NODES = 2_000  # of a mesh to tell what the camera sees; chosen: some 2 mm
 
 @dataclass(frozen=True)
 class Identification:
-    """A sensor as its own contact-free frames describe it.
+    """A sensor as its own contact-free frames describe it."""
 
-    Attributes
-    ----------
-    sensor : Sensor
-        Of shape "spherical_cap" where the sphere was chosen, else "mesh", whose files do not
-        exist before `write_sensor`.
-    given : Sensor
-        The sensor file it started from.
-    samples : Samples
-    surfaces : Surfaces
-    pixels : PixelStatistics
-    tension : TensionEstimate
-    seen : float
-        Share of the dome's area that the camera sees.
-    wander_m : float
-        How far the dome moves over the frames beyond noise, m.
-    rubber : RubberEstimate or None
-        Where inflation levels, a press or the open chamber told of gauge pressure and rubber.
-    """
-
+    # of shape "spherical_cap" where the sphere was chosen, else "mesh", whose files do not exist
+    # before `write_sensor`
     sensor: Sensor
-    given: Sensor
+    given: Sensor  # the sensor file it started from
     samples: Samples
     surfaces: Surfaces
     pixels: PixelStatistics
     tension: TensionEstimate
-    seen: float
-    wander_m: float
+    seen: float  # share of the dome's area that the camera sees
+    wander_m: float  # how far the dome moves over the frames beyond noise, m
+    # where inflation levels, a press or the open chamber told of gauge pressure and rubber
     rubber: RubberEstimate | None = None
 
     @property
@@ -409,27 +379,16 @@ def _pressures(
 
 
 def with_rubber(
+    # from a sensor with the open chamber's atmospheric pressure, where that is given
     found: Identification,
-    levels: Sequence[Samples],
+    levels: Sequence[Samples],  # of the untouched sensor at other pressures
     vented: Vented | None = None,
-    held: Samples | None = None,
+    held: Samples | None = None,  # of a press, which is asked where there are no levels
 ) -> Identification:
     """Identification with λ, and the gauge pressure, as levels, a press and open chamber tell.
 
-    Parameters
-    ----------
-    found : Identification
-        From a sensor with the open chamber's atmospheric pressure, where that is given.
-    levels : sequence of Samples
-        Of the untouched sensor at other pressures.
-    vented : Vented, optional
-    held : Samples, optional
-        Of a press, which is asked where there are no levels.
-
-    Raises
-    ------
-    InputError
-        An open chamber was recorded, but not the gas pressure of the inflated sensor.
+    Raises InputError: an open chamber was recorded, but not the gas pressure of the inflated
+    sensor.
     """
     known = rest_gauge_sigma(found.samples, found.given)
     other = found.surfaces.other_mesh

@@ -15,14 +15,9 @@ _BLUR = 0.1  # of the dome's size: below it the spread is the facets'
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """Range of one frame less that of the surface, (H, W), m; NaN outside the pixels in use.
+    """Range of one frame less that of the surface, (H, W), m; NaN outside the pixels in use."""
 
-    Attributes
-    ----------
-    before_m, after_m : (H, W) array
-        As measured; less what rectification takes away.
-    """
-
+    # before_m, after_m: (H, W), as measured; less what rectification takes away
     before_m: np.ndarray
     after_m: np.ndarray
 

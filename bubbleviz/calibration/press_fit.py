@@ -44,96 +44,59 @@ from bubbleviz.sensor_model import SensorModel
 _EDGE_OF_DENT = 0.25
 """Share of a dent's depth beyond which something may touch. The membrane leaves a flat plate that
 covers a dome to 0.85 of its radius there; anything smaller or rounder it leaves deeper."""
-_START = 0.35
-"""q to begin with: λ of 1.19."""
+_START = 0.35  # q to begin with: λ of 1.19
 _STEPS, _LONGEST, _NEAR = 100, 1.0, 0.25
 """Gauss–Newton steps; in mesh edges the longest, and the one from which on q and G move too."""
 _SLOW, _LEAST = 0.7, 0.25
 """A step longer than this share of the one before oscillates: the next is halved,
 down to the second."""
-_LARGEST_STEP = 0.2
-"""Largest step of q and of ln G."""
-_SMALL = 5e-4
-"""Step of q and ln G that ends it: far below their intervals."""
-_SECTORS = 8
-"""Around the dent: each large against what errors of the model are alike over."""
+_LARGEST_STEP = 0.2  # largest step of q and of ln G
+_SMALL = 5e-4  # step of q and ln G that ends it: far below their intervals
+_SECTORS = 8  # around the dent: each large against what errors of the model are alike over
 
 
 @dataclass(frozen=True)
 class PressFit(RubberFit):
-    """What a press says.
+    """What a press says."""
 
-    Attributes
-    ----------
-    gauge_by_part_pa : dict of str to float
-        Gauge pressure from each third of the frames, and from each half of the membrane at the λ
-        of all of it.
-    """
-
+    # gauge pressure from each third of the frames, and from each half of the membrane at the λ of
+    # all of it
     gauge_by_part_pa: dict[str, float]
 
 
 @dataclass(frozen=True)
 class _State:
-    """Shape, pressures and rubber on the way to the fit.
+    """Shape, pressures and rubber on the way to the fit."""
 
-    Attributes
-    ----------
-    x : (n, 3) array
-        m.
-    pressure : (n,) array
-        Contact pressure over G.
-    q, gauge_pa : float
-    """
-
-    x: np.ndarray
-    pressure: np.ndarray
+    x: np.ndarray  # (n, 3), m
+    pressure: np.ndarray  # (n,), contact pressure over G
     q: float
     gauge_pa: float
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """The fit linearised at a state, over the pressures of the zone and then q and ln G.
+    """The fit linearised at a state, over the pressures of the zone and then q and ln G."""
 
-    Attributes
-    ----------
-    seen : (k,) int array
-        Blocks.
-    rows : (k, z + 2) array
-        Derivatives of their range change, m.
-    missed_m : (k,) array
-        Measured less modelled change, the latter at equilibrium.
-    weight : (k,) array
-        1/m².
-    motions : (3n, z + 2) array
-    relaxing : (3n,) array
-        Motion to equilibrium, m.
-    by_stress_m : (k,) array
-        Change of the ranges per relative change of the stress at rest.
-    """
-
-    seen: np.ndarray
-    rows: np.ndarray
-    missed_m: np.ndarray
-    weight: np.ndarray
-    motions: np.ndarray
-    relaxing: np.ndarray
-    by_stress_m: np.ndarray
+    seen: np.ndarray  # (k,) int, blocks
+    rows: np.ndarray  # (k, z + 2), derivatives of their range change, m
+    missed_m: np.ndarray  # (k,), measured less modelled change, the latter at equilibrium
+    weight: np.ndarray  # (k,), 1/m²
+    motions: np.ndarray  # (3n, z + 2)
+    relaxing: np.ndarray  # (3n,), motion to equilibrium, m
+    by_stress_m: np.ndarray  # (k,), change of the ranges per relative change of the stress at rest
 
 
 class HeldPress:
-    """A press, and the contact-free frames before it.
+    """A press, and the contact-free frames before it."""
 
-    Parameters
-    ----------
-    model : SensorModel
-        As identified from those.
-    rest, held : Samples
-        With gas pressures.
-    """
-
-    def __init__(self, model: SensorModel, rest: Samples, held: Samples) -> None:
+    def __init__(
+        self,
+        model: SensorModel,  # as identified from those
+        # rest, held: with gas pressures
+        rest: Samples,
+        held: Samples,
+    ) -> None:
         if rest.gas_pressure_pa is None or held.gas_pressure_pa is None:
             raise InputError(f"{held.source_name}: not every frame of the press has a gas pressure")
         self.source_name = held.source_name
@@ -158,26 +121,15 @@ class HeldPress:
 
     def fit(
         self,
-        gauge_pressure_pa: float,
-        gauge_sigma_pa: float | None = None,
+        gauge_pressure_pa: float,  # G, or where to begin
+        gauge_sigma_pa: float | None = None,  # its standard deviation where it is known
+        # relative standard deviation of the stress that shape and gauge pressure give
         stress_sigma: float = 0.0,
     ) -> PressFit:
         """Fit λ⁻⁶ and, where it is not known, the gauge pressure.
 
-        Parameters
-        ----------
-        gauge_pressure_pa : float
-            G, or where to begin.
-        gauge_sigma_pa : float, optional
-            Its standard deviation where it is known.
-        stress_sigma : float
-            Relative standard deviation of the stress that shape and gauge pressure give.
-
-        Raises
-        ------
-        InputError
-            The gas pressure fell, which no press of a closed chamber does, or rose too little, or
-            no rubber is near the press.
+        Raises InputError: the gas pressure fell, which no press of a closed chamber does, or rose
+        too little, or no rubber is near the press.
         """
         if self._rise < 0.0:
             raise InputError(

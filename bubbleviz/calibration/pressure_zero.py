@@ -12,15 +12,12 @@ from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 
-ENOUGH = 15
-"""Contact-free frames whose median is a zero: half a second at 30 Hz."""
+ENOUGH = 15  # contact-free frames whose median is a zero: half a second at 30 Hz
 FEWEST = 3
 """Contact-free frames in a row that a recording's zero is taken from where it has no more: one by
 itself may be a failed image."""
-PLACES = 20
-"""Where a recording is looked at for a rest."""
-PASSED = 6
-"""Live frames after one with contact that are not asked about."""
+PLACES = 20  # where a recording is looked at for a rest
+PASSED = 6  # live frames after one with contact that are not asked about
 
 
 class PressureZero:
@@ -84,15 +81,13 @@ class PressureZero:
         self.offset_pa = None if rest_pa is None else rest_pa - self.reference_pa
         self._free, self._asked = [], waiting
 
-    def learn(self, raw_pressure_pa: float | None, *, contact_free: bool) -> None:
-        """Take note of a frame's measured pressure, Pa, as it was before `applied`.
-
-        Parameters
-        ----------
-        raw_pressure_pa : float or None
-        contact_free : bool
-            Whether its depth image alone says that nothing touches.
-        """
+    def learn(
+        self,
+        raw_pressure_pa: float | None,
+        *,
+        contact_free: bool,  # whether its depth image alone says that nothing touches
+    ) -> None:
+        """Take note of a frame's measured pressure, Pa, as it was before `applied`."""
         if not self._asked or raw_pressure_pa is None:
             return
         if not contact_free:

@@ -23,24 +23,15 @@ _APART = 10.0  # standard deviations of a sample that levels must differ by
 
 @dataclass(frozen=True)
 class Level:
-    """Measured and modelled range of every pixel at one inflation level.
+    """Measured and modelled range of every pixel at one inflation level."""
 
-    Attributes
-    ----------
-    measured_m, modelled_m : (H, W) array
-        Mean range along the ray, and that of the surface fitted to it, m; NaN: none.
-    noise_m : (H, W) array
-        Standard deviation of one sample, m.
-    frames : float
-        Independent samples that the mean is worth.
-    samples : Samples or None
-        What it was measured on, for what inflation tells of the rubber.
-    """
-
+    # measured_m, modelled_m: (H, W), mean range along the ray, and that of the surface fitted to
+    # it, m; NaN: none
     measured_m: np.ndarray
     modelled_m: np.ndarray
-    noise_m: np.ndarray
-    frames: float = 1.0
+    noise_m: np.ndarray  # (H, W), standard deviation of one sample, m
+    frames: float = 1.0  # independent samples that the mean is worth
+    # what it was measured on, for what inflation tells of the rubber
     samples: Samples | None = None
 
     @classmethod
@@ -61,10 +52,7 @@ class Level:
     ) -> Level:
         """Level of a recording that begins untouched; its gauge pressure need not be known.
 
-        Raises
-        ------
-        InputError
-            As in `identify`.
+        Raises InputError: as in `identify`.
         """
         chosen = find_contact_free(source, progress).frames
         samples = collect(source, sensor, chosen, progress)
@@ -84,18 +72,12 @@ class Level:
 
 @dataclass(frozen=True)
 class Lines:
-    """Change of true range per change of measured range in each pixel, within what was measured.
+    """Change of true range per change of measured range in each pixel, within what was measured."""
 
-    Attributes
-    ----------
-    slope, slope_sigma : (H, W) array
-        With its standard error; NaN where nothing is known.
-    nearest_m, farthest_m : (H, W) array
-        Measured ranges between which the line holds, m.
-    """
-
+    # slope, slope_sigma: (H, W), with its standard error; NaN where nothing is known
     slope: np.ndarray
     slope_sigma: np.ndarray
+    # nearest_m, farthest_m: (H, W), measured ranges between which the line holds, m
     nearest_m: np.ndarray
     farthest_m: np.ndarray
 
@@ -103,10 +85,7 @@ class Lines:
 def fit_lines(levels: Sequence[Level]) -> Lines:
     """Fit every pixel's line through two or more levels, each weighted by its noise.
 
-    Raises
-    ------
-    InputError
-        Images of different sizes, or levels too alike to tell a slope.
+    Raises InputError: images of different sizes, or levels too alike to tell a slope.
     """
     if len({level.measured_m.shape for level in levels}) > 1:
         raise InputError("rectification: images differ in size; give recordings of one camera")
@@ -148,10 +127,7 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
     The bias stays that of its own level, so that the untouched sensor shows no contact; pixels
     that are not seen at every level are left out.
 
-    Raises
-    ------
-    InputError
-        As `fit_lines`.
+    Raises InputError: as `fit_lines`.
     """
     if not levels:
         return found

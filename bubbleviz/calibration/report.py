@@ -28,17 +28,9 @@ from bubbleviz.recordings import FrameSource
 def summary(
     found: Identification,
     origin: Origin,
-    validation: Validation | None = None,
+    validation: Validation | None = None,  # by a known object at a known pose, where there is one
 ) -> dict[str, Any]:
-    """All numbers of an identification, SI units, ready for JSON.
-
-    Parameters
-    ----------
-    found : Identification
-    origin : Origin
-    validation : Validation, optional
-        By a known object at a known pose, where there is one.
-    """
+    """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, fits = found.statistics, found.fits
     return {
@@ -92,25 +84,13 @@ def versions() -> dict[str, str]:
 
 def write_report(
     found: Identification,
-    numbers: dict[str, Any],
+    numbers: dict[str, Any],  # its `summary`
     folder: str | Path,
-    validation: Validation | None = None,
+    validation: Validation | None = None,  # for its pictures
 ) -> None:
     """Write `report.html` and `report.json` in a new folder, both or none.
 
-    Parameters
-    ----------
-    found : Identification
-    numbers : dict
-        Its `summary`.
-    folder : path
-    validation : Validation, optional
-        For its pictures.
-
-    Raises
-    ------
-    InputError
-        The folder exists or cannot be made.
+    Raises InputError: the folder exists or cannot be made.
     """
     # 0.4 s, which the window starts without
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -202,36 +182,17 @@ def check_outputs(out: Path, report: Path | None) -> None:
 
 def save(
     found: Identification,
-    source: FrameSource,
-    sensor_file: str,
-    out: Path,
-    report: Path | None,
+    source: FrameSource,  # what it was made from; hashed where it is a file
+    sensor_file: str,  # what it started from
+    out: Path,  # SENSOR.toml; its mesh and pixels go beside it
+    report: Path | None,  # new folder
     progress: Progress = quiet,
-    validation: Validation | None = None,
+    validation: Validation | None = None,  # by a known press
 ) -> dict[str, Any]:
     """Write the sensor at `out` and its report; the numbers of the report.
 
-    Parameters
-    ----------
-    found : Identification
-    source : FrameSource
-        What it was made from; hashed where it is a file.
-    sensor_file : str
-        What it started from.
-    out : path
-        SENSOR.toml; its mesh and pixels go beside it.
-    report : path, optional
-        New folder.
-    progress : Progress
-    validation : Validation, optional
-        By a known press.
-
-    Raises
-    ------
-    InputError
-        Something exists or cannot be written; nothing is written then.
-    Cancelled
-        By `progress`; nothing is written then.
+    Raises InputError: something exists or cannot be written; nothing is written then. Raises
+    Cancelled: by `progress`; nothing is written then.
     """
     check_outputs(out, report)
     path = getattr(source, "path", None)

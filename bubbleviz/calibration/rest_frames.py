@@ -26,55 +26,34 @@ from bubbleviz.recordings import (
 from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 
-MAX_FRAMES = 150
-"""Frames above which more of them only cost memory: every so many-th is used then."""
+MAX_FRAMES = 150  # frames above which more of them only cost memory: every so many-th is used then
 
 _WRONG_UNIT = np.sqrt(10.0)  # half way, in ratio, to a unit ten times as large
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Contact-free frames of one camera.
-
-    Attributes
-    ----------
-    source_name : str
-    frames : tuple of int
-        Their numbers in the recording.
-    depth_m : (F, H, W) float32 array
-        z-depth, m; NaN: no return.
-    gas_pressure_pa : (F,) array or None
-        Absolute; None where a frame lacks it.
-    camera : DepthCamera
-        As the sensor file has it in B, with the recording's intrinsics.
-    statistics : DepthStatistics
-    """
+    """Contact-free frames of one camera."""
 
     source_name: str
-    frames: tuple[int, ...]
-    depth_m: np.ndarray
-    gas_pressure_pa: np.ndarray | None
-    camera: DepthCamera
+    frames: tuple[int, ...]  # their numbers in the recording
+    depth_m: np.ndarray  # (F, H, W) float32, z-depth, m; NaN: no return
+    gas_pressure_pa: np.ndarray | None  # (F,), absolute; None where a frame lacks it
+    camera: DepthCamera  # as the sensor file has it in B, with the recording's intrinsics
     statistics: DepthStatistics
 
 
 def collect(
-    source: FrameSource, sensor: Sensor, chosen: Sequence[int], progress: Progress = quiet
+    source: FrameSource,
+    # camera pose, intrinsics where the recording has none, and how far away a membrane is
+    sensor: Sensor,
+    chosen: Sequence[int],  # contact-free frames: any, so that one can be taken out again
+    progress: Progress = quiet,
 ) -> Samples:
     """Read the chosen frames and measure every pixel over them.
 
-    Parameters
-    ----------
-    source : FrameSource
-    sensor : Sensor
-        Camera pose, intrinsics where the recording has none, and how far away a membrane is.
-    chosen : sequence of int
-        Contact-free frames: any, so that one can be taken out again.
-
-    Raises
-    ------
-    InputError
-        Fewer than 5 frames, frames of another camera, no returns, or depth in a wrong unit.
+    Raises InputError: fewer than 5 frames, frames of another camera, no returns, or depth in a
+    wrong unit.
     """
     if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
         raise InputError(
@@ -138,14 +117,9 @@ _SAMPLE_SCALE = 3.0  # robust standard deviations: 1 in 370 of a normal populati
 
 @dataclass(frozen=True)
 class PixelStatistics(PixelModel):
-    """Bias and noise of each pixel from contact-free frames; bias 0 and noise inf outside the mask.
+    """Bias and noise of each pixel from contact-free frames; noise is inf outside the mask."""
 
-    Attributes
-    ----------
-    removed : dict of str to int
-        Pixels that each reason removed; the first that applies counts.
-    """
-
+    # pixels that each reason removed; the first that applies counts
     removed: dict[str, int] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> None:
@@ -176,10 +150,13 @@ class PixelStatistics(PixelModel):
 
 
 def select_pixels(
-    statistics: DepthStatistics,
-    membrane: np.ndarray,
+    statistics: DepthStatistics,  # of the contact-free frames
+    membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane (`segment.membrane_pixels`)
+    # (H, W), measured minus modelled range, m; NaN where the ray misses the model
     residual_m: np.ndarray,
+    # share of the frames in which a pixel must have a return; nine tenths of what is usual
     min_validity: float | None = None,
+    # robust standard deviations beyond which a pixel is `unstable` or `biased`
     deviations: float = _SAMPLE_SCALE,
 ) -> PixelStatistics:
     """Choose the pixels to use, and estimate the bias of each.
@@ -189,19 +166,6 @@ def select_pixels(
     `outside_rim` (its ray misses the membrane), `edge` (its matching window reaches past the
     membrane's edge or into a hole), `unstable` (σ beyond what the other pixels have) and
     `biased` (glare and rim bias: further from the surface than the other pixels are).
-
-    Parameters
-    ----------
-    statistics : DepthStatistics
-        Of the contact-free frames.
-    membrane : (H, W) bool array
-        Pixels that see the membrane (`segment.membrane_pixels`).
-    residual_m : (H, W) array
-        Measured minus modelled range, m; NaN where the ray misses the model.
-    min_validity : float, optional
-        Share of the frames in which a pixel must have a return; nine tenths of what is usual.
-    deviations : float
-        Robust standard deviations beyond which a pixel is `unstable` or `biased`.
     """
     if min_validity is None:
         min_validity = statistics.regular_validity
@@ -247,19 +211,14 @@ def _half(image: np.ndarray) -> np.ndarray:
 class CollectedFrames:
     """Frames kept in memory, in the order in which they came.
 
-    Parameters
-    ----------
-    name : str
-        Of the live source.
-    frames : sequence of Frame
-
-    Raises
-    ------
-    InputError
-        There are none.
+    Raises InputError: there are none.
     """
 
-    def __init__(self, name: str, frames: Sequence[Frame]) -> None:
+    def __init__(
+        self,
+        name: str,  # of the live source
+        frames: Sequence[Frame],
+    ) -> None:
         if not frames:
             raise InputError(f"{name}: no frame was collected; wait for the source")
         self.name = name

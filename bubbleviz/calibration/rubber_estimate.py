@@ -19,45 +19,25 @@ from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 from bubbleviz.sensor_model import SensorModel
 
-_UNEXPLAINED = 0.25
-"""Share of the change of range that rubber may leave unexplained."""
+_UNEXPLAINED = 0.25  # share of the change of range that rubber may leave unexplained
 
 
 @dataclass(frozen=True)
 class RubberEstimate:
-    """What inflation levels, or a press, tell of the rubber.
+    """What inflation levels, or a press, tell of the rubber."""
 
-    Attributes
-    ----------
-    prestretch : Quantity or None
-        λ; None: not determined.
-    gauge : Quantity or None
-        Gauge pressure of the reference surface, Pa; None: not determined, the sensor file's stands.
-    gauge_from : {"vented", "levels", "press", "given"}
-        By levels and by a press it is weighed with the sensor file's.
-    fit : RubberFit or None
-        None where neither a level nor a press was of use.
-    levels : tuple of str
-        Names of the recordings.
-    press : str
-        That of the press, where it was asked; empty where not.
-    vented : str
-        That of the open chamber; empty where there is none.
-    why_not : str
-        Why λ is not determined; empty where it is.
-    both : (Quantity, Quantity) or None
-        The gauge pressure by the levels or the press alone, and by the sensor file, Pa; None where
-        it was not weighed.
-    """
-
-    prestretch: Quantity | None
+    prestretch: Quantity | None  # λ; None: not determined
+    # gauge pressure of the reference surface, Pa; None: not determined, the sensor file's stands
     gauge: Quantity | None
+    # by levels and by a press it is weighed with the sensor file's
     gauge_from: Literal["vented", "levels", "press", "given"]
-    fit: RubberFit | None
-    levels: tuple[str, ...] = ()
-    press: str = ""
-    vented: str = ""
-    why_not: str = ""
+    fit: RubberFit | None  # None where neither a level nor a press was of use
+    levels: tuple[str, ...] = ()  # names of the recordings
+    press: str = ""  # that of the press, where it was asked; empty where not
+    vented: str = ""  # that of the open chamber; empty where there is none
+    why_not: str = ""  # why λ is not determined; empty where it is
+    # (Quantity, Quantity) or None, the gauge pressure by the levels or the press alone, and by the
+    # sensor file, Pa; None where it was not weighed
     both: tuple[Quantity, Quantity] | None = None
 
     @property
@@ -98,35 +78,19 @@ class RubberEstimate:
 
 
 def estimate_rubber(
-    model: SensorModel,
-    samples: Samples,
+    model: SensorModel,  # as identified from `samples`
+    samples: Samples,  # of the reference surface
+    # for the gauge pressure by the sensor file's atmospheric pressure, or by the open chamber's
     tension: TensionEstimate,
-    levels: Sequence[Samples],
+    levels: Sequence[Samples],  # of the untouched sensor at other pressures
     vented: Vented | None = None,
-    held: Samples | None = None,
+    held: Samples | None = None,  # of a press, which is asked where there are no levels
     *,
+    # standard deviation of the gauge pressure by the sensor file, Pa; the weather's where None
     gauge_sigma_pa: float | None,
-    other_mesh: MembraneMesh,
+    other_mesh: MembraneMesh,  # as of `fit_rubber`
 ) -> RubberEstimate | None:
     """λ, and where the chamber was not opened the gauge pressure, from levels or from a press.
-
-    Parameters
-    ----------
-    model : SensorModel
-        As identified from `samples`.
-    samples : Samples
-        Of the reference surface.
-    tension : TensionEstimate
-        For the gauge pressure by the sensor file's atmospheric pressure, or by the open chamber's.
-    levels : sequence of Samples
-        Of the untouched sensor at other pressures.
-    vented : Vented, optional
-    held : Samples, optional
-        Of a press, which is asked where there are no levels.
-    gauge_sigma_pa : float or None
-        Standard deviation of the gauge pressure by the sensor file, Pa; the weather's where None.
-    other_mesh : MembraneMesh
-        As of `fit_rubber`.
 
     Returns
     -------

@@ -41,17 +41,14 @@ from bubbleviz.wording import count_of
 
 SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which is as good as constant tension, to 1.005."""
-LEAST_RISE = 0.01
-"""Change of the gauge pressure, over itself, below which a level says nothing."""
+LEAST_RISE = 0.01  # change of the gauge pressure, over itself, below which a level says nothing
 _STARTS = (0.35, 0.7, 0.05)
 """λ of 1.19 to begin with; 1.06 and 1.65 where that cannot hold the levels, or slides down to
 constant tension, as it may from a gauge pressure that is far too low."""
 _STEPS = 12
 _SMALL = 1e-4
-STEP_OF_Q = 1e-3
-"""Relative step of q for the derivative of the forces."""
-_LOOK_M = 1e-5
-"""Largest motion of a node for the derivative of ranges, m."""
+STEP_OF_Q = 1e-3  # relative step of q for the derivative of the forces
+_LOOK_M = 1e-5  # largest motion of a node for the derivative of ranges, m
 _RINGS = 4
 """Of equal numbers of pixels between rim and top: each large against what errors of the model are
 alike over, and the others still tell q from G."""
@@ -59,35 +56,23 @@ alike over, and the others still tell q from G."""
 
 @dataclass(frozen=True)
 class LevelShape:
-    """A membrane inflated otherwise, as the camera sees it.
+    """A membrane inflated otherwise, as the camera sees it."""
 
-    Attributes
-    ----------
-    nodes_m : (n, 3) array
-    range_m : (k,) array
-        NaN where a ray misses.
-    slopes_m : (k, 2) array
-        Derivatives of the range by q and by the ratio of gauge pressures, m.
-    """
-
-    nodes_m: np.ndarray
-    range_m: np.ndarray
+    nodes_m: np.ndarray  # (n, 3)
+    range_m: np.ndarray  # (k,), NaN where a ray misses
+    # (k, 2), derivatives of the range by q and by the ratio of gauge pressures, m
     slopes_m: np.ndarray
 
 
 class LevelModel:
-    """Range of the camera's pixels when the sensor is inflated otherwise.
+    """Range of the camera's pixels when the sensor is inflated otherwise."""
 
-    Parameters
-    ----------
-    mesh : MembraneMesh
-        Reference surface in B.
-    camera : DepthCamera
-    pixels : (k,) int array
-        Flat indices of those to look at.
-    """
-
-    def __init__(self, mesh: MembraneMesh, camera: DepthCamera, pixels: np.ndarray) -> None:
+    def __init__(
+        self,
+        mesh: MembraneMesh,  # reference surface in B
+        camera: DepthCamera,
+        pixels: np.ndarray,  # (k,) int, flat indices of those to look at
+    ) -> None:
         self._mesh, self._camera, self._pixels = mesh, camera, pixels
         self._caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         self._tension = 1.0 / mean_curvature(mesh)  # over the gauge pressure, which is 1 Pa here
@@ -120,10 +105,7 @@ class LevelModel:
     def at(self, q: float, ratio: float, near: np.ndarray | None = None) -> LevelShape:
         """Shape of rubber of q at a ratio of gauge pressures.
 
-        Raises
-        ------
-        SolveError
-            The rubber cannot hold the pressure.
+        Raises SolveError: the rubber cannot hold the pressure.
         """
         inflation = Inflation(self._rubber(q))
         x = inflation.at(ratio, near)
@@ -152,31 +134,16 @@ class LevelModel:
 
 @dataclass(frozen=True)
 class RubberFit:
-    """What the levels say.
+    """What the levels say."""
 
-    Attributes
-    ----------
-    q : float
-        λ⁻⁶.
-    gauge_pressure_pa : float
-        G of the reference surface.
-    q_errors, gauge_errors_pa : (R,) array
-        Bootstrap errors of both.
-    rms_m : float
-        Robust rms of what the changes of range are missed by, m.
-    change_rms_m : float
-        That of the changes themselves, m.
-    rises_pa : tuple of float
-        Pressure of every level over that of the reference surface, Pa.
-    """
-
-    q: float
-    gauge_pressure_pa: float
+    q: float  # λ⁻⁶
+    gauge_pressure_pa: float  # G of the reference surface
+    # q_errors, gauge_errors_pa: (R,), bootstrap errors of both
     q_errors: np.ndarray
     gauge_errors_pa: np.ndarray
-    rms_m: float
-    change_rms_m: float
-    rises_pa: tuple[float, ...]
+    rms_m: float  # robust rms of what the changes of range are missed by, m
+    change_rms_m: float  # that of the changes themselves, m
+    rises_pa: tuple[float, ...]  # pressure of every level over that of the reference surface, Pa
 
     def under(self, gauge_pa: float, sigma_pa: float) -> Self:
         """The same where the gauge pressure is known otherwise; q follows as their errors do."""
@@ -191,45 +158,22 @@ class RubberFit:
 
 
 def fit_rubber(
-    base: Samples,
-    mesh: MembraneMesh,
+    base: Samples,  # of the reference surface
+    mesh: MembraneMesh,  # reference surface in B
+    # of another surface that fits the same frames: what it changes is an error, too
     other_mesh: MembraneMesh,
-    camera: DepthCamera,
-    mask: np.ndarray,
-    levels: Sequence[Samples],
-    gauge_pressure_pa: float,
-    gauge_sigma_pa: float | None = None,
+    camera: DepthCamera,  # in B
+    mask: np.ndarray,  # (H, W) bool, pixels in use
+    levels: Sequence[Samples],  # same camera, other pressures
+    gauge_pressure_pa: float,  # G, or where to begin
+    gauge_sigma_pa: float | None = None,  # its standard deviation where it is known
+    # relative standard deviation of the stress that shape and gauge pressure give
     stress_sigma: float = 0.0,
 ) -> RubberFit:
     """Fit λ⁻⁶ and, where it is not known, the gauge pressure to inflation levels.
 
-    Parameters
-    ----------
-    base : Samples
-        Of the reference surface.
-    mesh : MembraneMesh
-        Reference surface in B.
-    other_mesh : MembraneMesh
-        Of another surface that fits the same frames: what it changes is an error, too.
-    camera : DepthCamera
-        In B.
-    mask : (H, W) bool array
-        Pixels in use.
-    levels : sequence of Samples
-        Same camera, other pressures.
-    gauge_pressure_pa : float
-        G, or where to begin.
-    gauge_sigma_pa : float, optional
-        Its standard deviation where it is known.
-    stress_sigma : float
-        Relative standard deviation of the stress that shape and gauge pressure give.
-
-    Raises
-    ------
-    InputError
-        A level has no gas pressure, or no rubber is near the levels.
-    SolveError
-        The rubber that is found cannot hold the levels over the other surface.
+    Raises InputError: a level has no gas pressure, or no rubber is near the levels. Raises
+    SolveError: the rubber that is found cannot hold the levels over the other surface.
     """
     pressures = [_mean_pressure(each) for each in (base, *levels)]
     rises = np.array([mean - pressures[0][0] for mean, _ in pressures[1:]])
@@ -273,24 +217,13 @@ def fit_rubber(
 
 @dataclass(frozen=True)
 class _State:
-    """A pair of parameters, and what it leaves.
-
-    Attributes
-    ----------
-    q, gauge_pa : float
-    missed_m : (L, k) array
-        Measured less modelled change of range.
-    slopes : (L, k, 2) array
-        Derivatives of the modelled change by q and by ln G, m.
-    nodes_m : list of (n, 3) array
-        Of every level.
-    """
+    """A pair of parameters, and what it leaves."""
 
     q: float
     gauge_pa: float
-    missed_m: np.ndarray
-    slopes: np.ndarray
-    nodes_m: list[np.ndarray]
+    missed_m: np.ndarray  # (L, k), measured less modelled change of range
+    slopes: np.ndarray  # (L, k, 2), derivatives of the modelled change by q and by ln G, m
+    nodes_m: list[np.ndarray]  # list of (n, 3) array, of every level
 
 
 class _Fit:
@@ -497,29 +430,17 @@ _FEWEST = 5  # frames whose mean and spread say something; chosen
 
 @dataclass(frozen=True)
 class Vented:
-    """Gas pressure of the open chamber: an offset of the sensor is the same with it closed.
-
-    Attributes
-    ----------
-    source_name : str
-    pressure_pa : float
-        Absolute, Pa.
-    sigma_pa : float
-        Standard error, Pa.
-    """
+    """Gas pressure of the open chamber: an offset of the sensor is the same with it closed."""
 
     source_name: str
-    pressure_pa: float
-    sigma_pa: float
+    pressure_pa: float  # absolute, Pa
+    sigma_pa: float  # standard error, Pa
 
     @classmethod
     def measure(cls, source: FrameSource) -> Vented:
         """Mean over all frames of a recording.
 
-        Raises
-        ------
-        InputError
-            Fewer than five frames with a gas pressure.
+        Raises InputError: fewer than five frames with a gas pressure.
         """
         values = [source[k].gas_pressure_pa for k in range(len(source))]
         known = np.array([value for value in values if value is not None])

@@ -11,18 +11,14 @@ from bubbleviz.recordings import robust_sigma
 _STEP_SIGMA = 6.0  # of neighbours' differences: a step, and no noise
 
 
-def membrane_pixels(distance_m: np.ndarray, known: np.ndarray) -> np.ndarray:
+def membrane_pixels(
+    distance_m: np.ndarray,  # (H, W), distance of each pixel's point from the fitted cap, m
+    known: np.ndarray,  # (H, W) bool, pixels with a return to speak of
+) -> np.ndarray:
     """Pixels of the largest connected piece of the measured surface, (H, W) bool.
 
     Neighbours belong together unless their distances from the fitted cap differ by a step:
     what a false return, or the housing seen past the rim, is separated by.
-
-    Parameters
-    ----------
-    distance_m : (H, W) array
-        Distance of each pixel's point from the fitted cap, m.
-    known : (H, W) bool array
-        Pixels with a return to speak of.
     """
     index = np.arange(known.size).reshape(known.shape)
     pairs = []
@@ -59,18 +55,15 @@ def outer_edge(region: np.ndarray) -> np.ndarray:
 # Where the rim is: from the edge of the measured membrane.
 
 
-def rim_height(edge_heights_m: np.ndarray) -> tuple[float, float]:
+def rim_height(
+    edge_heights_m: np.ndarray,  # (k,), heights of the edge's points along the dome's axis, m
+) -> tuple[float, float]:
     """Height of the rim and its uncertainty, m, from heights of the cloud's outer edge.
 
     The edge of the cloud is the rim, or only the edge of what the camera could match. The
     latter lies anywhere above the rim, the former at one height: the mode of the heights, found
     by halving to the densest half again and again. The uncertainty is half the width of the
     densest quarter.
-
-    Parameters
-    ----------
-    edge_heights_m : (k,) array
-        Heights of the edge's points along the dome's axis, m.
     """
     heights = np.sort(edge_heights_m[np.isfinite(edge_heights_m)])
     if not len(heights):

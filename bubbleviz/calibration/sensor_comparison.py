@@ -20,39 +20,24 @@ Kind = Literal["tension", "pressure", "length", "fine length", "volume", "area",
 
 @dataclass(frozen=True)
 class Row:
-    """One number of two sensors, SI.
-
-    Attributes
-    ----------
-    name : str
-    kind : str
-        What it is, and so its unit: N/m, Pa, m, m³, m², pixels, none.
-    old, new : float or None
-    half_width, old_half_width : float or None
-        Half of the new one's 95 % interval, and of the old one's.
-    """
+    """One number of two sensors, SI."""
 
     name: str
-    kind: Kind
+    kind: Kind  # what it is, and so its unit: N/m, Pa, m, m³, m², pixels, none
     old: float | None
     new: float | None
+    # half_width, old_half_width: half of the new one's 95 % interval, and of the old one's
     half_width: float | None = None
     old_half_width: float | None = None
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The sensor in use against the identified one.
-
-    Attributes
-    ----------
-    rows : tuple of Row
-    difference_m : (H, W) array
-        Range the new sensor expects of the untouched membrane minus the old one's, surface and
-        bias together, m; NaN where either says nothing.
-    """
+    """The sensor in use against the identified one."""
 
     rows: tuple[Row, ...]
+    # (H, W), range the new sensor expects of the untouched membrane minus the old one's, surface
+    # and bias together, m; NaN where either says nothing
     difference_m: np.ndarray
 
     @property
@@ -65,10 +50,7 @@ class Comparison:
 def compare(old: Sensor, new: Identification) -> Comparison:
     """Compare the sensor in use with the one identified from its frames.
 
-    Raises
-    ------
-    InputError
-        The old sensor's files are unreadable, or of another camera.
+    Raises InputError: the old sensor's files are unreadable, or of another camera.
     """
     intrinsics, mask = new.camera.intrinsics, new.pixels.mask
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):

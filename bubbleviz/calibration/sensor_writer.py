@@ -19,25 +19,13 @@ _MESH_COMMENT = "membrane in the bubble frame B, metres"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an identification comes from.
+    """Where an identification comes from."""
 
-    Attributes
-    ----------
-    recording : str
-        Name of the recording.
-    recording_sha256 : str or None
-    sensor_file : str
-    date : str
-        ISO 8601, UTC.
-    report : str or None
-        Path of the report, from the sensor file's folder.
-    """
-
-    recording: str
+    recording: str  # name of the recording
     recording_sha256: str | None
     sensor_file: str
-    date: str
-    report: str | None = None
+    date: str  # ISO 8601, UTC
+    report: str | None = None  # path of the report, from the sensor file's folder
 
 
 def file_hash(path: str | Path) -> str:

@@ -47,21 +47,11 @@ _SMALL = 1e-7  # m, or rad: a step that ends the iteration
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid; a sphere is one with equal semi-axes.
+    """An ellipsoid; a sphere is one with equal semi-axes."""
 
-    Attributes
-    ----------
-    centre_m : (3,) array
-        m, in the frame of the points.
-    semi_axes_m : (3,) array
-        m, along the columns of `axes`.
-    axes : (3, 3) array
-        Rotation whose columns are the directions of the semi-axes.
-    """
-
-    centre_m: np.ndarray
-    semi_axes_m: np.ndarray
-    axes: np.ndarray
+    centre_m: np.ndarray  # (3,), m, in the frame of the points
+    semi_axes_m: np.ndarray  # (3,), m, along the columns of `axes`
+    axes: np.ndarray  # (3, 3), rotation whose columns are the directions of the semi-axes
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed orthogonal distance of points (k, 3), positive outside, m; shape (k,).
@@ -121,20 +111,11 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class SurfaceFit:
-    """A fitted surface and how well it explains the points.
-
-    Attributes
-    ----------
-    ellipsoid : Ellipsoid
-    rms_m : float
-        Root mean square orthogonal distance of the points the fit kept, m.
-    sigma_m : float
-        The same from the median absolute distance of all points, m.
-    """
+    """A fitted surface and how well it explains the points."""
 
     ellipsoid: Ellipsoid
-    rms_m: float
-    sigma_m: float
+    rms_m: float  # root mean square orthogonal distance of the points the fit kept, m
+    sigma_m: float  # the same from the median absolute distance of all points, m
 
 
 def fit_sphere(points: np.ndarray) -> SurfaceFit:
@@ -144,21 +125,16 @@ def fit_sphere(points: np.ndarray) -> SurfaceFit:
     return _fit(points, Ellipsoid(centre, np.full(3, radius), np.eye(3)), "sphere")
 
 
-def fit_ellipsoid(points: np.ndarray, axes: np.ndarray | None = None) -> SurfaceFit:
+def fit_ellipsoid(
+    points: np.ndarray,  # (k, 3), m
+    # (3, 3), rotation whose columns the semi-axes shall follow. Where it is not given the tilt is
+    # fitted too; a cap that shows less than half of the ellipsoid leaves it loose by degrees.
+    axes: np.ndarray | None = None,
+) -> SurfaceFit:
     """Ellipsoid through points (k, 3) in m, with outliers down-weighted to nothing.
 
-    Parameters
-    ----------
-    points : (k, 3) array
-        m.
-    axes : (3, 3) array, optional
-        Rotation whose columns the semi-axes shall follow. Where it is not given the tilt is
-        fitted too; a cap that shows less than half of the ellipsoid leaves it loose by degrees.
-
-    Raises
-    ------
-    InputError
-        Too few points, or no ellipsoid explains them (a flat membrane, depth in a wrong unit).
+    Raises InputError: too few points, or no ellipsoid explains them (a flat membrane, depth in a
+    wrong unit).
     """
     points = _known(points)
     sphere = fit_sphere(_thinned(points)).ellipsoid
@@ -272,52 +248,34 @@ _STANDARD_ERRORS = 3.0  # a needless freedom costs more than a missed one
 
 @dataclass(frozen=True)
 class Fits:
-    """The analytic surfaces, in the frame B of the identified sensor.
+    """The analytic surfaces, in the frame B of the identified sensor."""
 
-    Attributes
-    ----------
-    sphere, cap, ellipsoid : SurfaceFit
-        Sphere; ellipsoid with semi-axes along B; ellipsoid with its tilt free.
-    rim_height_m, rim_height_sigma_m : float
-        Height of the rim above z = 0 by the cloud's edge, and its uncertainty, m.
-    """
-
+    # sphere, cap, ellipsoid: sphere; ellipsoid with semi-axes along B; ellipsoid with its tilt free
     sphere: SurfaceFit
     cap: SurfaceFit
     ellipsoid: SurfaceFit
+    # rim_height_m, rim_height_sigma_m: height of the rim above z = 0 by the cloud's edge, and its
+    # uncertainty, m
     rim_height_m: float
     rim_height_sigma_m: float
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """All surfaces fitted, and the one chosen.
-
-    Attributes
-    ----------
-    fits : Fits
-    free_form : FreeForm
-    camera : DepthCamera
-        In B, whose origin lies below the chosen surface's centre.
-    membrane, usable : (H, W) bool array
-        Pixels that see the membrane; those far enough from its edges to be fitted.
-    left_out_rms_m : dict of str to float
-        Rms of what each surface misses tiles by that its fit left out, m.
-    chosen : {"sphere", "ellipsoid", "free-form"}
-    mesh : MembraneMesh
-        Of the chosen surface, in B.
-    residual_m : (H, W) array
-        Measured minus cast range on that mesh, m; NaN where either lacks.
-    """
+    """All surfaces fitted, and the one chosen."""
 
     fits: Fits
     free_form: FreeForm
-    camera: DepthCamera
+    camera: DepthCamera  # in B, whose origin lies below the chosen surface's centre
+    # membrane, usable: (H, W) bool, pixels that see the membrane; those far enough from its edges
+    # to be fitted
     membrane: np.ndarray
     usable: np.ndarray
+    # rms of what each surface misses tiles by that its fit left out, m
     left_out_rms_m: dict[Name, float]
     chosen: Name
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # of the chosen surface, in B
+    # (H, W), measured minus cast range on that mesh, m; NaN where either lacks
     residual_m: np.ndarray
 
     @property
@@ -334,22 +292,14 @@ class Surfaces:
 
 
 def fit_surfaces(
-    samples: Samples, nodes: int, force: Name | None = None, progress: Progress = quiet
+    samples: Samples,
+    nodes: int,  # target number of nodes of the mesh
+    force: Name | None = None,  # the operator's choice, in place of the data's
+    progress: Progress = quiet,
 ) -> Surfaces:
     """Fit all surfaces to the mean of contact-free frames and choose one.
 
-    Parameters
-    ----------
-    samples : Samples
-    nodes : int
-        Target number of nodes of the mesh.
-    force : {"sphere", "ellipsoid", "free-form"}, optional
-        The operator's choice, in place of the data's.
-
-    Raises
-    ------
-    InputError
-        No dome in the cloud, or it does not reach the rim plane.
+    Raises InputError: no dome in the cloud, or it does not reach the rim plane.
     """
     progress("fitting caps", 0.0)
     statistics = samples.statistics

@@ -18,8 +18,7 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import MIN_FRAMES, Recording, mean_inflation
 from bubbleviz.shear import FlowPreset, OpticalFlow
 
-MOST_S = 0.3
-"""Longest lag looked for: depth filters of some ten frames."""
+MOST_S = 0.3  # longest lag looked for: depth filters of some ten frames
 
 _STEP_S = 1e-3
 _LAGS_S = _STEP_S * np.arange(round(-MOST_S / _STEP_S), round(MOST_S / _STEP_S) + 1)
@@ -35,18 +34,12 @@ _MOVED_MOST = 0.95  # quantile over the image: what a small contact moves, and n
 
 @dataclass(frozen=True)
 class TemporalLag:
-    """Delay of the colour images that is seen in a recording.
+    """Delay of the colour images that is seen in a recording."""
 
-    Attributes
-    ----------
-    lag_s : float
-        Stamp of a colour image minus that of the depth image of the same moment, s: negative where
-        colour leads depth.
-    interval_s : (float, float)
-        95 % interval of it, s, by the noise and by how unlike the two motions are.
-    """
-
+    # stamp of a colour image minus that of the depth image of the same moment, s: negative where
+    # colour leads depth
     lag_s: float
+    # 95 % interval of it, s, by the noise and by how unlike the two motions are
     interval_s: tuple[float, float]
 
     def to_text(self) -> str:
@@ -61,15 +54,8 @@ class TemporalLag:
 def temporal_lag(recording: Recording, progress: Progress = quiet) -> TemporalLag:
     """Lag by the first contact of a recording, in which flow and depth change together.
 
-    Parameters
-    ----------
-    recording : Recording
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        There are no colour images, nothing is touched, or colour and depth do not change together.
+    Raises InputError: there are no colour images, nothing is touched, or colour and depth do not
+    change together.
     """
     if recording.colour is None:
         raise InputError(f"{recording.path}: has no colour images of this sensor")
@@ -105,27 +91,17 @@ def temporal_lag(recording: Recording, progress: Progress = quiet) -> TemporalLa
 
 
 def lag_between(
+    # depth_times_s, depth: (n,), times, s, and how far the depth image has changed, in any unit
     depth_times_s: np.ndarray,
     depth: np.ndarray,
+    # colour_times_s, colour: (m,), the same of the colour images; interpolated
     colour_times_s: np.ndarray,
     colour: np.ndarray,
-    onset_s: float,
+    onset_s: float,  # when the change of depth begins, s
 ) -> TemporalLag:
     """Lag at which two curves begin to change most alike, up to scale and offset.
 
-    Parameters
-    ----------
-    depth_times_s, depth : (n,) array
-        Times, s, and how far the depth image has changed, in any unit.
-    colour_times_s, colour : (m,) array
-        The same of the colour images; interpolated.
-    onset_s : float
-        When the change of depth begins, s.
-
-    Raises
-    ------
-    ValueError
-        They have too little time in common, or are not alike at any lag.
+    Raises ValueError: they have too little time in common, or are not alike at any lag.
     """
     texture = _Curve.of(colour_times_s, colour)
     shape = _Curve.of(depth_times_s, depth)

@@ -45,20 +45,15 @@ from bubbleviz.wording import decimals_of, rounded
 # rim alone remain: a bulged flat sheet is tighter across the oval than along it, a film is not.
 
 
-_PRESTRETCH = 1.005
-"""λ of that sheet: the slacker it was, the more it differs from a film."""
-_NEAR = 0.02
-"""Share of the height to which the sheet is inflated."""
+_PRESTRETCH = 1.005  # λ of that sheet: the slacker it was, the more it differs from a film
+_NEAR = 0.02  # share of the height to which the sheet is inflated
 _ROUNDS = 12  # pressures tried for that height
 
 
-def sheet_excess(mesh: MembraneMesh) -> float:
+def sheet_excess(
+    mesh: MembraneMesh,  # surface whose rim and height the sheet has
+) -> float:
     """Mean tension of a sheet that was flat over its tension by balance, less 1.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-        Surface whose rim and height the sheet has.
 
     Returns
     -------
@@ -127,19 +122,12 @@ def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndar
 
 
 def cap_tension(
-    ellipsoid: Ellipsoid, facets: np.ndarray, areas: np.ndarray, gauge_pressure_pa: float
+    ellipsoid: Ellipsoid,
+    facets: np.ndarray,  # (m, 3), centres of the facets of a mesh of it, m
+    areas: np.ndarray,  # (m,), their areas, m²
+    gauge_pressure_pa: float,
 ) -> float:
-    """γ0 in N/m by balance over the part of an ellipsoid that facets stand for: P / mean(κ1 + κ2).
-
-    Parameters
-    ----------
-    ellipsoid : Ellipsoid
-    facets : (m, 3) array
-        Centres of the facets of a mesh of it, m.
-    areas : (m,) array
-        Their areas, m².
-    gauge_pressure_pa : float
-    """
+    """γ0, N/m, by balance over what facets stand for of an ellipsoid: P / mean(κ1 + κ2)."""
     curvature = ellipsoid_curvature(ellipsoid, facets)
     return gauge_pressure_pa * float(areas.sum() / (areas @ curvature))
 
@@ -156,16 +144,12 @@ def ellipsoid_curvature(ellipsoid: Ellipsoid, points: np.ndarray) -> np.ndarray:
     return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
 
 
-def local_tension(mesh: MembraneMesh, gauge_pressure_pa: float, scale_m: float) -> np.ndarray:
-    """γ0 by balance over the neighbourhood of every node, (n,), N/m; NaN on the rim, where flat.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-    gauge_pressure_pa : float
-    scale_m : float
-        Length over which the balance is averaged (one step of implicit diffusion), m.
-    """
+def local_tension(
+    mesh: MembraneMesh,
+    gauge_pressure_pa: float,
+    scale_m: float,  # length over which the balance is averaged (one step of implicit diffusion), m
+) -> np.ndarray:
+    """γ0 by balance over the neighbourhood of every node, (n,), N/m; NaN on the rim, where flat."""
     free, laplacian = mesh.free, cotangent_laplacian(mesh)
     bending = np.einsum("ij,ij->i", laplacian @ mesh.nodes, mesh.normals)[free]
     mass = sparse.diags_array(mesh.areas[free])
@@ -219,39 +203,26 @@ class Quantity:
 
 @dataclass(frozen=True)
 class TensionEstimate:
-    """γ0 of the contact-free shape by Young–Laplace.
+    """γ0 of the contact-free shape by Young–Laplace."""
 
-    Attributes
-    ----------
-    tension : Quantity
-        γ0, N/m, of the chosen surface.
-    dimensions : dict of str to Quantity
-        `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
-        `rim_semi_axis_x_m` … of an ellipsoid, m.
-    parts : dict of str to float
-        Standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed
-        pattern of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its
-        zero), `facets` (of the mesh that γ0 is used on), `surface` (shape that was not seen or is
-        finer than the fit, the whole difference between free form and cap, and, where a cap was
-        chosen, between that and one fitted to the upper half alone), `statics`
-        (what shape and pressure leave open of the mean tension: anything between that of a film
-        and that of a sheet that was flat) and, where that has an interval, `gauge_pressure`.
-    by_surface : dict of str to float
-        γ0 of every surface, N/m.
-    least_squares_n_per_m : float
-        γ0 of the mesh by least squares in place of the balance; less where the mean curvature
-        is not the same everywhere, so that no one tension is right.
-    gauge_pressure_pa : float
-    tiles, block : int
-        Tiles of pixels, and frames in each block, that were drawn.
-    """
-
-    tension: Quantity
+    tension: Quantity  # γ0, N/m, of the chosen surface
+    # `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
+    # `rim_semi_axis_x_m` … of an ellipsoid, m
     dimensions: dict[str, Quantity]
+    # standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed pattern
+    # of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its zero), `facets`
+    # (of the mesh that γ0 is used on), `surface` (shape that was not seen or is finer than the fit,
+    # the whole difference between free form and cap, and, where a cap was chosen, between that and
+    # one fitted to the upper half alone), `statics` (what shape and pressure leave open of the mean
+    # tension: anything between that of a film and that of a sheet that was flat) and, where that
+    # has an interval, `gauge_pressure`
     parts: dict[str, float]
-    by_surface: dict[Name, float]
+    by_surface: dict[Name, float]  # γ0 of every surface, N/m
+    # γ0 of the mesh by least squares in place of the balance; less where the mean curvature is not
+    # the same everywhere, so that no one tension is right
     least_squares_n_per_m: float
     gauge_pressure_pa: float
+    # tiles, block: tiles of pixels, and frames in each block, that were drawn
     tiles: int
     block: int
 
@@ -287,10 +258,7 @@ def estimate_tension(
 ) -> TensionEstimate:
     """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
 
-    Raises
-    ------
-    InputError
-        No tension holds the surface.
+    Raises InputError: no tension holds the surface.
     """
     names, values, pixels, influence, residual, parameters = _linear(
         samples, surfaces, gauge_pressure_pa

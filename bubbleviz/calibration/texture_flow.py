@@ -52,11 +52,8 @@ class TextureFlow:
     def watched_by(self, pipeline: Pipeline, camera: DepthCamera, options: TractionOptions) -> None:
         """Have a pipeline make traction by it.
 
-        Raises
-        ------
-        InputError
-            The camera does not see the membrane, or the estimator is not of the exact membrane;
-            the pipeline then goes on by depth alone.
+        Raises InputError: the camera does not see the membrane, or the estimator is not of the
+        exact membrane; the pipeline then goes on by depth alone.
         """
         pipeline.watch_texture(self, camera, options)
         try:
@@ -74,10 +71,7 @@ def delay_text(delay_s: float) -> str:
 def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCamera:
     """The camera whose images flow is of, in the bubble frame.
 
-    Raises
-    ------
-    InputError
-        Where its pixels look is not known; `name` tells whose it is.
+    Raises InputError: where its pixels look is not known; `name` tells whose it is.
     """
     camera = placed(colour, depth)
     if camera is None:
@@ -91,20 +85,11 @@ def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCam
 # Flow against contact-free colour images that are taken of frames as they pass.
 
 
-COLLECTED = 20
-"""Images that are collected of frames that pass: two thirds of a second at 30 Hz."""
+COLLECTED = 20  # images that are collected of frames that pass: two thirds of a second at 30 Hz
 
 
 class PassingTexture:
     """Has a pipeline make traction once it has seen enough frames without contact.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-        By depth alone until then.
-    friction : float, optional
-        Coulomb's bound μ of the traction along the membrane over that across it.
-    preset : {"fast", "balanced", "fine"}
 
     Attributes
     ----------
@@ -114,7 +99,8 @@ class PassingTexture:
 
     def __init__(
         self,
-        pipeline: Pipeline,
+        pipeline: Pipeline,  # by depth alone until then
+        # Coulomb's bound μ of the traction along the membrane over that across it
         friction: float | None = None,
         preset: FlowPreset = "fast",
     ) -> None:
@@ -187,10 +173,7 @@ def recorded_texture(
 ) -> TextureFlow:
     """Learn reference and noise from the images before the first contact.
 
-    Raises
-    ------
-    InputError
-        There are no colour images, or too few before the first contact.
+    Raises InputError: there are no colour images, or too few before the first contact.
     """
     # OpenCV and the learning of rest: only where shear is asked for
     from bubbleviz.calibration.contact_free import LAG, find_contact_free
@@ -220,10 +203,7 @@ def watch_recorded_texture(
 ) -> str:
     """Have a pipeline make traction by the recording's own colour images; tells which, in words.
 
-    Raises
-    ------
-    InputError
-        As of `recorded_texture`, `flow_camera` and `TextureFlow.watched_by`.
+    Raises InputError: as of `recorded_texture`, `flow_camera` and `TextureFlow.watched_by`.
     """
     from bubbleviz.shear import TractionOptions  # only for shear
 

@@ -21,37 +21,24 @@ from bubbleviz.wording import count_of
 
 @dataclass(frozen=True)
 class Validation:
-    """How well a sensor predicts a press that it knows everything of.
+    """How well a sensor predicts a press that it knows everything of."""
 
-    Attributes
-    ----------
-    points_m : (k, 3) array
-        Measured cloud in B (mean of the frames), less the calibrated bias, m.
-    distance_m : (k,) array
-        Signed distance of each point from the predicted membrane, positive outside, m.
-    pixels : (k,) int array
-        Flat pixel indices.
-    rms_m, p95_m : float
-        Root mean square, and 95th percentile of the absolute distance, m.
-    untouched_rms_m : float
-        Rms distance from the membrane without contact: what there was to predict, m.
-    predicted_patch, measured_patch : (H, W) bool array
-        Pixels that see the contact: where the forward model touches, and as estimated.
-    patch_overlap : float
-        Intersection over union of both; NaN where both are empty.
-    predicted_force_n, measured_force_n : (3,) array
-        On the membrane in B.
-    """
-
+    # (k, 3), measured cloud in B (mean of the frames), less the calibrated bias, m
     points_m: np.ndarray
+    # (k,), signed distance of each point from the predicted membrane, positive outside, m
     distance_m: np.ndarray
-    pixels: np.ndarray
+    pixels: np.ndarray  # (k,) int, flat pixel indices
+    # rms_m, p95_m: root mean square, and 95th percentile of the absolute distance, m
     rms_m: float
     p95_m: float
+    # rms distance from the membrane without contact: what there was to predict, m
     untouched_rms_m: float
+    # predicted_patch, measured_patch: (H, W) bool, pixels that see the contact: where the forward
+    # model touches, and as estimated
     predicted_patch: np.ndarray
     measured_patch: np.ndarray
-    patch_overlap: float
+    patch_overlap: float  # intersection over union of both; NaN where both are empty
+    # predicted_force_n, measured_force_n: (3,), on the membrane in B
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
 
@@ -65,31 +52,21 @@ class Validation:
 
 @dataclass(frozen=True)
 class KnownPress:
-    """An object held still against the membrane, as a person names it.
+    """An object held still against the membrane, as a person names it."""
 
-    Attributes
-    ----------
-    obj : str
-        Mesh file, or name of an object preset.
-    pose : str
-        T_B_O as "x y z qx qy qz qw", m and unit quaternion; B has its origin in the middle of
-        the rim plane.
-    first, stop : int
-        First frame of the press and the one after its last.
-    """
-
-    obj: str
+    obj: str  # mesh file, or name of an object preset
+    # T_B_O as "x y z qx qy qz qw", m and unit quaternion; B has its origin in the middle of the rim
+    # plane
     pose: str
+    # first, stop: first frame of the press and the one after its last
     first: int
     stop: int
 
     def validate(self, model: SensorModel, source: FrameSource) -> Validation:
         """Predict this press and compare it with its frames in a recording.
 
-        Raises
-        ------
-        InputError, SolveError
-            As `validate`; no such object or frames, or the pose cannot be read.
+        Raises InputError, SolveError: as `validate`; no such object or frames, or the pose cannot
+        be read.
         """
         obj, T_B_O = load_object(self.obj), parse_pose(self.pose)
         if not 0 <= self.first < self.stop <= len(source):
@@ -102,26 +79,15 @@ class KnownPress:
 
 
 def validate(
-    model: SensorModel, frames: Sequence[Frame], obj: RigidObject, T_B_O: np.ndarray
+    model: SensorModel,  # as calibrated, with the camera of the frames
+    frames: Sequence[Frame],  # of the object held still; their mean is compared
+    obj: RigidObject,
+    T_B_O: np.ndarray,  # (4, 4), its pose in B
 ) -> Validation:
     """Predict the press of an object at a pose and compare it with frames of it.
 
-    Parameters
-    ----------
-    model : SensorModel
-        As calibrated, with the camera of the frames.
-    frames : sequence of Frame
-        Of the object held still; their mean is compared.
-    obj : RigidObject
-    T_B_O : (4, 4) array
-        Its pose in B.
-
-    Raises
-    ------
-    InputError
-        No frames, or nothing of the membrane in them.
-    SolveError
-        The forward model has no equilibrium at the pose.
+    Raises InputError: no frames, or nothing of the membrane in them. Raises SolveError: the forward
+    model has no equilibrium at the pose.
     """
     if not frames:
         raise InputError("validation: no frames; give at least one of the object held still")

@@ -12,8 +12,7 @@ from bubbleviz.calibration.tension import Quantity
 from bubbleviz.calibration.validation import Validation
 
 Grade = Literal["good", "usable", "doubtful"]
-PressureText = Callable[[float], str]
-"""Number and unit of a pressure in Pa."""
+PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 
 _GOOD, _USABLE = 0.02, 0.05  # relative half-width of γ0: below a force sensor's; worth a warning
 _WELL_SEEN = 0.8  # of the dome's area; chosen
@@ -22,20 +21,11 @@ _FEW_FRAMES = 30  # one second of most depth cameras
 
 @dataclass(frozen=True)
 class Verdict:
-    """Grade and sentences.
-
-    Attributes
-    ----------
-    grade : {"good", "usable", "doubtful"}
-    summary : str
-        One sentence.
-    advice : tuple of str
-        What was found and what to do about it, most important first.
-    """
+    """Grade and sentences."""
 
     grade: Grade
-    summary: str
-    advice: tuple[str, ...]
+    summary: str  # one sentence
+    advice: tuple[str, ...]  # what was found and what to do about it, most important first
 
 
 def pascals(pressure_pa: float) -> str:

@@ -68,70 +68,35 @@ class Step(IntEnum):
 
 @dataclass(frozen=True)
 class Settings:
-    """What a person decides; the rest follows.
+    """What a person decides; the rest follows."""
 
-    Attributes
-    ----------
-    reached : Step
-        The last step to do.
-    ranges : tuple of (int, int) or None
-        Contact-free frames, first and one after the last of each range; None: found.
-    min_validity : float or None
-        Share of the frames in which a pixel must have a return; None: nine tenths of the usual.
-    deviations : float
-        Robust standard deviations beyond which a pixel is too noisy, or too far off.
-    surface : {"sphere", "ellipsoid", "free-form"} or None
-        None: the data choose.
-    nodes : int
-        Target number of nodes of the mesh.
-    levels : tuple of path
-        Recordings of the untouched sensor at other inflation levels.
-    vented : path or None
-        Recording of the open chamber, for the atmospheric pressure.
-    press : KnownPress or None
-        What to validate by, in the same source.
-    """
-
-    reached: Step = Step.START
+    reached: Step = Step.START  # the last step to do
+    # contact-free frames, first and one after the last of each range; None: found
     ranges: Ranges | None = None
+    # share of the frames in which a pixel must have a return; None: nine tenths of the usual
     min_validity: float | None = None
+    # robust standard deviations beyond which a pixel is too noisy, or too far off
     deviations: float = 3.0
-    surface: Name | None = None
-    nodes: int = 1000
-    levels: tuple[Path, ...] = ()
-    vented: Path | None = None
-    press: KnownPress | None = None
+    surface: Name | None = None  # None: the data choose
+    nodes: int = 1000  # target number of nodes of the mesh
+    levels: tuple[Path, ...] = ()  # recordings of the untouched sensor at other inflation levels
+    vented: Path | None = None  # recording of the open chamber, for the atmospheric pressure
+    press: KnownPress | None = None  # what to validate by, in the same source
 
 
 @dataclass(frozen=True)
 class Draft:
-    """What is known after the steps so far; None where a step was not reached.
-
-    Attributes
-    ----------
-    settings : Settings
-    ranges : tuple of (int, int)
-        Contact-free frames in use.
-    contact_free : ContactFree or None
-        What was found, whether or not it is used.
-    samples : Samples or None
-    pixels : PixelStatistics or None
-        Of the step SURFACE on less its bias; before, by validity and noise alone.
-    surfaces : Surfaces or None
-    tension : TensionEstimate or None
-    found : Identification or None
-        Rectified by the other levels, where there are.
-    validation : Validation or None
-    """
+    """What is known after the steps so far; None where a step was not reached."""
 
     settings: Settings
-    ranges: Ranges = ()
-    contact_free: ContactFree | None = None
+    ranges: Ranges = ()  # contact-free frames in use
+    contact_free: ContactFree | None = None  # what was found, whether or not it is used
     samples: Samples | None = None
+    # of the step SURFACE on less its bias; before, by validity and noise alone
     pixels: PixelStatistics | None = None
     surfaces: Surfaces | None = None
     tension: TensionEstimate | None = None
-    found: Identification | None = None
+    found: Identification | None = None  # rectified by the other levels, where there are
     validation: Validation | None = None
 
 
@@ -145,13 +110,7 @@ _SHARES = {Step.FRAMES: 0.1, Step.PIXELS: 0.1, Step.SURFACE: 0.2, Step.TENSION: 
 
 
 class Workbench:
-    """One source and the sensor file to start from.
-
-    Parameters
-    ----------
-    source : FrameSource
-    sensor : Sensor
-    """
+    """One source and the sensor file to start from."""
 
     def __init__(self, source: FrameSource, sensor: Sensor) -> None:
         self.source, self.sensor = source, sensor
@@ -160,12 +119,8 @@ class Workbench:
     def work(self, settings: Settings, progress: Progress = quiet) -> Draft:
         """Do the steps up to the one reached.
 
-        Raises
-        ------
-        InputError
-            Whatever makes the answer worthless, as in `identify`.
-        Cancelled
-            By `progress`; what was finished before is remembered, nothing else has changed.
+        Raises InputError: whatever makes the answer worthless, as in `identify`. Raises Cancelled:
+        by `progress`; what was finished before is remembered, nothing else has changed.
         """
         with errors_name(self.source):
             return self._work(settings, progress)

@@ -16,8 +16,7 @@ from bubbleviz.errors import InputError
 
 RAW_ENCODINGS = {"rgb8": "RGB", "bgr8": "BGR", "rgba8": "RGBX", "bgra8": "BGRX", "mono8": "L"}
 """Encodings of a `sensor_msgs/Image` in colour or grey, as Pillow calls their layout."""
-COMPRESSED_ENCODINGS = ("jpeg", "png")
-"""Of a `sensor_msgs/CompressedImage`."""
+COMPRESSED_ENCODINGS = ("jpeg", "png")  # of a `sensor_msgs/CompressedImage`
 
 MAX_SIDE = 10_000  # pixels; no camera in a bubble has more
 
@@ -32,19 +31,12 @@ def check_rows(width: int, height: int, step: int, pixel_bytes: int, size: int) 
 
 @dataclass(frozen=True)
 class EncodedImage:
-    """Pixels as a message has them.
+    """Pixels as a message has them."""
 
-    Attributes
-    ----------
-    encoding : str
-        One of `RAW_ENCODINGS` or of `COMPRESSED_ENCODINGS`.
-    data : bytes
-    width, height, step : int
-        Pixels, pixels and bytes a row of a raw image; 0 for a compressed one, whose data tell.
-    """
-
-    encoding: str
+    encoding: str  # one of `RAW_ENCODINGS` or of `COMPRESSED_ENCODINGS`
     data: bytes
+    # width, height, step: pixels, pixels and bytes a row of a raw image; 0 for a compressed one,
+    # whose data tell
     width: int = 0
     height: int = 0
     step: int = 0
@@ -53,10 +45,7 @@ class EncodedImage:
     def of(cls, message: Any) -> EncodedImage:
         """Pixels of a `sensor_msgs/Image` or a `sensor_msgs/CompressedImage`.
 
-        Raises
-        ------
-        ValueError
-            The encoding is not of a colour or grey image.
+        Raises ValueError: the encoding is not of a colour or grey image.
         """
         encoding = encoding_of(message)
         if encoding is None:
@@ -78,10 +67,7 @@ class EncodedImage:
     def pixels(self, mode: str) -> np.ndarray:
         """Pixels in a mode of Pillow: (H, W, 3) uint8 for `RGB`, (H, W) uint8 for `L`.
 
-        Raises
-        ------
-        ValueError
-            Encoding, size and data do not fit together; says how.
+        Raises ValueError: encoding, size and data do not fit together; says how.
         """
         image = self._raw() if self.encoding in RAW_ENCODINGS else self._compressed(mode)
         return np.asarray(image if image.mode == mode else image.convert(mode))
@@ -118,46 +104,24 @@ def encoding_of(message: Any) -> str | None:
 
 @dataclass(frozen=True)
 class ColourCamera:
-    """The camera that took colour images.
-
-    Attributes
-    ----------
-    intrinsics : Intrinsics or None
-    T_D_C : (4, 4) array
-        Pose of the colour camera in the depth camera, both in the optical convention.
-    remark : str
-        What of it was not recorded and is taken for granted; empty for nothing.
-    own : bool
-        Whether the intrinsics are its own, and not those of the depth camera.
-    placed : bool
-        Whether `T_D_C` is known, and not only taken for granted.
-    """
+    """The camera that took colour images."""
 
     intrinsics: Intrinsics | None = None
+    # (4, 4), pose of the colour camera in the depth camera, both in the optical convention
     T_D_C: np.ndarray = field(default_factory=lambda: np.eye(4))
-    remark: str = ""
-    own: bool = True
-    placed: bool = True
+    remark: str = ""  # what of it was not recorded and is taken for granted; empty for nothing
+    own: bool = True  # whether the intrinsics are its own, and not those of the depth camera
+    placed: bool = True  # whether `T_D_C` is known, and not only taken for granted
 
 
 @dataclass(frozen=True)
 class ColourImage:
-    """A colour image of one moment; nothing of it is read before it is asked for.
+    """A colour image of one moment; nothing of it is read before it is asked for."""
 
-    Attributes
-    ----------
-    read : callable
-        Reads what the message has; InputError when it cannot be read.
-    stamp_ns : int
-        The message's own time stamp.
-    time_s : float
-        On the clock of the frames, s.
-    camera : ColourCamera
-    """
-
+    # reads what the message has; InputError when it cannot be read
     read: Callable[[], EncodedImage]
-    stamp_ns: int = 0
-    time_s: float = 0.0
+    stamp_ns: int = 0  # the message's own time stamp
+    time_s: float = 0.0  # on the clock of the frames, s
     camera: ColourCamera = field(default_factory=ColourCamera)
 
     def rgb(self) -> np.ndarray:

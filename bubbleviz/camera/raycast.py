@@ -245,11 +245,6 @@ class MembraneView:
     """Renders ranges and nodal fields of the deformed membrane into the camera's image.
 
     Displacements are those that `MembraneMesh.deformed` takes.
-
-    Parameters
-    ----------
-    camera : DepthCamera
-    mesh : MembraneMesh
     """
 
     def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:

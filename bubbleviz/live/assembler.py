@@ -87,22 +87,11 @@ class ColourBuffer:
 
 @dataclass(frozen=True)
 class KnownCameras:
-    """What camera infos and static poses told so far.
+    """What camera infos and static poses told so far."""
 
-    Attributes
-    ----------
-    depth : str
-        Topic of the depth images; empty until it is known.
-    depth_frame : str
-        Their frame of reference.
-    infos : dict of Intrinsics
-        By topic.
-    poses : StaticPoses
-    """
-
-    depth: str
-    depth_frame: str = ""
-    infos: Mapping[str, Intrinsics] = field(default_factory=dict)
+    depth: str  # topic of the depth images; empty until it is known
+    depth_frame: str = ""  # their frame of reference
+    infos: Mapping[str, Intrinsics] = field(default_factory=dict)  # by topic
     poses: StaticPoses = field(default_factory=StaticPoses)
 
     def of_colour(self, message: RawMessage) -> ColourCamera:
@@ -129,47 +118,24 @@ def _read(message: RawMessage) -> EncodedImage:
 
 @dataclass
 class Counters:
-    """Messages of one source since it was started.
+    """Messages of one source since it was started."""
 
-    Attributes
-    ----------
-    received : int
-        Messages of every topic.
-    frames : int
-        Depth images that became frames.
-    out_of_order, duplicate : int
-        Depth images older than, and as old as, one that came before; no frames.
-    undecodable : int
-        Messages whose bytes are not what their type says.
-    wrong_type : int
-        Messages on a topic of ours with another type than it has for us.
-    wrong_size : int
-        Depth images of another size than the sensor's; no frames.
-    bad_stamps : int
-        Stamps that are unset, far in the past or far in the future. A depth image with one is
-        a frame all the same, timed by its arrival.
-    clock_jumps : int
-        How often the publisher's clock was set, or the publisher replaced.
-    missed : int
-        Messages the publisher counted that never arrived, where the transport counts.
-    skipped : int
-        Frames that gave way to a newer one before anybody took them.
-    problem : str
-        The last thing that was wrong, in words.
-    """
-
-    received: int = 0
-    frames: int = 0
+    received: int = 0  # messages of every topic
+    frames: int = 0  # depth images that became frames
+    # out_of_order, duplicate: depth images older than, and as old as, one that came before; no
+    # frames
     out_of_order: int = 0
     duplicate: int = 0
-    undecodable: int = 0
-    wrong_type: int = 0
-    wrong_size: int = 0
+    undecodable: int = 0  # messages whose bytes are not what their type says
+    wrong_type: int = 0  # messages on a topic of ours with another type than it has for us
+    wrong_size: int = 0  # depth images of another size than the sensor's; no frames
+    # stamps that are unset, far in the past or far in the future. A depth image with one is a frame
+    # all the same, timed by its arrival.
     bad_stamps: int = 0
-    clock_jumps: int = 0
-    missed: int = 0
-    skipped: int = 0
-    problem: str = ""
+    clock_jumps: int = 0  # how often the publisher's clock was set, or the publisher replaced
+    missed: int = 0  # messages the publisher counted that never arrived, where the transport counts
+    skipped: int = 0  # frames that gave way to a newer one before anybody took them
+    problem: str = ""  # the last thing that was wrong, in words
 
     def as_dict(self) -> dict[str, int | str]:
         """The counts by name."""
@@ -197,20 +163,6 @@ class FrameAssembler:
 
     Nothing that arrives makes it raise: what is wrong is counted and said in `counters`.
 
-    Parameters
-    ----------
-    names : TopicNames
-    size : (int, int), optional
-        Width and height of the sensor's images; of the first image that arrives by default.
-    camera : Intrinsics, optional
-        Of the sensor file, for point clouds without a camera info.
-    lag_s : float
-        How much later than the depth images' the stamps of gas pressure and wrench are for the
-        same moment, s.
-    colour_delay_s : float
-        Stamp of a colour image minus that of the depth image of the same moment, s; where it is
-        positive a frame waits so much longer for the image.
-
     Attributes
     ----------
     counters : Counters
@@ -224,9 +176,16 @@ class FrameAssembler:
         self,
         names: TopicNames | None = None,
         *,
+        # (int, int), optional, width and height of the sensor's images; of the first image that
+        # arrives by default
         size: tuple[int, int] | None = None,
+        # of the sensor file, for point clouds without a camera info
         camera: Intrinsics | None = None,
+        # how much later than the depth images' the stamps of gas pressure and wrench are for the
+        # same moment, s
         lag_s: float = 0.0,
+        # stamp of a colour image minus that of the depth image of the same moment, s; where it is
+        # positive a frame waits so much longer for the image
         colour_delay_s: float = 0.0,
     ) -> None:
         self.counters = Counters()

@@ -29,18 +29,14 @@ class OfferedTopic(NamedTuple):
 
 
 class LiveSource:
-    """Delivers messages from its own thread, in order of arrival and without gaps.
+    """Delivers messages from its own thread, in order of arrival and without gaps."""
 
-    Parameters
-    ----------
-    name : str
-        What the window's title shows.
-    """
+    closing_s: float | None = None  # how long to wait for the thread to end, s
 
-    closing_s: float | None = None
-    """How long to wait for the thread to end, s."""
-
-    def __init__(self, name: str) -> None:
+    def __init__(
+        self,
+        name: str,  # what the window's title shows
+    ) -> None:
         self.name = name
         self._link: Link = "connecting"
         self._offered: tuple[OfferedTopic, ...] = ()
@@ -174,22 +170,13 @@ _SCHEMES: dict[str, tuple[type[SourceOptions], str]] = {
 
 @dataclass(frozen=True)
 class SourceUri:
-    """A parsed source.
+    """A parsed source."""
 
-    Attributes
-    ----------
-    text : str
-        As given.
-    scheme, place : str
-        Before and behind the colon.
-    options : SourceOptions
-        Of the scheme's own type.
-    """
-
-    text: str
+    text: str  # as given
+    # scheme, place: before and behind the colon
     scheme: str
     place: str
-    options: Any
+    options: Any  # of the scheme's own type
 
     def refusal(self, what: str) -> InputError:
         """The error to raise about this source."""
@@ -199,11 +186,8 @@ class SourceUri:
 def parse_uri(text: str) -> SourceUri:
     """Parse a source URI.
 
-    Raises
-    ------
-    InputError
-        It begins with none of the schemes, an option is not `name=value`, is given twice or
-        unknown to the scheme, or its value is none of those it may have.
+    Raises InputError: it begins with none of the schemes, an option is not `name=value`, is given
+    twice or unknown to the scheme, or its value is none of those it may have.
     """
     text = text.strip()
     try:

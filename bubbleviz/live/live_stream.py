@@ -75,29 +75,18 @@ class Mailbox:
 
 State = Literal["connecting", "live", "stale", "reconnecting", "ended"]
 
-STALE_AFTER_S = 0.7
-"""A source without a depth image for this long is stale: shown within a second."""
+STALE_AFTER_S = 0.7  # a source without a depth image for this long is stale: shown within a second
 STOPPED_AFTER_S = 1.0
 """A source without a depth image for this long has stopped, for who waits for the next one."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """State of a source.
+    """State of a source."""
 
-    Attributes
-    ----------
-    state : str
-        `connecting`: nothing arrived yet. `stale`: connected, but no depth image comes.
-    silent_s : float or None
-        Time since the last depth image, s; None before the first.
-    problem : str
-        Why nothing comes, where that is known.
-    """
-
-    state: State
-    silent_s: float | None
-    problem: str = ""
+    state: State  # `connecting`: nothing arrived yet. `stale`: connected, but no depth image comes.
+    silent_s: float | None  # time since the last depth image, s; None before the first
+    problem: str = ""  # why nothing comes, where that is known
 
     @property
     def text(self) -> str:
@@ -136,8 +125,7 @@ SEVERAL = 5
 
 _T = TypeVar("_T")
 Listener = Callable[[RawMessage], None]
-Outage = tuple[int, int]
-"""Arrival of the frames before and after, ns since 1970."""
+Outage = tuple[int, int]  # arrival of the frames before and after, ns since 1970
 
 
 class LiveStream:
@@ -145,18 +133,16 @@ class LiveStream:
 
     A session of two sensors has two of these; they share nothing.
 
-    Parameters
-    ----------
-    source : LiveSource
-        Not started; the stream starts and stops it.
-    assembler : FrameAssembler, optional
-
     Attributes
     ----------
     name : str
     """
 
-    def __init__(self, source: LiveSource, assembler: FrameAssembler | None = None) -> None:
+    def __init__(
+        self,
+        source: LiveSource,  # not started; the stream starts and stops it
+        assembler: FrameAssembler | None = None,
+    ) -> None:
         self.name = source.name
         self.source = source
         self._assembler = assembler or FrameAssembler()
@@ -250,21 +236,15 @@ class LiveStream:
         return status_of(self.source.link(), silent, problem)
 
     def each(
-        self, take: Callable[[float], _T | None], timeout_s: float | None = STOPPED_AFTER_S
+        self,
+        # waits so long, s, for a frame and makes something of it; None when none came
+        take: Callable[[float], _T | None],
+        # how long a frame after the first may take, s; None waits for ever
+        timeout_s: float | None = STOPPED_AFTER_S,
     ) -> Iterator[_T]:
         """What is made of the newest frame, over and over, until the source ends.
 
-        Parameters
-        ----------
-        take : callable
-            Waits so long, s, for a frame and makes something of it; None when none came.
-        timeout_s : float, optional
-            How long a frame after the first may take, s; None waits for ever.
-
-        Raises
-        ------
-        StreamStoppedError
-            None came in that time.
+        Raises StreamStoppedError: None came in that time.
         """
         wait_s = LOOK_S if timeout_s is None else timeout_s
         while True:
@@ -303,19 +283,14 @@ class LiveStream:
             self._assembler.counters, skipped=self._mailbox.skipped, missed=self.source.missed()
         )
 
-    def check_size(self, images: str, sensor_name: str) -> None:
+    def check_size(
+        self,
+        images: str,  # what the source is called in the error
+        sensor_name: str,
+    ) -> None:
         """Refuse a source with nothing but images of another size than the sensor's camera has.
 
-        Parameters
-        ----------
-        images : str
-            What the source is called in the error.
-        sensor_name : str
-
-        Raises
-        ------
-        InputError
-            It has sent several of them, or ended, and none that fits.
+        Raises InputError: it has sent several of them, or ended, and none that fits.
         """
         with self._lock:
             counters, own = self._assembler.counters, self._assembler.size

@@ -35,8 +35,7 @@ from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 FIRST_MESSAGE_S = 10.0
 SIMULATED_S = 120.0
 """Patience with a robot's network, and with a simulation that is made before it is sent."""
-DEFAULT_PREFIX = "/bubble"
-"""Of the topics of a source that has none itself."""
+DEFAULT_PREFIX = "/bubble"  # of the topics of a source that has none itself
 
 
 def is_simulated(text: str) -> bool:
@@ -49,22 +48,15 @@ def patience_s(text: str) -> float:
     return SIMULATED_S if is_simulated(text) else FIRST_MESSAGE_S
 
 
-def open_stream(text: str, sensor: Sensor, *, any_size: bool = False) -> LiveStream:
+def open_stream(
+    text: str,  # `scheme:place?option=value&…`, see `parse_uri`
+    sensor: Sensor,  # simulated by `synthetic:`; its image size is the one that counts
+    *,
+    any_size: bool = False,  # accept images of any size: recording alone needs no sensor file
+) -> LiveStream:
     """Stream of a source, not started yet.
 
-    Parameters
-    ----------
-    text : str
-        `scheme:place?option=value&…`, see `parse_uri`.
-    sensor : Sensor
-        Simulated by `synthetic:`; its image size is the one that counts.
-    any_size : bool
-        Accept images of any size: recording alone needs no sensor file.
-
-    Raises
-    ------
-    InputError
-        The source is not well-formed, or what it names is not there.
+    Raises InputError: the source is not well-formed, or what it names is not there.
     """
     uri = parse_uri(text)
     options = uri.options
@@ -138,30 +130,18 @@ LOOK_S = 0.1  # s between calls of `waiting`
 
 
 def sensor_for_source(
-    text: str,
+    text: str,  # as `--source`
     name: str,
-    patience_s: float = float("inf"),
+    patience_s: float = float("inf"),  # how long the first image may take, s
+    # called with the stream now and then until the image is there; what it raises ends the waiting
     waiting: Callable[[LiveStream], None] = lambda _: None,
 ) -> str:
     """Name of the sensor for a live source: as given, or for `auto` the one preset that fits.
 
     The source is opened for its first image, and closed again.
 
-    Parameters
-    ----------
-    text : str
-        As `--source`.
-    name : str
-    patience_s : float
-        How long the first image may take, s.
-    waiting : callable
-        Called with the stream now and then until the image is there; what it raises ends the
-        waiting.
-
-    Raises
-    ------
-    InputError
-        The source cannot be opened, no image came, or its size is of no or of several presets.
+    Raises InputError: the source cannot be opened, no image came, or its size is of no or of
+    several presets.
     """
     uri = parse_uri(text)
     if name != AUTO:
@@ -252,10 +232,7 @@ class SessionPreset(_Strict):
 def load_session(name: str | Path) -> SessionPreset:
     """Session of a TOML file or, where there is no such file, the preset of that name.
 
-    Raises
-    ------
-    InputError
-        There is none, it is not TOML, or breaks the schema; names the key.
+    Raises InputError: there is none, it is not TOML, or breaks the schema; names the key.
     """
     path = named_file(name, presets_folder("sessions"), "session")
     return checked(SessionPreset, read_toml(path), path, "session")
@@ -266,32 +243,16 @@ def load_session(name: str | Path) -> SessionPreset:
 
 @dataclass(frozen=True)
 class LiveSensor:
-    """A sensor of a session; two of them share nothing.
+    """A sensor of a session; two of them share nothing."""
 
-    Attributes
-    ----------
-    place : SensorPlace
-        Name, colour and T_W_B.
-    sensor : Sensor
-    stream : LiveStream
-    zero : PressureZero
-        For whoever solves this sensor's frames.
-    """
-
-    place: SensorPlace
+    place: SensorPlace  # name, colour and T_W_B
     sensor: Sensor
     stream: LiveStream
-    zero: PressureZero
+    zero: PressureZero  # for whoever solves this sensor's frames
 
 
 class LiveSession:
     """The sensors of a session preset, live; a context manager.
-
-    Parameters
-    ----------
-    preset : SessionPreset
-    pre_roll_s : float
-        Seconds before recording starts that are recorded, too.
 
     Attributes
     ----------
@@ -305,7 +266,11 @@ class LiveSession:
         A sensor file or a source is not there.
     """
 
-    def __init__(self, preset: SessionPreset, pre_roll_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        preset: SessionPreset,
+        pre_roll_s: float = 0.0,  # seconds before recording starts that are recorded, too
+    ) -> None:
         self.recorder = Recorder(pre_roll_s)
         self.sensors = tuple(_open(place) for place in preset.sensors)
         for each in self.sensors:

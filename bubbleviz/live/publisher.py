@@ -43,26 +43,15 @@ _COUNTED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
 
 
 class ZenohPublisher:
-    """Publishes serialised messages, each topic announced with its first one.
-
-    Parameters
-    ----------
-    options : SessionOptions
-        Where to listen, or the router to publish through.
-    layout : {"rmw", "dds"}
-        As `rmw_zenoh` publishes, or as the ROS 2 DDS bridge does.
-    domain : int
-        ROS_DOMAIN_ID.
-    wait : bool
-        Wait for a subscriber that is too slow, so that nothing is lost; else leave it behind.
-    """
+    """Publishes serialised messages, each topic announced with its first one."""
 
     def __init__(
         self,
-        options: SessionOptions,
+        options: SessionOptions,  # where to listen, or the router to publish through
         *,
-        layout: Layout = "rmw",
-        domain: int = 0,
+        layout: Layout = "rmw",  # as `rmw_zenoh` publishes, or as the ROS 2 DDS bridge does
+        domain: int = 0,  # ROS_DOMAIN_ID
+        # wait for a subscriber that is too slow, so that nothing is lost; else leave it behind
         wait: bool = False,
     ) -> None:
         self._session = open_session(options)
@@ -194,19 +183,13 @@ class ResultMessages:
     membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found), those of
     `shear_messages` and `/diagnostics`. Of an estimate that is not to be trusted only the last,
     which says why.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
-        Of the pipeline that makes the results.
-    prefix : str
-        What the topic names begin with.
-    frame_id : str
-        Name of B in the headers.
     """
 
     def __init__(
-        self, mesh: MembraneMesh, prefix: str = "/bubble", frame_id: str = "bubble"
+        self,
+        mesh: MembraneMesh,  # of the pipeline that makes the results
+        prefix: str = "/bubble",  # what the topic names begin with
+        frame_id: str = "bubble",  # name of B in the headers
     ) -> None:
         self._mesh, self._prefix, self._frame_id = mesh, prefix.rstrip("/"), frame_id
 

@@ -32,35 +32,18 @@ class RealSenseLive(LiveSource):
     """Depth, and colour when asked for, of a RealSense camera through the SDK.
 
     A camera unplugged is looked for again.
-
-    Parameters
-    ----------
-    sdk : module
-        `pyrealsense2`.
-    serial : str or None
-        Of the camera; the first one found by default.
-    file : Path or None
-        A recording in place of a camera.
-    size : (int, int)
-        Width and height to ask a camera for, pixels.
-    rate : int
-        Frames a second to ask a camera for.
-    loop : bool
-        Begin a recording again at its end.
-    prefix : str
-        What the topic names begin with.
     """
 
     def __init__(
         self,
-        sdk: Any,
+        sdk: Any,  # `pyrealsense2`
         *,
-        serial: str | None = None,
-        file: Path | None = None,
-        size: tuple[int, int] = (640, 480),
-        rate: int = 30,
-        loop: bool = False,
-        prefix: str = "/bubble",
+        serial: str | None = None,  # of the camera; the first one found by default
+        file: Path | None = None,  # a recording in place of a camera
+        size: tuple[int, int] = (640, 480),  # width and height to ask a camera for, pixels
+        rate: int = 30,  # frames a second to ask a camera for
+        loop: bool = False,  # begin a recording again at its end
+        prefix: str = "/bubble",  # what the topic names begin with
     ) -> None:
         super().__init__(str(file.name if file else serial or "RealSense"))
         self._sdk, self._serial, self._file = sdk, serial, file
@@ -311,10 +294,7 @@ class _Pictures(NamedTuple):
 def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSenseLive:
     """Source of `realsense:[serial | file]`.
 
-    Raises
-    ------
-    InputError
-        The package, the file or the camera is not there.
+    Raises InputError: the package, the file or the camera is not there.
     """
     try:
         import pyrealsense2 as sdk  # an optional extra

@@ -15,53 +15,35 @@ from bubbleviz.live.topic_names import RawMessage
 from bubbleviz.recordings import MARKERS, STRING, McapFile, are_static_poses, ros2_types, serialise
 from bubbleviz.wording import count_of
 
-SYNC_S = 0.4
-"""Interval of fsync, s: the most that a crash can lose."""
+SYNC_S = 0.4  # interval of fsync, s: the most that a crash can lose
 FLUSH_BYTES = 1 << 20
 """Messages written before they are handed to the system: the most that a full disk can lose."""
-QUEUE_BYTES = 256 << 20
-"""Messages that may wait for the disk; beyond it the source is made to wait."""
+QUEUE_BYTES = 256 << 20  # messages that may wait for the disk; beyond it the source is made to wait
 PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
 
 
 @dataclass(frozen=True)
 class RecorderStatus:
-    """How recording is going.
-
-    Attributes
-    ----------
-    path : Path
-    messages : int
-        Messages written.
-    waiting_bytes, most_waiting_bytes : int
-        Messages that wait for the disk now, and the most there ever were.
-    stalls : int
-        How often a source had to wait because the disk is too slow.
-    size_bytes : int
-        Of the file, as far as it survives a crash.
-    problem : str
-        Why recording ended early, in words; empty while all is well.
-    """
+    """How recording is going."""
 
     path: Path
-    messages: int
+    messages: int  # messages written
+    # waiting_bytes, most_waiting_bytes: messages that wait for the disk now, and the most there
+    # ever were
     waiting_bytes: int
     most_waiting_bytes: int
-    stalls: int
-    size_bytes: int
-    problem: str
+    stalls: int  # how often a source had to wait because the disk is too slow
+    size_bytes: int  # of the file, as far as it survives a crash
+    problem: str  # why recording ended early, in words; empty while all is well
 
 
 class Recorder:
-    """Keeps the last seconds of messages as pre-roll, and writes a recording when started.
+    """Keeps the last seconds of messages as pre-roll, and writes a recording when started."""
 
-    Parameters
-    ----------
-    pre_roll_s : float
-        Seconds before `start` that are recorded, too.
-    """
-
-    def __init__(self, pre_roll_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        pre_roll_s: float = 0.0,  # seconds before `start` that are recorded, too
+    ) -> None:
         self.pre_roll_s = pre_roll_s
         self._before: deque[RawMessage] = deque()
         self._before_bytes = 0
@@ -97,10 +79,8 @@ class Recorder:
     def start(self, path: str | Path) -> None:
         """Begin to write, with the pre-roll.
 
-        Raises
-        ------
-        InputError
-            The path exists or cannot be written, or something is being recorded already.
+        Raises InputError: the path exists or cannot be written, or something is being recorded
+        already.
         """
         with self._lock:
             if self._session is not None:

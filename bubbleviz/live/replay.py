@@ -26,24 +26,16 @@ from bubbleviz.recordings import (
 class Replay(LiveSource):
     """Messages of a recording, delivered when they are due.
 
-    Parameters
-    ----------
-    path : path-like
-    speed : float
-        Times faster than recorded.
-    loop : bool
-        Begin again at the end; else the source ends there.
-    realtime : bool
-        False delivers everything at once, as fast as it is read.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be read, or has none of the message types used here.
+    Raises InputError: the recording cannot be read, or has none of the message types used here.
     """
 
     def __init__(
-        self, path: str | Path, *, speed: float = 1.0, loop: bool = False, realtime: bool = True
+        self,
+        path: str | Path,
+        *,
+        speed: float = 1.0,  # times faster than recorded
+        loop: bool = False,  # begin again at the end; else the source ends there
+        realtime: bool = True,  # false delivers everything at once, as fast as it is read
     ) -> None:
         self._bag = Bag(path)
         super().__init__(self._bag.path.name)
@@ -113,32 +105,19 @@ class SyntheticLive(LiveSource):
     """Streams the frames of a simulation round after round, stamped with the present.
 
     Each frame is encoded once: what is kept are its messages, stamped anew in every round.
-
-    Parameters
-    ----------
-    name : str
-    make : callable
-        Makes the simulation; called in the source's own thread.
-    rate_hz : float
-        Frames a second.
-    ahead : bool
-        Whether all frames are simulated before the first one is sent, so that the first round
-        does not stutter; else each when it is due, late where simulating is slower than the rate.
-    messages : FrameMessages, optional
-        How frames become messages.
-    rounds : int or None
-        None streams until stopped.
     """
 
     def __init__(
         self,
         name: str,
-        make: Callable[[], FrameSource],
-        rate_hz: float,
+        make: Callable[[], FrameSource],  # makes the simulation; called in the source's own thread
+        rate_hz: float,  # frames a second
         *,
+        # whether all frames are simulated before the first one is sent, so that the first round
+        # does not stutter; else each when it is due, late where simulating is slower than the rate
         ahead: bool = True,
-        messages: FrameMessages | None = None,
-        rounds: int | None = None,
+        messages: FrameMessages | None = None,  # how frames become messages
+        rounds: int | None = None,  # None streams until stopped
     ) -> None:
         super().__init__(name)
         self._make, self._rate, self._ahead, self._rounds = make, rate_hz, ahead, rounds

@@ -32,26 +32,15 @@ def is_used(topic: str, kind: str) -> bool:
 
 @dataclass(frozen=True)
 class TopicNames:
-    """Topics chosen by name; None for the first that fits.
+    """Topics chosen by name; None for the first that fits."""
 
-    Attributes
-    ----------
-    depth : str or None
-        Image, CompressedImage or PointCloud2.
-    info, pressure, wrench, colour : str or None
-    prefix : str
-        Topics that do not begin with it belong to another sensor.
-    with_colour : bool
-        Whether anybody asks for colour images.
-    """
-
-    depth: str | None = None
+    depth: str | None = None  # image, CompressedImage or PointCloud2
     info: str | None = None
     pressure: str | None = None
     wrench: str | None = None
     colour: str | None = None
-    prefix: str = ""
-    with_colour: bool = False
+    prefix: str = ""  # topics that do not begin with it belong to another sensor
+    with_colour: bool = False  # whether anybody asks for colour images
 
     def expected_type(self, topic: str) -> str | None:
         """Type a topic must have because of what it was chosen for; None where any may do."""
@@ -93,30 +82,16 @@ class TopicNames:
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """A serialised ROS 2 message.
+    """A serialised ROS 2 message."""
 
-    Attributes
-    ----------
-    topic, type : str
-        As in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`.
-    payload : bytes
-        CDR with its encapsulation header; whatever arrived, it may be garbage.
-    stamp_ns : int
-        Header stamp, ns; 0 where it is unset or cannot be read.
-    arrival_ns : int
-        When it arrived here, ns since 1970.
-    sequence : int or None
-        The publisher's own count, where the transport has one.
-    round : int
-        How often the source began again from its start: a replayed recording's stamps go back.
-    """
-
+    # topic, type: as in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`
     topic: str
     type: str
-    payload: bytes
-    stamp_ns: int
-    arrival_ns: int
-    sequence: int | None = None
+    payload: bytes  # CDR with its encapsulation header; whatever arrived, it may be garbage
+    stamp_ns: int  # header stamp, ns; 0 where it is unset or cannot be read
+    arrival_ns: int  # when it arrived here, ns since 1970
+    sequence: int | None = None  # the publisher's own count, where the transport has one
+    # how often the source began again from its start: a replayed recording's stamps go back
     round: int = 0
 
 
@@ -134,10 +109,7 @@ def stamp_of(payload: bytes) -> int:
 def decode(message: RawMessage) -> Any:
     """Message object of rosbags.
 
-    Raises
-    ------
-    ValueError
-        The bytes are no message of this type.
+    Raises ValueError: the bytes are no message of this type.
     """
     payload = message.payload
     if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):

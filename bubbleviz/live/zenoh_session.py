@@ -21,31 +21,20 @@ from bubbleviz.live.live_source import SourceUri
 
 @dataclass(frozen=True)
 class Credentials:
-    """Files by which two sides know each other; each may be left out.
+    """Files by which two sides know each other; each may be left out."""
 
-    Attributes
-    ----------
-    ca : str or None
-        Certificate of the authority that the other side's must be of.
-    cert, key : str or None
-        Own certificate and its private key: of who listens at `tls/…`, and of who connects where
-        that is asked for, by a `ca` of who listens.
-    login : str or None
-        Lines `user:password`: who listens lets these in, who connects is the first of them.
-    """
-
-    ca: str | None = None
+    ca: str | None = None  # certificate of the authority that the other side's must be of
+    # cert, key: own certificate and its private key: of who listens at `tls/…`, and of who connects
+    # where that is asked for, by a `ca` of who listens
     cert: str | None = None
     key: str | None = None
+    # lines `user:password`: who listens lets these in, who connects is the first of them
     login: str | None = None
 
     def settings(self, *, connects: bool) -> dict[str, Any]:
         """Zenoh's settings of them.
 
-        Raises
-        ------
-        InputError
-            A file is not there, or the first line of `login` is no `user:password`.
+        Raises InputError: a file is not there, or the first line of `login` is no `user:password`.
         """
         for file in filter(None, (self.ca, self.cert, self.key, self.login)):
             if not Path(file).is_file():
@@ -75,21 +64,15 @@ def _first_login(file: str) -> dict[str, str]:
 # Why there is no session with a Zenoh endpoint: Zenoh itself gives no reason.
 
 
-PATIENCE_S = 1.0
-"""Longest wait for an answer of the host, s; chosen."""
-UNTRUSTED = range(18, 22)
-"""OpenSSL's codes of certificates that no authority known here has signed."""
+PATIENCE_S = 1.0  # longest wait for an answer of the host, s; chosen
+UNTRUSTED = range(18, 22)  # OpenSSL's codes of certificates that no authority known here has signed
 
 
-def why_no_session(endpoint: str, given: Credentials) -> str:
-    """Why there is no session, and what to do; empty where that is not known.
-
-    Parameters
-    ----------
-    endpoint : str
-        `tcp/HOST:PORT` or `tls/HOST:PORT`, which Zenoh could not open a session with.
-    given : Credentials
-    """
+def why_no_session(
+    endpoint: str,  # `tcp/HOST:PORT` or `tls/HOST:PORT`, which Zenoh could not open a session with
+    given: Credentials,
+) -> str:
+    """Why there is no session, and what to do; empty where that is not known."""
     parts = re.match(r"(tcp|tls)/\[?([^\[\]]+?)\]?:(\d+)", endpoint)
     if parts is None:
         return ""
@@ -168,8 +151,7 @@ def _login(place: str, given: Credentials, encrypted: bool) -> str:
     return text if encrypted else f"{text}; or it is encrypted, write tls/"
 
 
-ROUTER = "tcp/127.0.0.1:7447"
-"""Where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen."""
+ROUTER = "tcp/127.0.0.1:7447"  # where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5}
 """Zenoh connects again by itself, at these intervals."""
@@ -195,17 +177,10 @@ class SessionOptions:
 
     A session that connects is a client and listens nowhere. A router hands messages to and from
     clients only, not between the peers that ROS 2 nodes are: they connect to each other directly.
-
-    Attributes
-    ----------
-    text : str
-        For messages to the user.
-    connect, listen : str or None
-        One endpoint such as `tcp/192.168.1.7:7447`.
-    credentials : Credentials
     """
 
-    text: str
+    text: str  # for messages to the user
+    # connect, listen: one endpoint such as `tcp/192.168.1.7:7447`
     connect: str | None = None
     listen: str | None = None
     credentials: Credentials = field(default_factory=Credentials)
@@ -224,10 +199,7 @@ class SessionOptions:
 def make_config(options: SessionOptions) -> Any:
     """Configuration of a session.
 
-    Raises
-    ------
-    InputError
-        The endpoint is malformed, or a file of the credentials is not there.
+    Raises InputError: the endpoint is malformed, or a file of the credentials is not there.
     """
     connects = options.connect is not None
     settings: dict[str, Any] = {
@@ -255,12 +227,8 @@ def make_config(options: SessionOptions) -> Any:
 def open_session(options: SessionOptions) -> Any:
     """Open `zenoh.Session`.
 
-    Raises
-    ------
-    InputError
-        The endpoint is malformed, the connection fails, or the address cannot be bound.
-    NotConnectedError
-        There is no session, and it is known why.
+    Raises InputError: the endpoint is malformed, the connection fails, or the address cannot be
+    bound. Raises NotConnectedError: there is no session, and it is known why.
     """
     config = make_config(options)
     try:
@@ -295,8 +263,7 @@ def _no_session(options: SessionOptions, error: Exception) -> InputError:
 # `§` for `/`.
 
 
-TOKENS = ("@ros2_lv/**", "@/*/@ros2_lv/**")
-"""Where publishers are announced."""
+TOKENS = ("@ros2_lv/**", "@/*/@ros2_lv/**")  # where publishers are announced
 
 Layout = Literal["rmw", "dds"]
 

@@ -41,8 +41,7 @@ from bubbleviz.recordings import (
 
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
 BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
-LOOK_S = 0.1
-"""How often newly announced topics are subscribed to, and the connection is looked at."""
+LOOK_S = 0.1  # how often newly announced topics are subscribed to, and the connection is looked at
 WHY_EVERY_S = 3.0
 """How often it is asked why a session does not come back: Zenoh tries every 2 s at least."""
 
@@ -52,20 +51,16 @@ class ZenohSource(LiveSource):
 
     Zenoh itself connects again when a connection is lost, with back-off; subscriptions outlive
     that, and those of a publisher that comes back are the same.
-
-    Parameters
-    ----------
-    options : SessionOptions
-    names : TopicNames
-        Topics chosen by name are subscribed to even if no publisher announces them.
-    domain : int
-        ROS_DOMAIN_ID.
     """
 
     closing_s = 2.0  # chosen: the thread may be waiting for a host that does not answer
 
     def __init__(
-        self, options: SessionOptions, names: TopicNames | None = None, domain: int = 0
+        self,
+        options: SessionOptions,
+        # topics chosen by name are subscribed to even if no publisher announces them
+        names: TopicNames | None = None,
+        domain: int = 0,  # ROS_DOMAIN_ID
     ) -> None:
         super().__init__(options.text)
         self._options, self._names, self._domain = options, names or TopicNames(), domain

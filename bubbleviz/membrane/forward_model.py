@@ -30,10 +30,6 @@ class GapFinder:
     membrane over there; one deeper than a rim radius behind the rim to nobody. Both are left out,
     unless the node itself is in the same stretch of the object. Where an object is not watertight
     nothing tells in from out and every hit counts as an entry.
-
-    Parameters
-    ----------
-    mesh : MembraneMesh
     """
 
     def __init__(self, mesh: MembraneMesh) -> None:

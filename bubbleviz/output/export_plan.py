@@ -39,26 +39,14 @@ _SEVERAL = {"png": ("depth", "pressure")}
 
 @dataclass(frozen=True)
 class ExportPlan:
-    """Kinds of files to make and where.
+    """Kinds of files to make and where."""
 
-    Attributes
-    ----------
-    out : Path
-        A file, or the folder that holds them all.
-    kinds : tuple of str
-        Of `KINDS`.
-    is_folder : bool
-    poses : dict
-        Pose columns for the table by frame index, see `bubbleviz.output.pose_writer`.
-    overwrite : bool
-        Replace what is at `out`.
-    """
-
-    out: Path
-    kinds: tuple[str, ...]
+    out: Path  # a file, or the folder that holds them all
+    kinds: tuple[str, ...]  # of `KINDS`
     is_folder: bool
+    # pose columns for the table by frame index, see `bubbleviz.output.pose_writer`
     poses: dict[int, dict[str, Any]] = field(default_factory=dict)
-    overwrite: bool = False
+    overwrite: bool = False  # replace what is at `out`
 
     @classmethod
     def of(
@@ -71,10 +59,8 @@ class ExportPlan:
     ) -> ExportPlan:
         """Plan for an output path; a suffix of one file says what it holds.
 
-        Raises
-        ------
-        InputError
-            Unknown kinds, kinds that the suffix cannot hold, or `out` cannot be made.
+        Raises InputError: unknown kinds, kinds that the suffix cannot hold, or `out` cannot be
+        made.
         """
         out, kinds = Path(out), _kinds(what)
         refuse_existing(out, overwrite=overwrite)
@@ -100,16 +86,12 @@ class ExportPlan:
             require_parquet(out)
         return plan
 
-    def exporters(self, pipeline: Pipeline, at: Path) -> list[Exporter]:
-        """What makes the files; a folder's are named after it.
-
-        Parameters
-        ----------
-        pipeline : Pipeline
-            Whose results they will get.
-        at : Path
-            Temporary place of `out`; a folder exists already.
-        """
+    def exporters(
+        self,
+        pipeline: Pipeline,  # whose results they will get
+        at: Path,  # temporary place of `out`; a folder exists already
+    ) -> list[Exporter]:
+        """What makes the files; a folder's are named after it."""
         if not self.is_folder:
             return [self._one_file(at, pipeline)]
         name = self.out.name

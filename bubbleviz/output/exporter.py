@@ -45,17 +45,11 @@ def is_known(estimate: Estimate) -> bool:
 
 @dataclass(frozen=True)
 class Shape:
-    """Deformed membrane with its nodal fields.
+    """Deformed membrane with its nodal fields."""
 
-    Attributes
-    ----------
-    points_m : (n, 3) array
-        x0 + u n0 (Eq. 1) in B; the reference surface for a frame about which nothing is known.
-    displacement_m, contact_pressure_pa : (n,) array
-        NaN for such a frame.
-    """
-
+    # (n, 3), x0 + u n0 (Eq. 1) in B; the reference surface for a frame about which nothing is known
     points_m: np.ndarray
+    # displacement_m, contact_pressure_pa: (n,), NaN for such a frame
     displacement_m: np.ndarray
     contact_pressure_pa: np.ndarray
 

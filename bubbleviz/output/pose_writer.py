@@ -104,10 +104,7 @@ _QUALITY = ("fitness", "rmse_m", "object_patch_area_m2")
 def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
     """Columns `pose_…` by frame index: status, T_B_O as position in m and quaternion, quality.
 
-    Raises
-    ------
-    InputError
-        Names the file and the line.
+    Raises InputError: names the file and the line.
     """
     path = Path(path)
     rows = read_rows(path)

@@ -30,22 +30,12 @@ _TYPES = {"<f8": "Float64", "<f4": "Float32", "<i8": "Int64", "<i4": "Int32", "|
 
 def write_vtp(
     path: Path,
-    points: np.ndarray,
-    triangles: np.ndarray,
-    fields: Mapping[str, np.ndarray],
-    time_s: float,
+    points: np.ndarray,  # (n, 3)
+    triangles: np.ndarray,  # (m, 3) int
+    fields: Mapping[str, np.ndarray],  # mapping of (n,) or (n, 3) array
+    time_s: float,  # what ParaView shows as time
 ) -> None:
-    """Triangle mesh with nodal fields.
-
-    Parameters
-    ----------
-    path : Path
-    points : (n, 3) array
-    triangles : (m, 3) int array
-    fields : mapping of (n,) or (n, 3) array
-    time_s : float
-        What ParaView shows as time.
-    """
+    """Triangle mesh with nodal fields."""
     count = len(triangles)
     lines = [
         '<?xml version="1.0"?>',

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Table = dict[str, list[Any]]
-"""Values of all frames by column."""
+Table = dict[str, list[Any]]  # values of all frames by column
 
 Write = Callable[[Table, Path], None]
 
@@ -36,16 +35,6 @@ class TableExporter:
     Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
     force, the gas pressure as measured (absolute; NaN where the recording has none) and the
     iterations of the solver.
-
-    Parameters
-    ----------
-    path : Path
-    write : callable
-        `write_csv`, `write_parquet` or `bubbleviz.output.table_export.write_plots`.
-    sensor : str
-        Its name.
-    poses : mapping, optional
-        Pose columns by frame index, as `bubbleviz.output.pose_writer.read_poses` gives them.
     """
 
     products: frozenset[Product] = frozenset({"estimate", "patch"})
@@ -53,8 +42,9 @@ class TableExporter:
     def __init__(
         self,
         path: Path,
-        write: Write,
-        sensor: str,
+        write: Write,  # `write_csv`, `write_parquet` or `bubbleviz.output.table_export.write_plots`
+        sensor: str,  # its name
+        # pose columns by frame index, as `bubbleviz.output.pose_writer.read_poses` gives them
         poses: Mapping[int, dict[str, Any]] | None = None,
     ) -> None:
         self._path, self._write, self._sensor, self._poses = path, write, sensor, poses
@@ -86,19 +76,11 @@ def more_columns(result: Result, summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def table_of(
-    summaries: Sequence[dict[str, Any]], more: Sequence[dict[str, Any]], sensor: str
+    summaries: Sequence[dict[str, Any]],  # the `summary_row` of each frame
+    more: Sequence[dict[str, Any]],  # its other columns
+    sensor: str,  # its name
 ) -> Table:
-    """Table of all frames.
-
-    Parameters
-    ----------
-    summaries : sequence of dict
-        The `summary_row` of each frame.
-    more : sequence of dict
-        Its other columns.
-    sensor : str
-        Its name.
-    """
+    """Table of all frames."""
     frames = [dict(summary) for summary in summaries]
     add_measured_force(frames)
     rows = [csv_row(frame, sensor) | columns for frame, columns in zip(frames, more, strict=True)]
@@ -160,10 +142,8 @@ _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
 """Label, factor from SI, and columns with their names, of each plot."""
 
 
-SIZE_IN = (8.0, 11.0)
-"""Width and height of the figure, inches."""
-DPI = 130
-"""Resolution of a PNG, dots per inch."""
+SIZE_IN = (8.0, 11.0)  # width and height of the figure, inches
+DPI = 130  # resolution of a PNG, dots per inch
 
 
 def write_plots(table: Table, path: Path) -> None:

@@ -20,20 +20,15 @@ _CRF = 15  # of 51, 0 being lossless: text stays legible
 
 
 class Mp4Writer:
-    """Takes pictures one after the other; made by `open_mp4`.
+    """Takes pictures one after the other; made by `open_mp4`."""
 
-    Parameters
-    ----------
-    path : Path
-        As messages name it.
-    temporary : Path
-        Where to write.
-    fps : float
-    messages : binary file
-        For the encoder's messages.
-    """
-
-    def __init__(self, path: Path, temporary: Path, fps: float, messages: IO[bytes]) -> None:
+    def __init__(
+        self,
+        path: Path,  # as messages name it
+        temporary: Path,  # where to write
+        fps: float,
+        messages: IO[bytes],  # for the encoder's messages
+    ) -> None:
         self._path, self._temporary, self._fps = path, temporary, fps
         self._messages = messages
         self._shape: tuple[int, ...] | None = None
@@ -132,20 +127,13 @@ class _Encoder:
 
 
 @contextmanager
-def open_mp4(path: str | Path, fps: float) -> Iterator[Mp4Writer]:
+def open_mp4(
+    path: str | Path,  # must not exist
+    fps: float,  # pictures a second
+) -> Iterator[Mp4Writer]:
     """Writer of a video that is there when the block ends without an error, and else is not.
 
-    Parameters
-    ----------
-    path : path
-        Must not exist.
-    fps : float
-        Pictures a second.
-
-    Raises
-    ------
-    InputError
-        `path` exists, does not end in .mp4 or cannot be written, or no picture came.
+    Raises InputError: `path` exists, does not end in .mp4 or cannot be written, or no picture came.
     """
     path = Path(path)
     if path.suffix.lower() != ".mp4":

@@ -26,10 +26,8 @@ def run_on_cluster(
 
     Closing the iterator cancels those not begun.
 
-    Raises
-    ------
-    InputError
-        The optional library is missing, no scheduler answers, or it is lost on the way.
+    Raises InputError: the optional library is missing, no scheduler answers, or it is lost on the
+    way.
     """
     with _client(address) as client:
         from distributed import CancelledError, as_completed

@@ -45,10 +45,6 @@ class WorkerProcess:
     """One process that makes calls, one after another; replaced when it hangs or dies.
 
     Use as a context manager. Functions and arguments must be importable there (`spawn`).
-
-    Parameters
-    ----------
-    memory_limit_bytes : int, optional
     """
 
     def __init__(self, memory_limit_bytes: int | None = None) -> None:

@@ -28,19 +28,12 @@ from bubbleviz.recordings.message_decoding import header_stamp_ns
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a recording.
+    """A topic of a recording."""
 
-    Attributes
-    ----------
-    name, type : str
-        As in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`.
-    count : int
-        Number of messages.
-    """
-
+    # name, type: as in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`
     name: str
     type: str
-    count: int
+    count: int  # number of messages
 
 
 @cache
@@ -74,10 +67,6 @@ def damage(path: Path, what: str) -> Iterator[None]:
 
 class Bag:
     """An open rosbag2 folder, `.mcap`, `.db3` or ROS 1 `.bag`.
-
-    Parameters
-    ----------
-    path : path-like
 
     Attributes
     ----------

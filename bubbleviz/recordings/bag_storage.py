@@ -27,8 +27,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-MAX_SIZE = 1 << 30
-"""No chunk or message of a sensor is larger, B; a file that says so is damaged."""
+MAX_SIZE = 1 << 30  # no chunk or message of a sensor is larger, B; a file that says so is damaged
 
 _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "zstd": zstd.ZstdDecompressor,
@@ -60,20 +59,16 @@ class FilePart:
 
 
 class LazyChunk:
-    """A compressed chunk as a file.
+    """A compressed chunk as a file."""
 
-    Parameters
-    ----------
-    packed : FilePart
-        The compressed bytes.
-    codec : {"zstd", "lz4", "bz2"}
-    size : int
-        Decompressed size, or more where the file does not tell.
-    crc : int
-        CRC-32 of the decompressed bytes, 0 for none; checked once all are there.
-    """
-
-    def __init__(self, packed: FilePart, codec: str, *, size: int = MAX_SIZE, crc: int = 0) -> None:
+    def __init__(
+        self,
+        packed: FilePart,  # the compressed bytes
+        codec: str,
+        *,
+        size: int = MAX_SIZE,  # decompressed size, or more where the file does not tell
+        crc: int = 0,  # CRC-32 of the decompressed bytes, 0 for none; checked once all are there
+    ) -> None:
         if codec not in _DECOMPRESSORS:
             raise ValueError(f"unknown compression {codec[:20]!r}")
         if size > MAX_SIZE:
@@ -187,15 +182,12 @@ def table_of(rows: Any) -> np.ndarray:
 
 
 class Ros1Storage:
-    """Messages of one ROS 1 bag; a position's chunk is where the chunk begins in the file.
+    """Messages of one ROS 1 bag; a position's chunk is where the chunk begins in the file."""
 
-    Parameters
-    ----------
-    reader : rosbags.rosbag1.Reader
-        Open; tells the index.
-    """
-
-    def __init__(self, reader: Any) -> None:
+    def __init__(
+        self,
+        reader: Any,  # open; tells the index
+    ) -> None:
         self.connections = reader.connections
         self._reader = reader
         self._cache = ChunkCache(self._load)
@@ -232,15 +224,12 @@ class Ros1Storage:
 
 
 class SqliteStorage:
-    """Messages of one `.db3` file; a position's offset is the row id.
+    """Messages of one `.db3` file; a position's offset is the row id."""
 
-    Parameters
-    ----------
-    reader : rosbags.rosbag2.storage_sqlite3.Sqlite3Reader
-        Open; has the database.
-    """
-
-    def __init__(self, reader: Any) -> None:
+    def __init__(
+        self,
+        reader: Any,  # open; has the database
+    ) -> None:
         _check_whole(Path(reader.path))
         self.connections = reader.connections
         self._database = reader.dbconn
@@ -297,19 +286,17 @@ class McapStorage:
     A file without its end (its recorder was killed, the disk was full) or without message indexes
     is walked record by record: that reads no chunk but those without an index or with new topics.
 
-    Parameters
-    ----------
-    file : binary file
-    reader : rosbags.rosbag2.storage_mcap.McapReader, optional
-        Open; tells the chunks. None where the file has no end.
-
     Attributes
     ----------
     lost_bytes : int
         Bytes behind the last whole chunk of a file without its end.
     """
 
-    def __init__(self, file: BinaryIO, reader: Any = None) -> None:
+    def __init__(
+        self,
+        file: BinaryIO,
+        reader: Any = None,  # open; tells the chunks. None where the file has no end.
+    ) -> None:
         self._file = FilePart(file, 0, os.fstat(file.fileno()).st_size)
         self._cache = ChunkCache(self._load)
         self._places: list[_ChunkPlace] = []

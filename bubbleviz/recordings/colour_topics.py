@@ -27,8 +27,7 @@ from bubbleviz.recordings.depth_topics import (
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC_TRANSFORMS = "/tf_static"
 
-_MOST_LINKS = 100
-"""Between a frame of reference and its root; more are a loop."""
+_MOST_LINKS = 100  # between a frame of reference and its root; more are a loop
 
 
 def are_static_poses(topic: str, kind: str) -> bool:
@@ -38,14 +37,9 @@ def are_static_poses(topic: str, kind: str) -> bool:
 
 @dataclass(frozen=True)
 class StaticPoses:
-    """What is known so far.
+    """What is known so far."""
 
-    Attributes
-    ----------
-    parents : dict
-        Of each frame of reference the one above it, and its pose (4, 4) in that.
-    """
-
+    # of each frame of reference the one above it, and its pose (4, 4) in that
     parents: Mapping[str, tuple[str, np.ndarray]] = field(default_factory=dict)
 
     def after(self, message: Any) -> StaticPoses:

@@ -13,18 +13,15 @@ from bubbleviz.recordings.frame import Frame
 # Correlation of depth noise in time and space: cameras filter, so their noise is not white.
 
 
-def temporal_correlation(deviations: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def temporal_correlation(
+    deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN where there is none
+    # (H, W), spread of the same deviations, m; pixels with 0 or NaN are left out
+    sigma: np.ndarray,
+) -> np.ndarray:
     """Correlation of the pixels' noise at lags of 0, 1, … frames, up to where it is gone.
 
     Deviations from a mean over the same correlated frames are too small and too little
     correlated: the variance of that mean is missing from every covariance, and is put back.
-
-    Parameters
-    ----------
-    deviations : (F, H, W) array
-        Samples minus the pixel's mean, m; NaN where there is none.
-    sigma : (H, W) array
-        Spread of the same deviations, m; pixels with 0 or NaN are left out.
     """
     frames = len(deviations)
     noise = _standardised(deviations, sigma)[:, ~np.isnan(deviations).any(axis=0) & (sigma > 0)]
@@ -59,21 +56,12 @@ def error_of_mean(series: np.ndarray) -> float:
 
 
 def spatial_correlation(
-    deviations: np.ndarray, sigma: np.ndarray, stride: int = 1, reach: int = 32
+    deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN where there is none
+    sigma: np.ndarray,  # (H, W), spread of the same deviations, m
+    stride: int = 1,  # every how many-th frame to use (neighbours in time say the same)
+    reach: int = 32,  # largest distance, pixels; less where the image is small
 ) -> np.ndarray:
-    """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns.
-
-    Parameters
-    ----------
-    deviations : (F, H, W) array
-        Samples minus the pixel's mean, m; NaN where there is none.
-    sigma : (H, W) array
-        Spread of the same deviations, m.
-    stride : int
-        Every how many-th frame to use (neighbours in time say the same).
-    reach : int
-        Largest distance, pixels; less where the image is small.
-    """
+    """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns."""
     noise = _standardised(deviations[::stride], sigma)
     used = np.isfinite(noise)
     noise = np.where(used, noise, np.float32(0.0))
@@ -116,20 +104,14 @@ def _first_not_positive(rho: np.ndarray) -> int:
 MAD_TO_SIGMA = 1.482602218505602
 """1/Φ⁻¹(3/4): standard deviation per median absolute deviation of a normal distribution."""
 
-TUKEY_TUNING = 4.685
-"""Tuning of Tukey's biweight at which it is 95 % efficient on normal residuals."""
+TUKEY_TUNING = 4.685  # tuning of Tukey's biweight at which it is 95 % efficient on normal residuals
 
 
-def robust_sigma(residuals: np.ndarray, center: float | None = None) -> float:
-    """Standard deviation estimated from the median absolute deviation, in the input's unit.
-
-    Parameters
-    ----------
-    residuals : array
-        Any shape; NaN is left out.
-    center : float, optional
-        What deviations are taken from; the median where it is not given.
-    """
+def robust_sigma(
+    residuals: np.ndarray,  # any shape; NaN is left out
+    center: float | None = None,  # what deviations are taken from; the median where it is not given
+) -> float:
+    """Standard deviation estimated from the median absolute deviation, in the input's unit."""
     values = residuals[np.isfinite(residuals)]
     if values.size == 0:
         return float("nan")
@@ -165,41 +147,27 @@ def upper_fence(values: np.ndarray, deviations: float) -> float:
     return float(np.exp(np.median(logs) + deviations * robust_sigma(logs)))
 
 
-MIN_FRAMES = 5
-"""Frames below which neither a median nor a spread per pixel means anything."""
+MIN_FRAMES = 5  # frames below which neither a median nor a spread per pixel means anything
 
 _CLIP_SIGMA = 3.0  # samples further from the median than this are not noise of the same kind
 
 
 @dataclass(frozen=True)
 class DepthStatistics:
-    """Statistics over contact-free frames, per pixel of an H×W image.
+    """Statistics over contact-free frames, per pixel of an H×W image."""
 
-    Attributes
-    ----------
-    frames : int
-        Frames F they come from.
-    validity : (H, W) float32 array
-        Share of the frames in which the pixel has a return, 0 … 1.
-    range_m : (H, W) float64 array
-        Mean range along the ray after clipping at 3 σ around the median, m; NaN: no return.
-    noise_m : (H, W) float32 array
-        Standard deviation σ of one frame's range, clipped likewise, corrected for temporal
-        correlation, at least the quantisation's q/√12, m; NaN: no return.
-    quantum_m : float
-        Step q of the z-depth, m; 0 where it is continuous.
-    temporal_correlation : (L,) array
-        Correlation of a pixel's noise at lags 0, 1, … frames.
-    spatial_correlation : (M,) array
-        Correlation of one frame's noise at distances 0, 1, … pixels.
-    """
-
-    frames: int
+    frames: int  # frames F they come from
+    # (H, W) float32, share of the frames in which the pixel has a return, 0 … 1
     validity: np.ndarray
+    # (H, W) float64, mean range along the ray after clipping at 3 σ around the median, m; NaN: no
+    # return
     range_m: np.ndarray
+    # (H, W) float32, standard deviation σ of one frame's range, clipped likewise, corrected for
+    # temporal correlation, at least the quantisation's q/√12, m; NaN: no return
     noise_m: np.ndarray
-    quantum_m: float
-    temporal_correlation: np.ndarray
+    quantum_m: float  # step q of the z-depth, m; 0 where it is continuous
+    temporal_correlation: np.ndarray  # (L,), correlation of a pixel's noise at lags 0, 1, … frames
+    # (M,), correlation of one frame's noise at distances 0, 1, … pixels
     spatial_correlation: np.ndarray
 
     @property
@@ -256,21 +224,14 @@ def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:
 
 
 def measure_depth(
-    frames: Iterable[Frame] | np.ndarray, range_per_depth: np.ndarray
+    # iterable of Frame, or (F, H, W) array, z-depth in m, NaN for no return
+    frames: Iterable[Frame] | np.ndarray,
+    # (H, W), range along the ray per z-depth (`DepthCamera.range_per_depth`)
+    range_per_depth: np.ndarray,
 ) -> DepthStatistics:
     """Measure every pixel over contact-free frames.
 
-    Parameters
-    ----------
-    frames : iterable of Frame, or (F, H, W) array
-        z-depth in m, NaN for no return.
-    range_per_depth : (H, W) array
-        Range along the ray per z-depth (`DepthCamera.range_per_depth`).
-
-    Raises
-    ------
-    InputError
-        Fewer than 5 frames, sizes that differ, or no return at all.
+    Raises InputError: fewer than 5 frames, sizes that differ, or no return at all.
     """
     depth = stack_depth(frames)
     if depth.shape[1:] != range_per_depth.shape:

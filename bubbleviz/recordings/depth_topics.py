@@ -26,8 +26,7 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 RESULTS = "/bubbleviz/"
 """What the topics of our own results begin with: no measurement, though of the same types."""
-MARKERS = f"{RESULTS}markers"
-"""Topic of markers and notes, `STRING`, logged when they were made."""
+MARKERS = f"{RESULTS}markers"  # topic of markers and notes, `STRING`, logged when they were made
 STRING = "std_msgs/msg/String"
 
 

@@ -31,12 +31,10 @@ NEAREST_M, FARTHEST_M = 1e-3, 10.0
 """Median depth that a camera inside a bubble can have, with ample room: else the unit is wrong."""
 LEAST_PA, MOST_PA = 20e3, 1e6
 """Absolute gas pressure that a bubble can have: else it is of another unit, or a gauge pressure."""
-FOLDERS = ("color", "colour", "rgb")
-"""What a folder of colour images beside depth images is called."""
+FOLDERS = ("color", "colour", "rgb")  # what a folder of colour images beside depth images is called
 _COLOUR_ENCODINGS = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _MILLIMETRE = 1e-3
-_NANOSECONDS = 1e17
-"""Stamps beyond it are in ns since 1970, below it in s."""
+_NANOSECONDS = 1e17  # stamps beyond it are in ns since 1970, below it in s
 
 
 class ImageFolder:
@@ -44,20 +42,6 @@ class ImageFolder:
 
     Those of a folder `color` (`colour`, `rgb`) in it, JPEG or PNG, are the colour images of the
     depth images with the same last number; `intrinsics.toml` or `.json` there is of their camera.
-
-    Parameters
-    ----------
-    folder : path-like
-    intrinsics : Intrinsics, optional
-        None: the sensor file's will count.
-    times_s : (F,) array, optional
-        On the clock of what else was measured.
-    rate_hz : float, optional
-        In place of times. Without either the names are stamps, in s or ns.
-    metres_per_unit : float, optional
-        Of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given.
-    gas_pressure, wrench : Series, optional
-        Absolute gas pressure in Pa, (1,); force in N and torque in N·m, (6,); on the same clock.
 
     Attributes
     ----------
@@ -74,10 +58,14 @@ class ImageFolder:
         self,
         folder: str | Path,
         *,
-        intrinsics: Intrinsics | None = None,
-        times_s: np.ndarray | None = None,
+        intrinsics: Intrinsics | None = None,  # None: the sensor file's will count
+        times_s: np.ndarray | None = None,  # (F,), on the clock of what else was measured
+        # in place of times. Without either the names are stamps, in s or ns.
         rate_hz: float | None = None,
+        # of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given
         metres_per_unit: float | None = None,
+        # gas_pressure, wrench: absolute gas pressure in Pa, (1,); force in N and torque in N·m,
+        # (6,); on the same clock
         gas_pressure: Series[np.ndarray] | None = None,
         wrench: Series[np.ndarray] | None = None,
     ) -> None:
@@ -243,10 +231,7 @@ def is_image_folder(path: str | Path) -> bool:
 def read_intrinsics(path: str | Path) -> Intrinsics:
     """Intrinsics from TOML or JSON, in a table `camera` or not, with the keys of a sensor file.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or lacks a number; says which.
+    Raises InputError: the file cannot be read, or lacks a number; says which.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
@@ -268,10 +253,7 @@ def read_times(path: str | Path) -> np.ndarray:
 def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
     """Absolute gas pressure over time: a CSV of time in s and pressure in Pa.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or its numbers are no absolute pressure in Pa.
+    Raises InputError: the file cannot be read, or its numbers are no absolute pressure in Pa.
     """
     table = _columns(path, 2)
     usual = float(np.median(table[:, 1]))

@@ -19,18 +19,11 @@ CHUNK_BYTES = 4 << 20
 
 @dataclass(frozen=True)
 class Kept:
-    """What is in a file, whole chunks only.
-
-    Attributes
-    ----------
-    size_bytes, messages : int
-    duration_s : float
-        From the first message to the last.
-    """
+    """What is in a file, whole chunks only."""
 
     size_bytes: int = 0
     messages: int = 0
-    duration_s: float = 0.0
+    duration_s: float = 0.0  # from the first message to the last
 
 
 class McapFile:
@@ -39,17 +32,6 @@ class McapFile:
     Unlike other outputs it is there under its own name from the first message on: what is written
     is never lost, and an unfinished file is one that `Recording` and `mcap recover` open up to its
     last whole chunk.
-
-    Parameters
-    ----------
-    path : path-like
-        `X.mcap` for one bare file, any other name for a rosbag2 folder.
-    name : str
-        Of the file in a folder, without its suffix; the folder's when empty.
-    chunk_bytes : int
-        Messages of a chunk before compression: all of it is read for any of them.
-    compression : {"zstd", "lz4"}
-        LZ4 takes a quarter of the time; a file of depth images is some 1.7 times as large.
 
     Attributes
     ----------
@@ -69,10 +51,12 @@ class McapFile:
 
     def __init__(
         self,
-        path: str | Path,
+        path: str | Path,  # `X.mcap` for one bare file, any other name for a rosbag2 folder
         *,
-        name: str = "",
+        name: str = "",  # of the file in a folder, without its suffix; the folder's when empty
+        # messages of a chunk before compression: all of it is read for any of them
         chunk_bytes: int = CHUNK_BYTES,
+        # LZ4 takes a quarter of the time; a file of depth images is some 1.7 times as large
         compression: Literal["zstd", "lz4"] = "zstd",
     ) -> None:
         from mcap.writer import CompressionType, Writer  # the window starts without it
@@ -106,10 +90,7 @@ class McapFile:
     def write(self, message: tuple[str, str, bytes, int], log_ns: int, sequence: int = 0) -> None:
         """Append topic, type, payload and stamp in ns, logged at a time, ns since 1970.
 
-        Raises
-        ------
-        OSError
-            Writing failed.
+        Raises OSError: writing failed.
         """
         topic, kind, payload, stamp_ns = message
         if (topic, kind) not in self._channels:

@@ -33,22 +33,15 @@ _MODELS: dict[str, DistortionModel] = {
 }
 
 
-def decode_depth(message: Any, metres_per_unit: float | None = None) -> np.ndarray:
+def decode_depth(
+    message: Any,  # the latter as ROS's `compressed_depth_image_transport` makes it, with PNG
+    metres_per_unit: float | None = None,  # of an image in `REALSENSE_ENCODING`
+) -> np.ndarray:
     """z-depth of an image message, shape (H, W), float32, m; NaN where no return.
 
     0, NaN, inf and negative values all mean no return.
 
-    Parameters
-    ----------
-    message : sensor_msgs/Image or sensor_msgs/CompressedImage
-        The latter as ROS's `compressed_depth_image_transport` makes it, with PNG.
-    metres_per_unit : float, optional
-        Of an image in `REALSENSE_ENCODING`.
-
-    Raises
-    ------
-    ValueError
-        Encoding, size and data of the image do not fit together; says how.
+    Raises ValueError: encoding, size and data of the image do not fit together; says how.
     """
     if hasattr(message, "format"):
         return _decode_compressed(message)
@@ -119,10 +112,7 @@ def has_returns(depth_m: np.ndarray) -> bool:
 def decode_intrinsics(message: Any) -> Intrinsics | None:
     """Intrinsics of a `sensor_msgs/CameraInfo`; None where it says the camera is uncalibrated.
 
-    Raises
-    ------
-    ValueError
-        A distortion model that is not known, or numbers that are no camera's.
+    Raises ValueError: a distortion model that is not known, or numbers that are no camera's.
     """
     matrix = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
     coefficients = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
@@ -138,10 +128,7 @@ def decode_intrinsics(message: Any) -> Intrinsics | None:
 def distortion_of(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, tuple[float, ...]]:
     """Distortion model by a name that ROS or the RealSense library gives it, and coefficients.
 
-    Raises
-    ------
-    ValueError
-        It is not known, or a coefficient is not finite.
+    Raises ValueError: it is not known, or a coefficient is not finite.
     """
     if not np.isfinite(coefficients).all():
         raise ValueError("distortion coefficients are not finite")
@@ -189,8 +176,7 @@ def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
 # Point clouds to depth images.
 
 
-_FLOATS = {7: "f4", 8: "f8"}
-"""numpy type by the datatype of a PointField."""
+_FLOATS = {7: "f4", 8: "f8"}  # numpy type by the datatype of a PointField
 
 
 def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
@@ -199,10 +185,8 @@ def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
     An organised cloud is an image already. Points without order are put where the camera sees
     them, the nearest one where several meet.
 
-    Raises
-    ------
-    ValueError
-        Fields, size and data do not fit together, or a cloud without order has no camera.
+    Raises ValueError: fields, size and data do not fit together, or a cloud without order has no
+    camera.
     """
     points = _points(message)
     if int(message.height) > 1:

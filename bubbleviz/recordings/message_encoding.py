@@ -83,21 +83,14 @@ class FrameMessages:
     """Makes the messages of frames: depth and, where there are, camera info and other measurements.
 
     Of the colour image the bytes are those that were recorded.
-
-    Parameters
-    ----------
-    encoding : {"32FC1", "16UC1"}
-        Depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m.
-    prefix : str
-        What the topic names begin with.
-    frame_id : str
-        Name of the depth camera's frame in the headers.
     """
 
     def __init__(
         self,
+        # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
-        prefix: str = "/bubble",
+        prefix: str = "/bubble",  # what the topic names begin with
+        # name of the depth camera's frame in the headers
         frame_id: str = "bubble_depth_optical_frame",
     ) -> None:
         self._encoding, self._prefix, self._frame_id = encoding, prefix.rstrip("/"), frame_id

@@ -17,22 +17,12 @@ from bubbleviz.recordings.time_series import Laps, Moment, Series, recorded_seri
 
 @dataclass(frozen=True)
 class ColourAround:
-    """Finds the colour image nearest to a time after a frame, s; called, as `Frame.find_colour`.
-
-    Attributes
-    ----------
-    images : Series of ColourImage
-    moment : Moment
-    time_s : float
-        Of the frame.
-    within_ns : int
-        An image further off is none of that moment.
-    """
+    """Finds the colour image nearest to a time after a frame, s; called, as `Frame.find_colour`."""
 
     images: Series[ColourImage]
     moment: Moment
-    time_s: float
-    within_ns: int
+    time_s: float  # of the frame
+    within_ns: int  # an image further off is none of that moment
 
     def __call__(self, after_s: float) -> ColourImage | None:
         """Of the images there were when this was made."""
@@ -45,20 +35,6 @@ class ColourAround:
 
 class RecordedColour:
     """Colour images beside the depth images of a recording; only headers are read here.
-
-    Parameters
-    ----------
-    bag : Bag
-    topic : Topic
-        Of the colour images.
-    depth : Topic
-        Of the depth images.
-    reading : callable
-        Runs a function that reads a message, one at a time, errors as of a damaged file.
-    by_log : bool
-        Whether frames are timed by their log times.
-    laps : Laps, optional
-        Those of the depth images, where there is more than one.
 
     Attributes
     ----------
@@ -75,12 +51,13 @@ class RecordedColour:
     def __init__(
         self,
         bag: Bag,
-        topic: Topic,
-        depth: Topic,
+        topic: Topic,  # of the colour images
+        depth: Topic,  # of the depth images
+        # runs a function that reads a message, one at a time, errors as of a damaged file
         reading: Callable[[Callable[[], EncodedImage]], EncodedImage],
         *,
-        by_log: bool = False,
-        laps: Laps | None = None,
+        by_log: bool = False,  # whether frames are timed by their log times
+        laps: Laps | None = None,  # those of the depth images, where there is more than one
     ) -> None:
         messages = bag.messages(topic)
 

@@ -286,17 +286,14 @@ def _header_stamps(images: Messages) -> np.ndarray:
 # The size of the force that a wrench sensor beside the bubble measured.
 
 
-def measured_force(wrench_n: np.ndarray, contact_free: np.ndarray) -> np.ndarray:
+def measured_force(
+    wrench_n: np.ndarray,  # (F, 3), forces as recorded, N; NaN where a frame has none
+    contact_free: np.ndarray,  # (F,) bool
+) -> np.ndarray:
     """|F| of recorded wrenches less their bias, N.
 
     The axes of a force/torque sensor are rarely documented, so only the size can be compared. Its
     bias is the median over the contact-free frames.
-
-    Parameters
-    ----------
-    wrench_n : (F, 3) array
-        Forces as recorded, N; NaN where a frame has none.
-    contact_free : (F,) bool array
 
     Returns
     -------

@@ -23,33 +23,18 @@ class RecordingWriter:
     when it raises. Topics are made for what the frames have: depth and, where there are, camera
     info, gas pressure, wrench and colour images.
 
-    Parameters
-    ----------
-    path : path-like
-        `X.mcap` for one bare file, any other name for a rosbag2 folder.
-    encoding : {"32FC1", "16UC1"}
-        Depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m.
-    prefix : str
-        What the topic names begin with.
-    frame_id : str
-        Name of the camera's frame in the headers.
-    overwrite : bool
-        Replace what is at `path`.
-
-    Raises
-    ------
-    InputError
-        The path exists or cannot be written, or no frame was written.
+    Raises InputError: the path exists or cannot be written, or no frame was written.
     """
 
     def __init__(
         self,
-        path: str | Path,
+        path: str | Path,  # `X.mcap` for one bare file, any other name for a rosbag2 folder
         *,
+        # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
-        prefix: str = "/bubble",
-        frame_id: str = "bubble_depth_optical_frame",
-        overwrite: bool = False,
+        prefix: str = "/bubble",  # what the topic names begin with
+        frame_id: str = "bubble_depth_optical_frame",  # name of the camera's frame in the headers
+        overwrite: bool = False,  # replace what is at `path`
     ) -> None:
         self.path = Path(path)
         self.count = 0

@@ -13,19 +13,11 @@ from bubbleviz.recordings.frame import Frame
 
 @dataclass(frozen=True)
 class SeenColour:
-    """What the colour camera saw at the time of a frame.
+    """What the colour camera saw at the time of a frame."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8 array or None
-    camera : ColourCamera
-    reason : str
-        Why there is no image, in a few words; empty where there is one.
-    """
-
-    rgb: np.ndarray | None = None
+    rgb: np.ndarray | None = None  # (H, W, 3) uint8
     camera: ColourCamera = field(default_factory=ColourCamera)
-    reason: str = ""
+    reason: str = ""  # why there is no image, in a few words; empty where there is one
 
     @classmethod
     def of(cls, frame: Frame) -> SeenColour:
@@ -48,24 +40,14 @@ class SeenColour:
 
 @dataclass(frozen=True)
 class Texture:
-    """A colour image on the membrane as it is deformed.
-
-    Attributes
-    ----------
-    colour : SeenColour
-    place : (n, 2) array
-        Where in the image each node is: shares of its width from the left and of its height from
-        the top.
-    seen : (n,) bool array
-        Nodes inside the image.
-    reason : str
-        Why there is nothing to paint, in a few words; empty where there is.
-    """
+    """A colour image on the membrane as it is deformed."""
 
     colour: SeenColour
+    # (n, 2), where in the image each node is: shares of its width from the left and of its height
+    # from the top
     place: np.ndarray
-    seen: np.ndarray
-    reason: str = ""
+    seen: np.ndarray  # (n,) bool, nodes inside the image
+    reason: str = ""  # why there is nothing to paint, in a few words; empty where there is
 
     @classmethod
     def of(cls, colour: SeenColour, nodes_m: np.ndarray, depth: DepthCamera) -> Texture:

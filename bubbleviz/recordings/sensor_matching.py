@@ -13,17 +13,13 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 WEATHER_PA = 5e3
 """Change of the atmospheric pressure at one place, Pa: records lie 5 kPa around the mean."""
-AUTO = "auto"
-"""Sensor name that stands for the preset whose camera has the recording's image size."""
+AUTO = "auto"  # sensor name that stands for the preset whose camera has the recording's image size
 
 
 def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) -> None:
     """Refuse a recording that is not of the sensor's camera.
 
-    Raises
-    ------
-    InputError
-        The images, or the camera info recorded beside them, have another size.
+    Raises InputError: the images, or the camera info recorded beside them, have another size.
     """
     _check_camera_info(recording)
     own = (sensor.camera.width, sensor.camera.height)
@@ -44,10 +40,7 @@ def size_refusal(
 def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
     """Name and sensor for a recording: as given, or `preset_for` it for `auto` and None.
 
-    Raises
-    ------
-    InputError
-        There is no such sensor, or it does not fit the recording.
+    Raises InputError: there is no such sensor, or it does not fit the recording.
     """
     if name is None or str(name) == AUTO:
         name = preset_for(recording)
@@ -57,18 +50,12 @@ def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tu
     return shown, sensor
 
 
-def gas_warning(measured_pa: float | None, known_pa: float, where: str = "in the recording") -> str:
-    """What to say of a gas pressure that is not this sensor's; empty for nothing.
-
-    Parameters
-    ----------
-    measured_pa : float or None
-        Absolute, Pa, of any frame: a press adds hundreds of pascals.
-    known_pa : float
-        Without contact, as the sensor file has it, Pa.
-    where : str
-        It was measured.
-    """
+def gas_warning(
+    measured_pa: float | None,  # absolute, Pa, of any frame: a press adds hundreds of pascals
+    known_pa: float,  # without contact, as the sensor file has it, Pa
+    where: str = "in the recording",  # it was measured
+) -> str:
+    """What to say of a gas pressure that is not this sensor's; empty for nothing."""
     if measured_pa is None or abs(measured_pa - known_pa) <= WEATHER_PA:
         return ""
     return (
@@ -86,28 +73,18 @@ def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sens
 def preset_for(recording: Recording) -> str:
     """Name of the one sensor preset whose camera has the recording's image size.
 
-    Raises
-    ------
-    InputError
-        None has, or several have.
+    Raises InputError: None has, or several have.
     """
     return preset_of_size(recording.size, str(recording.path))
 
 
-def preset_of_size(size: tuple[int, int], images: str) -> str:
+def preset_of_size(
+    size: tuple[int, int],  # width and height, pixels
+    images: str,  # what has that size, to name in an error
+) -> str:
     """Name of the one sensor preset whose camera has images of this size.
 
-    Parameters
-    ----------
-    size : (int, int)
-        Width and height, pixels.
-    images : str
-        What has that size, to name in an error.
-
-    Raises
-    ------
-    InputError
-        None has, or several have.
+    Raises InputError: None has, or several have.
     """
     names = preset_names("sensors")
     sizes = {name: _camera_size(load_sensor(name)) for name in names}

@@ -58,26 +58,17 @@ class Times(Protocol):
 
 
 class Series(Generic[T]):
-    """Messages of a topic by time.
-
-    Parameters
-    ----------
-    times_ns : sequence of int
-        Rising in each lap. Where they do not rise, the messages around the place found count.
-    item : callable
-        What message k holds: of values an array, ValueError when they are not finite.
-    by_arrival : bool
-        Whether the times are arrivals, as of a topic without stamps.
-    laps : (n,) int array, optional
-        Lap of each message in a replay that began again.
-    """
+    """Messages of a topic by time."""
 
     def __init__(
         self,
+        # rising in each lap. Where they do not rise, the messages around the place found count.
         times_ns: Times,
+        # what message k holds: of values an array, ValueError when they are not finite
         item: Callable[[int], T],
         *,
-        by_arrival: bool = False,
+        by_arrival: bool = False,  # whether the times are arrivals, as of a topic without stamps
+        # (n,) int, lap of each message in a replay that began again
         laps: np.ndarray | None = None,
     ) -> None:
         self.item, self.by_arrival = item, by_arrival
@@ -198,14 +189,12 @@ class GrowingSeries(Series[T]):
     """The messages of a live topic that arrived last.
 
     As in a recording, a topic whose first message has no stamp is timed by arrivals.
-
-    Parameters
-    ----------
-    kept_ns : int
-        How long before the newest message they are kept.
     """
 
-    def __init__(self, kept_ns: int) -> None:
+    def __init__(
+        self,
+        kept_ns: int,  # how long before the newest message they are kept
+    ) -> None:
         self._stamps, self._items = list[int](), list[T]()
         super().__init__(self._stamps, self._items.__getitem__)
         self._clock, self._kept_ns = StampClock(), kept_ns
@@ -330,23 +319,14 @@ def without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
 
 def recorded_series(
     messages: Messages,
-    item: Callable[[int], T],
+    item: Callable[[int], T],  # what message k holds
     *,
+    # whether frames are timed by their log times; topics without stamps are in any case
     by_log: bool = False,
+    # those of the depth images, where there is more than one: moments then have their keys
     laps: Laps | None = None,
 ) -> Series[T]:
-    """Series of a topic of a recording, not empty, of which only what is asked for is read.
-
-    Parameters
-    ----------
-    messages : Messages
-    item : callable
-        What message k holds.
-    by_log : bool
-        Whether frames are timed by their log times; topics without stamps are in any case.
-    laps : Laps, optional
-        Those of the depth images, where there is more than one: moments then have their keys.
-    """
+    """Series of a topic of a recording, not empty, of which only what is asked for is read."""
     item = lru_cache(_VALUES_KEPT)(item)
     if not by_log and messages.stamp_ns(0) != 0:
         if laps is None:

@@ -16,29 +16,17 @@ if TYPE_CHECKING:
     from bubbleviz.shear.optical_flow import FlowField
 
 
-BLOCK_PX = 8
-"""Side of the blocks of which flow tells one motion each."""
+BLOCK_PX = 8  # side of the blocks of which flow tells one motion each
 
 
 @dataclass(frozen=True)
 class MeasuredFlow:
-    """Motion of material points that were seen at rest.
+    """Motion of material points that were seen at rest."""
 
-    Attributes
-    ----------
-    point : (k,) int array
-        Of the observer's, one a pixel that sees the membrane.
-    moved_px : (k, 2) array
-    sigma_px : (k,) array
-        Standard deviation of each component.
-    squares : BlockSquares
-        Parts of the image in which flow is wrong alike.
-    """
-
-    point: np.ndarray
-    moved_px: np.ndarray
-    sigma_px: np.ndarray
-    squares: BlockSquares
+    point: np.ndarray  # (k,) int, of the observer's, one a pixel that sees the membrane
+    moved_px: np.ndarray  # (k, 2)
+    sigma_px: np.ndarray  # (k,), standard deviation of each component
+    squares: BlockSquares  # parts of the image in which flow is wrong alike
 
     def noise_left(self, error_px: np.ndarray) -> float:
         """Factor by which errors (k, 2) exceed the noise, at least 1."""
@@ -50,58 +38,35 @@ class MeasuredFlow:
 
 @dataclass(frozen=True)
 class ShapeFlow:
-    """Model of the motion around a shape: y(x + δ) ≈ moved_px + D δ.
+    """Model of the motion around a shape: y(x + δ) ≈ moved_px + D δ."""
 
-    Attributes
-    ----------
-    moved_px : (k, 2) array
-    jacobian : (2k, 3n) sparse array
-        Two rows a point, three columns a node, pixels/m.
-    """
-
-    moved_px: np.ndarray
-    jacobian: sparse.csr_array
+    moved_px: np.ndarray  # (k, 2)
+    jacobian: sparse.csr_array  # (2k, 3n) sparse, two rows a point, three columns a node, pixels/m
 
 
 @dataclass(frozen=True)
 class PinnedPoints:
-    """Material points of the membrane on a shape, where flow saw them.
+    """Material points of the membrane on a shape, where flow saw them."""
 
-    Attributes
-    ----------
-    position : (k, 3) array
-        In B, m.
-    tangents : (k, 2, 3) array
-        Orthonormal, along the facet of each.
-    covariance : (k, 3, 3) array
-        Of the positions, m²: along the facets by the noise of the flow, along the rays by the
-        distance between facets and the surface they stand for.
-    area : (k,) array
-        That one pixel sees, m².
-    """
-
-    position: np.ndarray
-    tangents: np.ndarray
+    position: np.ndarray  # (k, 3), in B, m
+    tangents: np.ndarray  # (k, 2, 3), orthonormal, along the facet of each
+    # (k, 3, 3), of the positions, m²: along the facets by the noise of the flow, along the rays by
+    # the distance between facets and the surface they stand for
     covariance: np.ndarray
-    area: np.ndarray
+    area: np.ndarray  # (k,), that one pixel sees, m²
 
 
 class FlowObserver:
     """Models the flow that a camera sees of the membrane.
 
-    Parameters
-    ----------
-    camera : DepthCamera
-        Whose contact-free image the flow starts from.
-    mesh : MembraneMesh
-
-    Raises
-    ------
-    InputError
-        The camera does not see the membrane.
+    Raises InputError: the camera does not see the membrane.
     """
 
-    def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
+    def __init__(
+        self,
+        camera: DepthCamera,  # whose contact-free image the flow starts from
+        mesh: MembraneMesh,
+    ) -> None:
         self._camera, self._mesh = camera, mesh
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         hits = caster.cast(mesh.nodes, mesh.normals)

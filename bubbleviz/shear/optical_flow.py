@@ -69,18 +69,14 @@ def normalised(grey: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.convertScaleAbs(image, alpha=_SCALE, beta=_MIDDLE))
 
 
-def motion_bound(image: np.ndarray, variance: np.ndarray, window: int) -> np.ndarray:
+def motion_bound(
+    image: np.ndarray,  # (H, W)
+    variance: np.ndarray,  # (H, W), of the noise of a pixel of it, grey levels squared
+    window: int,  # side, pixels
+) -> np.ndarray:
     """Cramér–Rao bound of the motion of a window around each pixel, (H, W), pixels.
 
     In the direction that the texture tells least about; inf where it tells nothing.
-
-    Parameters
-    ----------
-    image : (H, W) array
-    variance : (H, W) array
-        Of the noise of a pixel of it, grey levels squared.
-    window : int
-        Side, pixels.
     """
     cv2 = opencv()
     image = np.asarray(image, np.float32)
@@ -102,8 +98,7 @@ FlowPreset = Literal["fast", "balanced", "fine"]
 """Finest level of the pyramid and rounds of refinement: what sets time and error. The least that
 finds the force as well as the others, by `benchmarks shear`, is used where none is chosen."""
 
-BLOCK_PX = 8
-"""Side of a block, of which one motion is told; as far as OpenCV's patches reach."""
+BLOCK_PX = 8  # side of a block, of which one motion is told; as far as OpenCV's patches reach
 
 _PYRAMID: dict[FlowPreset, tuple[int, int]] = {"fast": (2, 0), "balanced": (1, 0), "fine": (1, 5)}
 _WINDOW_PX = BLOCK_PX + 1  # about the middle pixel of a block, so that its mean is that pixel's
@@ -120,26 +115,13 @@ _MOST_IMAGES = 40  # that noise is learned from: more cost time and tell no more
 
 @dataclass(frozen=True)
 class FlowField:
-    """Motion of the texture from the reference image to a frame.
+    """Motion of the texture from the reference image to a frame."""
 
-    Attributes
-    ----------
-    pixel : (k,) int array
-        Flat index in the reference image, ascending.
-    moved_px : (k, 2) array
-        Motion, x to the right and y down, pixels.
-    sigma_px : (k,) array
-        Standard deviation of each component, pixels.
-    shape : (int, int)
-        Height and width of the reference image.
-    problem : str
-        Why there is little or nothing to trust, one clause; empty where there is enough.
-    """
-
-    pixel: np.ndarray
-    moved_px: np.ndarray
-    sigma_px: np.ndarray
-    shape: tuple[int, int]
+    pixel: np.ndarray  # (k,) int, flat index in the reference image, ascending
+    moved_px: np.ndarray  # (k, 2), motion, x to the right and y down, pixels
+    sigma_px: np.ndarray  # (k,), standard deviation of each component, pixels
+    shape: tuple[int, int]  # height and width of the reference image
+    # why there is little or nothing to trust, one clause; empty where there is enough
     problem: str = ""
 
     def lengths_px(self) -> np.ndarray:
@@ -187,24 +169,14 @@ class OpticalFlow:
     @classmethod
     def of(
         cls,
-        images: Iterable[np.ndarray],
+        images: Iterable[np.ndarray],  # iterable of (H, W) uint8 arrays, grey, of at least 5 frames
         preset: FlowPreset = "fast",
-        mask: np.ndarray | None = None,
+        mask: np.ndarray | None = None,  # (H, W) bool, pixels that see the membrane
     ) -> OpticalFlow:
         """Learn the reference and the noise from contact-free images.
 
-        Parameters
-        ----------
-        images : iterable of (H, W) uint8 arrays
-            Grey, of at least 5 frames.
-        preset : {"fast", "balanced", "fine"}
-        mask : (H, W) bool array, optional
-            Pixels that see the membrane.
-
-        Raises
-        ------
-        InputError
-            Too few images, sizes that differ, an unknown preset, or OpenCV is not installed.
+        Raises InputError: too few images, sizes that differ, an unknown preset, or OpenCV is not
+        installed.
         """
         if preset not in get_args(FlowPreset):
             raise InputError(
@@ -235,10 +207,7 @@ class OpticalFlow:
     def measure(self, grey: np.ndarray) -> FlowField:
         """Motion from rest to an image (H, W), uint8.
 
-        Raises
-        ------
-        InputError
-            The image is of another size.
+        Raises InputError: the image is of another size.
         """
         if grey.shape != self.shape:
             raise InputError(

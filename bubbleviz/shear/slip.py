@@ -25,74 +25,44 @@ if TYPE_CHECKING:
     from bubbleviz.shear.optical_flow import FlowField
 
 
-_FALSE_ALARMS = 0.01
-"""Share of frames without slip in which noise may look like it."""
-_LEAST_STUCK = 4
-"""Points that a rigid motion is fitted to; three would fit any."""
-_ROUNDS = 20
-"""Of weighing points anew, which settles in some ten."""
+_FALSE_ALARMS = 0.01  # share of frames without slip in which noise may look like it
+_LEAST_STUCK = 4  # points that a rigid motion is fitted to; three would fit any
+_ROUNDS = 20  # of weighing points anew, which settles in some ten
 
 
 @dataclass(frozen=True)
 class SlipStart:
-    """What `SlipFinder.find` hands from one frame to the next.
+    """What `SlipFinder.find` hands from one frame to the next."""
 
-    Attributes
-    ----------
-    point : (k,) int array
-        Of the flow's observer, ascending: those inside the patch.
-    anchor_m : (k, 3) array
-        Where each was on the object when it came into contact, in B at the moment of the first of
-        them, m.
-    covariance : (k, 3, 3) array
-        Of the anchors, m².
-    stuck : (k,) bool array
-        Those that have not slipped since.
-    """
-
-    point: np.ndarray
+    point: np.ndarray  # (k,) int, of the flow's observer, ascending: those inside the patch
+    # (k, 3), where each was on the object when it came into contact, in B at the moment of the
+    # first of them, m
     anchor_m: np.ndarray
-    covariance: np.ndarray
-    stuck: np.ndarray
+    covariance: np.ndarray  # (k, 3, 3), of the anchors, m²
+    stuck: np.ndarray  # (k,) bool, those that have not slipped since
 
 
 class SlipFinder:
-    """Finds slip in the tractions and flows of successive frames.
-
-    Parameters
-    ----------
-    observer : FlowObserver
-    mesh : MembraneMesh
-        Reference surface.
-    held_pressure_pa : float
-        Gauge pressure that a contact carries which flattens the membrane.
-    resolution_m : float
-        Width of the estimate's response to a point load, m.
-    """
+    """Finds slip in the tractions and flows of successive frames."""
 
     def __init__(
         self,
         observer: FlowObserver,
-        mesh: MembraneMesh,
+        mesh: MembraneMesh,  # reference surface
+        # gauge pressure that a contact carries which flattens the membrane
         held_pressure_pa: float,
-        resolution_m: float,
+        resolution_m: float,  # width of the estimate's response to a point load, m
     ) -> None:
         self._observer, self._edge = observer, PatchEdge(mesh)
         self._held_pa, self._resolution_m = held_pressure_pa, resolution_m
 
     def find(
-        self, traction: Traction, flow: FlowField | None, start: SlipStart | None = None
+        self,
+        traction: Traction,
+        flow: FlowField | None,  # that it was found by
+        start: SlipStart | None = None,  # of the frame before
     ) -> tuple[Slip | None, SlipStart | None]:
-        """Slip of one frame, None where too little sticks to tell; also what the next needs.
-
-        Parameters
-        ----------
-        traction : Traction
-        flow : FlowField or None
-            That it was found by.
-        start : SlipStart, optional
-            Of the frame before.
-        """
+        """Slip of one frame, None where too little sticks to tell; also what the next needs."""
         if traction.status != "ok" or flow is None:
             return None, None
         point, seen = self._inside(traction, flow)
@@ -141,22 +111,12 @@ class SlipFinder:
 
 
 class _Way(NamedTuple):
-    """Motion of points over the object, and of the object since the anchors.
+    """Motion of points over the object, and of the object since the anchors."""
 
-    Attributes
-    ----------
-    slip_m : (k, 2) array
-        Along their tangents.
-    sigmas : (k,) array
-        Its length in standard deviations.
-    turn : Rotation
-    shift_m : (3,) array
-    """
-
-    slip_m: np.ndarray
-    sigmas: np.ndarray
+    slip_m: np.ndarray  # (k, 2), along their tangents
+    sigmas: np.ndarray  # (k,), its length in standard deviations
     turn: Rotation
-    shift_m: np.ndarray
+    shift_m: np.ndarray  # (3,)
 
 
 class _Moved(NamedTuple):

@@ -34,57 +34,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TractionStart:
-    """Where one frame ended and the next may begin.
+    """Where one frame ended and the next may begin."""
 
-    Attributes
-    ----------
-    x : (n, 3) array
-        Shape, m.
-    pressure : (n,) array
-        p_c, Pa.
-    shear : (n, 3) array
-        Forces along the membrane, N.
-    gas : float
-        p_v, Pa.
-    rubber : LinearisedRubber
-        Tangent that was used last.
-    range_noise, flow_noise : float
-        By how much more than their noise ranges and flow were missed.
-    view : ShapeRanges or None
-        The depth camera's model at the last shape that was looked at, which the next is close to.
-    """
-
-    x: np.ndarray
-    pressure: np.ndarray
-    shear: np.ndarray
-    gas: float
-    rubber: LinearisedRubber
+    x: np.ndarray  # (n, 3), shape, m
+    pressure: np.ndarray  # (n,), p_c, Pa
+    shear: np.ndarray  # (n, 3), forces along the membrane, N
+    gas: float  # p_v, Pa
+    rubber: LinearisedRubber  # tangent that was used last
+    # range_noise, flow_noise: by how much more than their noise ranges and flow were missed
     range_noise: float = 1.0
     flow_noise: float = 1.0
+    # the depth camera's model at the last shape that was looked at, which the next is close to
     view: ShapeRanges | None = None
 
 
 class Look(NamedTuple):
-    """What a shape leaves unexplained, and how that changes with the shape.
-
-    Attributes
-    ----------
-    view : ShapeRanges
-    observation : Observation
-        Of the ranges.
-    range_error : (k,) array
-        Measured less modelled, of the blocks of `view`, m.
-    flow : ShapeFlow
-    flow_error : (j, 2) array
-        Measured less modelled, pixels.
-    measured : MeasuredFlow
-    """
+    """What a shape leaves unexplained, and how that changes with the shape."""
 
     view: ShapeRanges
-    observation: Observation
-    range_error: np.ndarray
+    observation: Observation  # of the ranges
+    range_error: np.ndarray  # (k,), measured less modelled, of the blocks of `view`, m
     flow: ShapeFlow
-    flow_error: np.ndarray
+    flow_error: np.ndarray  # (j, 2), measured less modelled, pixels
     measured: MeasuredFlow
 
     def measurements(self, state: TractionStart) -> Measurements:
@@ -120,16 +91,13 @@ _ALL_UNKNOWN = np.full((6, 6), np.nan)
 
 
 class TractionReport:
-    """Makes tractions of solutions, and of frames without one.
+    """Makes tractions of solutions, and of frames without one."""
 
-    Parameters
-    ----------
-    mesh : MembraneMesh
-        Reference surface.
-    membrane : RubberMembrane
-    """
-
-    def __init__(self, mesh: MembraneMesh, membrane: RubberMembrane) -> None:
+    def __init__(
+        self,
+        mesh: MembraneMesh,  # reference surface
+        membrane: RubberMembrane,
+    ) -> None:
         self._mesh, self._membrane = mesh, membrane
 
     def nothing(self, status: TractionStatus, reason: str) -> Traction:
@@ -251,8 +219,7 @@ def _center(x: np.ndarray, force: np.ndarray, vectors: np.ndarray) -> np.ndarray
 
 
 _STEPS = 12
-_SHARES = (1.0, 0.5, 0.25)
-"""Of a step that are tried until the shape explains more than before."""
+_SHARES = (1.0, 0.5, 0.25)  # of a step that are tried until the shape explains more than before
 _SEEN_SHARE = 0.5
 """Of the touched nodes that flow must be seen beside, for the rest to follow from it."""
 
@@ -307,20 +274,12 @@ class TractionEstimator:
 
     Outside the support that depth found the membrane is in equilibrium by construction. How much
     more than by their noise ranges and flow are missed decides how far each is trusted.
-
-    Parameters
-    ----------
-    estimator : RubberEstimator
-        Of the frames' depth.
-    camera : DepthCamera
-        Whose images the flow is of.
-    options : TractionOptions, optional
     """
 
     def __init__(
         self,
-        estimator: RubberEstimator,
-        camera: DepthCamera,
+        estimator: RubberEstimator,  # of the frames' depth
+        camera: DepthCamera,  # whose images the flow is of
         options: TractionOptions | None = None,
     ) -> None:
         self.mesh, self.options = estimator.mesh, options or TractionOptions()
@@ -333,27 +292,13 @@ class TractionEstimator:
 
     def estimate(
         self,
-        flow: FlowField | None,
-        gas_pressure_pa: float | None,
-        estimate: Estimate,
-        reached: RubberStart,
-        start: TractionStart | None = None,
+        flow: FlowField | None,  # of the colour image of the same moment
+        gas_pressure_pa: float | None,  # measured absolute gas pressure
+        estimate: Estimate,  # of the depth image
+        reached: RubberStart,  # that the estimator handed on with it
+        start: TractionStart | None = None,  # of the frame before
     ) -> tuple[Traction, TractionStart | None]:
-        """Traction of one frame; also what the next one starts from.
-
-        Parameters
-        ----------
-        flow : FlowField or None
-            Of the colour image of the same moment.
-        gas_pressure_pa : float or None
-            Measured absolute gas pressure.
-        estimate : Estimate
-            Of the depth image.
-        reached : RubberStart
-            That the estimator handed on with it.
-        start : TractionStart, optional
-            Of the frame before.
-        """
+        """Traction of one frame; also what the next one starts from."""
         report = self._report
         if estimate.status == "no_contact":
             return report.untouched(estimate), None

@@ -25,20 +25,12 @@ _NOTHING = 1e-4
 
 
 def within_cone(
-    H: np.ndarray, linear: np.ndarray, nodes: int, friction: float
+    H: np.ndarray,  # (c, c)
+    linear: np.ndarray,  # (c,), b
+    nodes: int,  # s: x is p (s,), q (2s,) and what is not bounded
+    friction: float,  # μ
 ) -> tuple[np.ndarray, bool]:
-    """Minimise ½ xᵀHx − bᵀx with |q| ≤ μ p at every node; and whether that was solved.
-
-    Parameters
-    ----------
-    H : (c, c) array
-    linear : (c,) array
-        b.
-    nodes : int
-        s: x is p (s,), q (2s,) and what is not bounded.
-    friction : float
-        μ.
-    """
+    """Minimise ½ xᵀHx − bᵀx with |q| ≤ μ p at every node; and whether that was solved."""
     import clarabel  # only where friction is bounded
 
     scale = 1.0 / float(H.diagonal().mean())
@@ -71,70 +63,33 @@ _DECADES = np.linspace(-8.0, 8.0, 129)
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What contact and gas may add at a support of s nodes.
+    """What contact and gas may add at a support of s nodes."""
 
-    Attributes
-    ----------
-    pressure : (s,) array
-        p, Pa.
-    shear : (2s,) array
-        q: traction along the two tangents of each node, Pa.
-    gas_error_pa : float
-        g.
-    """
-
-    pressure: np.ndarray
-    shear: np.ndarray
-    gas_error_pa: float
+    pressure: np.ndarray  # (s,), p, Pa
+    shear: np.ndarray  # (2s,), q: traction along the two tangents of each node, Pa
+    gas_error_pa: float  # g
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Ranges and flow, one after the other.
+    """Ranges and flow, one after the other."""
 
-    Attributes
-    ----------
-    jacobian : (k, 3n) sparse array
-    error : (k,) array
-        m, then pixels.
-    weight : (k,) array
-        1/σ².
-    """
-
-    jacobian: sparse.csr_array
-    error: np.ndarray
-    weight: np.ndarray
+    jacobian: sparse.csr_array  # (k, 3n) sparse
+    error: np.ndarray  # (k,), m, then pixels
+    weight: np.ndarray  # (k,), 1/σ²
 
 
 @dataclass(frozen=True)
 class SolvedTraction:
-    """Solution of a problem.
-
-    Attributes
-    ----------
-    unknowns : Unknowns
-    motion : (n, 3) array
-        To first order, m.
-    factor : tuple
-        Cholesky factor of the Hessian of the columns `active`.
-    active : (c,) int array
-        Of p, q and g one after the other, those that are free.
-    columns : (3n, c) array
-        Motions under unit p, q and g.
-    measurements : Measurements
-        That were explained.
-    seen : (k, c) array
-        The columns in the measurements, in standard deviations.
-    converged : bool
-    """
+    """Solution of a problem."""
 
     unknowns: Unknowns
-    motion: np.ndarray
-    factor: tuple[np.ndarray, bool]
-    active: np.ndarray
-    columns: np.ndarray
-    measurements: Measurements
-    seen: np.ndarray
+    motion: np.ndarray  # (n, 3), to first order, m
+    factor: tuple[np.ndarray, bool]  # Cholesky factor of the Hessian of the columns `active`
+    active: np.ndarray  # (c,) int, of p, q and g one after the other, those that are free
+    columns: np.ndarray  # (3n, c), motions under unit p, q and g
+    measurements: Measurements  # that were explained
+    seen: np.ndarray  # (k, c), the columns in the measurements, in standard deviations
     converged: bool
 
     def answer(self, motions: np.ndarray) -> np.ndarray:
@@ -147,30 +102,17 @@ class SolvedTraction:
 
 
 class TractionProblem:
-    """The problem of one frame around one shape.
-
-    Parameters
-    ----------
-    columns : (3n, c) array
-        Motions under unit p, q and, where it is measured, gas pressure, in this order.
-    relaxing : (n, 3) array
-        δ: motion to equilibrium under the present traction, m.
-    measurements : Measurements
-    smoothness : (s, s) array
-        λ L on the support, 1/Pa².
-    present : Unknowns
-    gas_sigma_pa : float or None
-        None where the gas pressure follows from the volume.
-    """
+    """The problem of one frame around one shape."""
 
     def __init__(
         self,
+        # (3n, c), motions under unit p, q and, where it is measured, gas pressure, in this order
         columns: np.ndarray,
-        relaxing: np.ndarray,
+        relaxing: np.ndarray,  # (n, 3), δ: motion to equilibrium under the present traction, m
         measurements: Measurements,
-        smoothness: np.ndarray,
+        smoothness: np.ndarray,  # (s, s), λ L on the support, 1/Pa²
         present: Unknowns,
-        gas_sigma_pa: float | None,
+        gas_sigma_pa: float | None,  # None where the gas pressure follows from the volume
     ) -> None:
         self._columns, self._relaxing, self._smoothness = columns, relaxing, smoothness
         self._size, self._measurements = len(smoothness), measurements
@@ -191,14 +133,11 @@ class TractionProblem:
         self._shear = np.arange(s, 3 * s)
         self._shear_smoothness = np.kron(smoothness, np.eye(2))
 
-    def solve(self, friction: float | None = None) -> SolvedTraction:
-        """Likeliest traction.
-
-        Parameters
-        ----------
-        friction : float, optional
-            Bound μ of the tangential over the normal traction.
-        """
+    def solve(
+        self,
+        friction: float | None = None,  # bound μ of the tangential over the normal traction
+    ) -> SolvedTraction:
+        """Likeliest traction."""
         s = self._size
         weight = self._likeliest_weight()
         H = self._data + self._prior
