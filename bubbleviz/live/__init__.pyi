@@ -20,7 +20,7 @@ from .live_stream import (
     Status as Status,
     status_of as status_of,
 )
-from .open_stream import (
+from .opening import (
     LiveSensor as LiveSensor,
     LiveSession as LiveSession,
     SensorPlace as SensorPlace,

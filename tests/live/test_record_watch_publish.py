@@ -134,7 +134,7 @@ def test_images_of_another_camera_are_refused_in_one_line(tmp_path: Path) -> Non
 def test_nothing_arrived_is_said_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bubbleviz.live.open_stream.FIRST_MESSAGE_S", 0.3)
+    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
     record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
     watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
@@ -325,7 +325,7 @@ def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
         done = run("record", "--source", source, "--out", str(out), "--duration", "0.3")
         assert done.exit_code == 0, done.output
         assert info(out).frames > 0
-        monkeypatch.setattr("bubbleviz.live.open_stream.FIRST_MESSAGE_S", 2.0)
+        monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 2.0)
         auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
         for options, why in (
             (f"login={login}", "refused: the certificate of localhost is not signed by"),
