@@ -287,8 +287,9 @@ class GaussNewton:
         How much more or less than the noise is left decides how far the image is trusted, but
         whether there is contact is decided by no less than the noise of the sensor. The first step
         to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
-        nodes are looked at that pull most. The frame is solved until noise and answer agree: they
-        do not hang on the frames before.
+        nodes are looked at that pull most. From then on every step to an equilibrium tells it
+        again, and the frame is solved where noise and answer agree: they do not hang on the frames
+        before.
 
         Parameters
         ----------
@@ -331,12 +332,14 @@ class GaussNewton:
                 stands = self._was_linear(step, sight, ahead)
             done = stands and ((selecting and step.contact.complete) or chosen > _SELECTIONS)
             guessed = step.balanced and not known and not self._contradicts(state.gas, measured_gas)
-            if done or guessed:
+            if done or guessed or (step.balanced and known and not far):
                 found = self._noise_left(step, sight, noise)
                 if done and _settled(found, noise, noises):
                     return self._answer(step, sight, measured_gas, noise, solve_ms)
-                noises.append(noise if done else np.inf)
-                noise, chosen, steps = found, 0, 0
+                if done or guessed:
+                    noises.append(noise if done else np.inf)
+                    chosen, steps = 0, 0
+                noise = found
             if stands:
                 selecting, chosen = True, chosen + 1
             elif far_steps == _FAR_STEPS:
@@ -591,10 +594,17 @@ def _variance(step: Step, force: np.ndarray) -> np.ndarray:
 def _settled(found: float, noise: float, before: list[float]) -> bool:
     """Whether a frame is solved that was solved with one noise and leaves another one.
 
-    Two may follow each other for ever, each with its own support: the larger one stays.
+    A step of them apart is the same noise: two standard deviations. Two that are further apart may
+    follow each other for ever, each with its own support: the larger one stays.
     """
+    same = found == noise or (min(found, noise) >= 1.0 and abs(_steps_from_1(found / noise)) <= 1)
     alternate = found < noise and found in before
-    return found == noise or alternate or len(before) + 1 >= _NOISES
+    return same or alternate or len(before) + 1 >= _NOISES
+
+
+def _steps_from_1(noise: float) -> int:
+    """Steps of `_NOISE_STEP` nearest to a noise."""
+    return round(log(noise) / log(_NOISE_STEP))
 
 
 def _stepped(noise: float) -> float:

@@ -126,7 +126,7 @@ def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
     """Contacts of two to nine nodes, whose images fit no shape to the noise.
 
     While the press is loaded the camera's filter mixes images, and two amplitudes of friction fit
-    nearly as well: the part along the normals hangs less on the frames before than the whole force.
+    nearly as well: one of the frames, 65, still hangs on those before it.
     """
     with Recording(punyo_press) as recording:
         frames = [recording[k] for k in range(60, 71)]
@@ -138,9 +138,9 @@ def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
         alone.append(pipeline.process(frame, PATCH))
     assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
     for value, median, most in (
-        (normal_of, 0.025, 0.06),
-        (force_of, 0.05, 0.15),
-        (area_of, 0.1, 0.4),
+        (normal_of, 0.015, 0.08),
+        (force_of, 0.01, 0.15),
+        (area_of, 0.06, 0.4),
     ):
         change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]
         assert np.median(change) < median
