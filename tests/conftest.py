@@ -1,14 +1,11 @@
 """What tests of every part share."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -44,7 +41,7 @@ After them come the other windows, and last the rooms without.
 """
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Order the files for `--dist loadfile`, which hands them out in this order."""
     items.sort(key=_turn)
     if "TEST_ALL" not in os.environ:
@@ -53,7 +50,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="make test-all runs it"))
 
 
-def _turn(item: pytest.Item) -> int:
+def _turn(item):
     room = item.path.parent.relative_to(REPOSITORY / "tests").as_posix()
     if room in LONG:
         return LONG.index(room)
@@ -61,7 +58,7 @@ def _turn(item: pytest.Item) -> int:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _temporary_files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def _temporary_files(tmp_path_factory):
     """What the tests and their processes leave in the temporary folder goes with pytest's own."""
     folder = str(tmp_path_factory.mktemp("temporary"))
     before, tempfile.tempdir = tempfile.tempdir, folder
@@ -71,18 +68,18 @@ def _temporary_files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 
 
 @pytest.fixture(scope="session")
-def punyo_press() -> Path:
+def punyo_press():
     """The real recording of a press, where this machine has it."""
     return _real_recording("punyo_press_a")
 
 
 @pytest.fixture(scope="session")
-def punyo_press_colour() -> Path:
+def punyo_press_colour():
     """The same press with what the colour camera saw from frame 45 on."""
     return _real_recording("punyo_press_a_color")
 
 
-def _real_recording(name: str) -> Path:
+def _real_recording(name):
     path = REPOSITORY.parent / "shared" / "data" / name
     if not path.is_dir():
         pytest.skip(f"the real recording {name} is not on this machine")
@@ -90,7 +87,7 @@ def _real_recording(name: str) -> Path:
 
 
 @pytest.fixture
-def certificates(tmp_path: Path) -> Path:
+def certificates(tmp_path):
     """A folder with certificates of two authorities, one of localhost with its key, and logins."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl, which makes the certificates, is not on this machine")
@@ -114,10 +111,10 @@ def certificates(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def eventually() -> Callable[[Callable[[], object]], None]:
+def eventually():
     """Wait for something to come true; the limit is for broken code only."""
 
-    def wait(condition: Callable[[], object], limit_s: float = 240.0) -> None:
+    def wait(condition, limit_s=240.0):
         deadline = time.monotonic() + limit_s
         while not condition():
             assert time.monotonic() < deadline, "it never came true"

@@ -1,9 +1,5 @@
 """A small sensor and short recordings of a cylinder pressed into it, quick to solve."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 from bubbleviz.api.simulating import write_simulation
 from bubbleviz.files import parse_pose
 from bubbleviz.rigid_object import load_object
@@ -14,7 +10,7 @@ HEIGHTS = (0.060, 0.044, 0.042, 0.042, 0.060)
 """Of the cylinder's flat end above the rim: clear of the dome (50 mm), pressed in, and clear."""
 
 
-def write_small_sensor(path: Path) -> Path:
+def write_small_sensor(path):
     """The pico flexx preset with a coarse mesh and a quarter of the pixels a side."""
     sensor = load_sensor("pico_flexx_75mm")
     own = sensor.camera
@@ -29,18 +25,14 @@ def write_small_sensor(path: Path) -> Path:
     return path
 
 
-def small_source(
-    sensor: Path, heights: tuple[float, ...] = HEIGHTS, seed: int = 0
-) -> SyntheticSource:
+def small_source(sensor, heights=HEIGHTS, seed=0):
     """The presses as a source, with the truth behind them."""
     poses = [parse_pose(f"0.005 0 {height} 0 0 0 1") for height in heights]
     noise = DepthNoise(relative=0.002)
     return SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, noise, seed=seed)  # type: ignore[arg-type]
 
 
-def write_press(
-    path: Path, sensor: Path, heights: tuple[float, ...] = HEIGHTS, seed: int = 0
-) -> Path:
+def write_press(path, sensor, heights=HEIGHTS, seed=0):
     """A recording of the presses."""
     write_simulation(small_source(sensor, heights, seed), path)
     return path

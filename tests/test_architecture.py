@@ -3,13 +3,10 @@
 And the tests: they look at what is public, and wait for conditions.
 """
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -26,7 +23,7 @@ PUBLIC_AFTER_ALL = {"_replace", "_asdict", "_fields", "_exit"}
 """Documented, of named tuples and `os`."""
 
 
-def name_of(file: Path) -> str:
+def name_of(file):
     """Import name of a module."""
     package = next(package for package in PACKAGES if file.is_relative_to(package))
     parts = file.relative_to(package.parent).with_suffix("").parts
@@ -36,7 +33,7 @@ def name_of(file: Path) -> str:
 MODULES = {name_of(file): file for file in FILES}
 
 
-def imported(node: ast.AST) -> Iterator[str]:
+def imported(node):
     """Modules that are imported at run time below a node, inside functions too."""
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return
@@ -53,12 +50,12 @@ def imported(node: ast.AST) -> Iterator[str]:
 
 
 @cache
-def imports() -> dict[str, set[str]]:
+def imports():
     """What each module imports."""
     return {name: set(imported(ast.parse(file.read_text()))) for name, file in MODULES.items()}
 
 
-def test_no_module_imports_itself_through_others() -> None:
+def test_no_module_imports_itself_through_others():
     graph = {name: targets & MODULES.keys() - {name} for name, targets in imports().items()}
     try:
         TopologicalSorter(graph).prepare()
@@ -66,7 +63,7 @@ def test_no_module_imports_itself_through_others() -> None:
         pytest.fail(" → ".join(error.args[1]))
 
 
-def test_rooms_and_packages_import_what_their_contracts_allow() -> None:
+def test_rooms_and_packages_import_what_their_contracts_allow():
     """The contracts in pyproject.toml: layers, no Qt in the backend, no numerics in the window."""
     found = subprocess.run(
         [
@@ -86,7 +83,7 @@ def test_rooms_and_packages_import_what_their_contracts_allow() -> None:
     assert found.returncode == 0, found.stdout
 
 
-def private(name: str) -> bool:
+def private(name):
     """Whether a dotted name goes through something private."""
     return any(
         part.startswith("_") and not part.endswith("__") and part not in PUBLIC_AFTER_ALL
@@ -94,7 +91,7 @@ def private(name: str) -> bool:
     )
 
 
-def private_names(node: ast.AST) -> list[str]:
+def private_names(node):
     """Private names of others that a piece of code uses, by attribute, import or text."""
     if isinstance(node, ast.Attribute):
         own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
@@ -107,7 +104,7 @@ def private_names(node: ast.AST) -> list[str]:
     return []
 
 
-def called(node: ast.Call) -> str:
+def called(node):
     """Name of the function that is called, without what it belongs to."""
     return ast.unparse(node.func).split(".")[-1]
 
@@ -115,7 +112,7 @@ def called(node: ast.Call) -> str:
 TESTS = sorted((REPOSITORY / "tests").rglob("*.py"))
 
 
-def test_tests_use_nothing_private() -> None:
+def test_tests_use_nothing_private():
     found = [
         f"{file.relative_to(REPOSITORY)}:{node.lineno}: {name}"
         for file in TESTS
@@ -125,7 +122,7 @@ def test_tests_use_nothing_private() -> None:
     assert not found
 
 
-def test_tests_wait_for_conditions_and_never_for_a_time() -> None:
+def test_tests_wait_for_conditions_and_never_for_a_time():
     """Helpers may sleep: a slow source, a robot with a rate, what looks again and again."""
     found = [
         f"{file.relative_to(REPOSITORY)}:{node.lineno}"
@@ -141,7 +138,7 @@ def test_tests_wait_for_conditions_and_never_for_a_time() -> None:
     assert not found
 
 
-def late_imports(file: Path) -> Iterator[tuple[int, int]]:
+def late_imports(file):
     """First and last line of each run of imports inside a function."""
     for function in ast.walk(ast.parse(file.read_text())):
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -156,7 +153,7 @@ def late_imports(file: Path) -> Iterator[tuple[int, int]]:
             yield from dict(lines).items()
 
 
-def test_an_import_inside_a_function_says_why() -> None:
+def test_an_import_inside_a_function_says_why():
     """Which start it makes faster, or which extra it leaves out: beside it, or for the module."""
     silent = []
     for file in FILES:

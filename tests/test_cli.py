@@ -1,12 +1,9 @@
 """The command line: help without heavy imports, errors on one line."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 from importlib.metadata import EntryPoints
-from pathlib import Path
 
 import click
 import numpy as np
@@ -16,7 +13,7 @@ from click.testing import CliRunner
 from benchmarks.window.__main__ import bench
 from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.live import LiveSession, SessionPreset
+from bubbleviz.live import LiveSession
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.sensor import Sensor
 
@@ -34,7 +31,7 @@ HEAVY = (
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
+def recording(tmp_path):
     path = tmp_path / "rec.mcap"
     with RecordingWriter(path) as writer:
         for k in range(3):
@@ -42,7 +39,7 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_help_imports_nothing_heavy() -> None:
+def test_help_imports_nothing_heavy():
     code = (
         "import sys; from bubbleviz.cli.command_line import main\n"
         "main(['--help'], standalone_mode=False); "
@@ -53,7 +50,7 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stdout.rstrip().endswith("LOADED []")
 
 
-def test_every_command_has_help() -> None:
+def test_every_command_has_help():
     names = main.list_commands(click.Context(main))
     assert {"open", "window"} < set(names)
     for name in names:
@@ -62,7 +59,7 @@ def test_every_command_has_help() -> None:
         assert "Usage:" in done.stdout
 
 
-def loaded_after_help(which: str) -> str:
+def loaded_after_help(which):
     """What is imported of what is heavy, and of the window, after the help of some commands."""
     code = (
         "import click, sys; from bubbleviz.cli.command_line import main\n"
@@ -73,11 +70,11 @@ def loaded_after_help(which: str) -> str:
     return done.stdout.splitlines()[-1]
 
 
-def test_the_window_is_not_imported_by_commands_without_one() -> None:
+def test_the_window_is_not_imported_by_commands_without_one():
     assert loaded_after_help("main.commands") == "LOADED []"
 
 
-def test_the_windows_commands_have_help_without_qt() -> None:
+def test_the_windows_commands_have_help_without_qt():
     every = "main.list_commands(click.Context(main))"
     assert loaded_after_help(every) == "LOADED ['bubbleviz_ui']"
 
@@ -86,9 +83,7 @@ INSTALL = '[window]"'
 
 
 @pytest.mark.parametrize("words", [[], ["open", "x.mcap"]])
-def test_without_the_window_one_line_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, words: list[str]
-) -> None:
+def test_without_the_window_one_line_says_what_to_install(monkeypatch, words):
     none = EntryPoints([])
     monkeypatch.setattr("bubbleviz.cli.command_line.entry_points", lambda **_: none)
     done = CliRunner().invoke(main, words, prog_name="bubbleviz")
@@ -97,7 +92,7 @@ def test_without_the_window_one_line_says_what_to_install(
 
 
 @pytest.mark.parametrize("library", ["PySide6", "pyvistaqt"])
-def test_without_a_library_of_the_window_one_line_says_what_to_install(library: str) -> None:
+def test_without_a_library_of_the_window_one_line_says_what_to_install(library):
     code = (
         f"import sys; sys.modules[{library!r}] = None\n"
         "from bubbleviz.cli.command_line import main; main(['--fresh'])"
@@ -107,7 +102,7 @@ def test_without_a_library_of_the_window_one_line_says_what_to_install(library: 
     assert library in done.stderr and INSTALL in done.stderr
 
 
-def test_info(recording: Path) -> None:
+def test_info(recording):
     done = CliRunner().invoke(main, ["info", str(recording)])
     assert done.exit_code == 0
     assert "3 in 0.067 s, 30.00 Hz" in done.stdout
@@ -124,9 +119,7 @@ def test_info(recording: Path) -> None:
         (["fly"], "No such command 'fly'; see bubbleviz --help"),
     ],
 )
-def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(
-    arguments: list[str], words: str
-) -> None:
+def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(arguments, words):
     done = CliRunner().invoke(main, arguments, prog_name="bubbleviz")
     assert done.exit_code == 2
     assert done.stdout == ""
@@ -135,8 +128,8 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(
     assert done.stderr.count("\n") == 1
 
 
-def test_a_truncated_recording_through_the_real_command(recording: Path) -> None:
-    def told(kept: bytes) -> subprocess.CompletedProcess[str]:
+def test_a_truncated_recording_through_the_real_command(recording):
+    def told(kept):
         recording.write_bytes(kept)
         return subprocess.run(
             [*command, "info", str(recording)], capture_output=True, text=True, check=False
@@ -160,13 +153,13 @@ def test_a_truncated_recording_through_the_real_command(recording: Path) -> None
         (click.BadParameter("must be odd"), 2, "must be odd"),
     ],
 )
-def test_errors_of_commands(error: BaseException, code: int, line: str) -> None:
+def test_errors_of_commands(error, code, line):
     @click.group(cls=OneLineErrors)
-    def group() -> None:
+    def group():
         pass
 
     @group.command()
-    def fail() -> None:
+    def fail():
         raise error
 
     done = CliRunner().invoke(group, ["fail"])
@@ -179,7 +172,7 @@ def test_errors_of_commands(error: BaseException, code: int, line: str) -> None:
 
 
 @pytest.fixture
-def pico_recording(tmp_path: Path) -> Path:
+def pico_recording(tmp_path):
     """Recording with images of the size that one preset's camera has."""
     path = tmp_path / "pico.mcap"
     with RecordingWriter(path) as writer:
@@ -188,21 +181,15 @@ def pico_recording(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ...]]]:
+def windows(monkeypatch):
     """What the commands ask of the window and its benchmark, in place of doing it."""
     import benchmarks.window.replay_rate
     import bubbleviz_ui.app
 
     asked: list[tuple[str, tuple[object, ...]]] = []
 
-    def record(name: str, answer: object) -> object:
-        def asking(
-            sensor: Sensor,
-            *rest: object,
-            fresh: bool = False,
-            truth: Path | None = None,
-            overwrite: bool = False,
-        ) -> object:
+    def record(name, answer):
+        def asking(sensor, *rest, fresh=False, truth=None, overwrite=False):
             words = (*(("fresh",) if fresh else ()), *((truth,) if truth is not None else ()))
             asked.append((name, (sensor.name, *rest, *words)))
             return answer
@@ -219,27 +206,25 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[object, ..
 Asked = list[tuple[str, tuple[object, ...]]]
 
 
-def test_without_a_command_the_synthetic_sensor(windows: Asked) -> None:
+def test_without_a_command_the_synthetic_sensor(windows):
     assert CliRunner().invoke(main, []).exit_code == 0
     assert CliRunner().invoke(main, ["--fresh"]).exit_code == 0
     name = "soft-bubble pico flexx"
     assert windows == [("window", (name,)), ("window", (name, "fresh"))]
 
 
-def test_the_windows_exit_code_is_the_commands(
-    windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
-) -> None:
+def test_the_windows_exit_code_is_the_commands(windows, monkeypatch, pico_recording):
     monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
     assert CliRunner().invoke(main, []).exit_code == 3
     assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
 
 
 def test_open_takes_a_delay_of_colour_for_a_recording_and_a_live_source(
-    windows: Asked, monkeypatch: pytest.MonkeyPatch, pico_recording: Path
-) -> None:
+    windows, monkeypatch, pico_recording
+):
     opened: list[Sensor] = []
 
-    def window(sensor: Sensor, *_: object, live: SessionPreset | None = None, **__: object) -> int:
+    def window(sensor, *_, live=None, **__):
         opened.append(sensor if live is None else LiveSession(live).sensors[0].sensor)
         return 0
 
@@ -254,9 +239,7 @@ def test_open_takes_a_delay_of_colour_for_a_recording_and_a_live_source(
     assert refused.exit_code == 2 and "session file" in refused.output
 
 
-def test_open_chooses_the_preset_that_fits_and_says_so(
-    windows: Asked, pico_recording: Path
-) -> None:
+def test_open_chooses_the_preset_that_fits_and_says_so(windows, pico_recording):
     done = CliRunner().invoke(main, ["open", str(pico_recording)])
     assert done.exit_code == 0
     assert "pico_flexx_75mm" in done.stdout
@@ -265,9 +248,7 @@ def test_open_chooses_the_preset_that_fits_and_says_so(
     assert windows == [("window", asked), ("window", (*asked, "fresh"))]
 
 
-def test_open_at_a_frame_and_screenshot(
-    windows: Asked, pico_recording: Path, tmp_path: Path
-) -> None:
+def test_open_at_a_frame_and_screenshot(windows, pico_recording, tmp_path):
     words = ["open", str(pico_recording), "--sensor", "pico_flexx_75mm", "--frame", "7"]
     assert CliRunner().invoke(main, words).exit_code == 0
     out = tmp_path / "out.png"
@@ -281,8 +262,8 @@ def test_open_at_a_frame_and_screenshot(
 
 
 def test_open_hands_scene_and_truth_to_the_window_and_the_picture(
-    windows: Asked, pico_recording: Path, tmp_path: Path
-) -> None:
+    windows, pico_recording, tmp_path
+):
     from bubbleviz_ui.model.scene_presets import load_scene
 
     truth = tmp_path / "truth.npz"
@@ -298,9 +279,7 @@ def test_open_hands_scene_and_truth_to_the_window_and_the_picture(
         windows.clear()
 
 
-def test_screenshot_onto_an_existing_file_is_refused_at_once(
-    windows: Asked, pico_recording: Path, tmp_path: Path
-) -> None:
+def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recording, tmp_path):
     out = tmp_path / "out.png"
     out.write_text("precious")
     done = CliRunner().invoke(main, ["open", str(pico_recording), "--screenshot", str(out)])
@@ -309,7 +288,7 @@ def test_screenshot_onto_an_existing_file_is_refused_at_once(
     assert not windows
 
 
-def test_bench_window(windows: Asked, pico_recording: Path) -> None:
+def test_bench_window(windows, pico_recording):
     words = ["window", str(pico_recording), "--seconds", "2", "--json"]
     done = CliRunner().invoke(bench, words)
     assert json.loads(done.stdout) == {"median_fps": 31.25, "solve_ms": None}
@@ -328,7 +307,7 @@ def test_bench_window(windows: Asked, pico_recording: Path) -> None:
         (["window", "--synthetic", "--seconds", "0"], "--seconds"),
     ],
 )
-def test_wrong_usage_of_the_benchmark(windows: Asked, words: list[str], told: str) -> None:
+def test_wrong_usage_of_the_benchmark(windows, words, told):
     done = CliRunner().invoke(bench, words)
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert told in done.stderr
@@ -345,7 +324,7 @@ def test_wrong_usage_of_the_benchmark(windows: Asked, words: list[str], told: st
         (["open", "x.mcap", "--frame", "-1"], "--frame"),
     ],
 )
-def test_wrong_usage_of_the_windows_commands(windows: Asked, words: list[str], told: str) -> None:
+def test_wrong_usage_of_the_windows_commands(windows, words, told):
     done = CliRunner().invoke(main, words, prog_name="bubbleviz")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert told in done.stderr

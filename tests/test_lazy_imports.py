@@ -1,7 +1,5 @@
 """What other packages load for nothing is left out, and is there when it is asked for."""
 
-from __future__ import annotations
-
 import importlib.util
 import subprocess
 import sys
@@ -9,7 +7,7 @@ import sys
 import pytest
 
 
-def printed(code: str, *arguments: str) -> list[str]:
+def printed(code, *arguments):
     """Words that code prints in a process of its own."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
@@ -55,14 +53,12 @@ print({heavy!r} in sys.modules)
         ),
     ],
 )  # fmt: skip
-def test_a_part_is_loaded_when_it_is_used(
-    package: str, part: str, heavy: str, first: str, then: str
-) -> None:
+def test_a_part_is_loaded_when_it_is_used(package, part, heavy, first, then):
     code = CODE.format(package=package, part=part, heavy=heavy, first=first, then=then)
     assert printed(code) == ["False", "True"]
 
 
-def test_a_package_is_loaded_when_something_of_it_is_used() -> None:
+def test_a_package_is_loaded_when_something_of_it_is_used():
     code = (
         "import sys; from bubbleviz.lazy_imports import import_later; import_later('pooch')\n"
         "import pyvista; print('pooch.core' in sys.modules)\n"
@@ -74,7 +70,7 @@ def test_a_package_is_loaded_when_something_of_it_is_used() -> None:
     assert printed(code) == ["False", "True"]
 
 
-def test_the_window_starts_without_what_its_first_picture_does_not_need() -> None:
+def test_the_window_starts_without_what_its_first_picture_does_not_need():
     code = (
         "import sys; from bubbleviz_ui.startup_imports import import_the_window\n"
         "import_the_window()\n"
@@ -96,7 +92,7 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need() -> Non
     assert printed(code, *unneeded) == ["[]"]
 
 
-def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None:
+def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made():
     code = (
         "import sys; from bubbleviz.lazy_imports import import_without, made_later\n"
         "import_without('matplotlib', 'pyplot')\n"
@@ -110,7 +106,7 @@ def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made() -> None
     assert printed(code) == ["False", "True", "matplotlib.backends.backend_agg"]
 
 
-def test_what_is_imported_meanwhile_stays_and_garbage_is_collected_again() -> None:
+def test_what_is_imported_meanwhile_stays_and_garbage_is_collected_again():
     code = (
         "import gc; from bubbleviz.lazy_imports import everything_stays\n"
         "with everything_stays(): import fractions; print(gc.isenabled())\n"
@@ -123,7 +119,7 @@ def test_what_is_imported_meanwhile_stays_and_garbage_is_collected_again() -> No
     assert printed(code) == ["False", "True", "True", "None"]
 
 
-def test_a_package_that_is_not_there_leaves_nothing() -> None:
+def test_a_package_that_is_not_there_leaves_nothing():
     code = (
         "import sys; from bubbleviz.lazy_imports import import_without\n"
         "try: import_without('no_such_package', 'part')\n"
@@ -132,7 +128,7 @@ def test_a_package_that_is_not_there_leaves_nothing() -> None:
     assert printed(code) == ["[]"]
 
 
-def test_an_import_that_another_thread_disturbs_is_repeated() -> None:
+def test_an_import_that_another_thread_disturbs_is_repeated():
     """Open3D goes through all modules; the name of one adds another meanwhile, as a thread may."""
     code = (
         "import sys, types\n"

@@ -1,7 +1,5 @@
 """The pipeline: the products asked for decide which stages run, and nothing else does."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from dataclasses import fields
@@ -11,12 +9,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from bubbleviz.camera import Measured, RangeObserver
+from bubbleviz.camera import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import ActiveSetSolver
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.recordings import Frame
-from bubbleviz.result import Estimate, Result
 from bubbleviz.shear import FlowField
 
 sys.path.insert(0, str(Path(__file__).parent / "ui"))
@@ -26,16 +23,16 @@ FREE, PRESSED = 0, FRAMES - 1
 
 
 @pytest.fixture(scope="module")
-def source() -> DentSource:
+def source():
     return DentSource(small_sensor())
 
 
 @pytest.fixture
-def pipeline() -> Pipeline:
+def pipeline():
     return Pipeline.of(small_sensor())
 
 
-def made(result: Result) -> set[str]:
+def made(result):
     """Names of the fields of a result that hold something."""
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     return {name for name, value in values.items() if value is not None} - {"frame", "times_ms"}
@@ -65,13 +62,7 @@ def made(result: Result) -> set[str]:
         ),
     ],
 )
-def test_products_run_the_stages_they_need_and_no_other(
-    pipeline: Pipeline,
-    source: DentSource,
-    products: tuple[Product, ...],
-    stages: set[str],
-    holds: set[str],
-) -> None:
+def test_products_run_the_stages_they_need_and_no_other(pipeline, source, products, stages, holds):
     result = pipeline.process(source[PRESSED], frozenset(products))
     assert dict(pipeline.counts) == dict.fromkeys(stages | {"total"}, 1)
     assert set(result.times_ms) == stages | {"total"}
@@ -80,9 +71,7 @@ def test_products_run_the_stages_they_need_and_no_other(
         assert (result.patch.pixel_mask is not None) == ("pixel_mask" in products)
 
 
-def test_a_pipeline_that_nobody_asks_to_estimate_builds_no_solver(
-    pipeline: Pipeline, source: DentSource, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pipeline_that_nobody_asks_to_estimate_builds_no_solver(pipeline, source, monkeypatch):
     monkeypatch.setattr("bubbleviz.pipeline.Estimator", lambda *_: pytest.fail("built"))
     result = pipeline.process(source[PRESSED], frozenset({"cloud"}))
     assert result.cloud_m is not None
@@ -90,9 +79,7 @@ def test_a_pipeline_that_nobody_asks_to_estimate_builds_no_solver(
 
 
 @pytest.mark.parametrize("most", [50, 90, 130, 333, 700])
-def test_a_smaller_cloud_is_spread_evenly(
-    pipeline: Pipeline, source: DentSource, most: int
-) -> None:
+def test_a_smaller_cloud_is_spread_evenly(pipeline, source, most):
     frame = source[PRESSED]
     result = pipeline.process(frame, frozenset({"cloud"}), FrameOptions(cloud_points=most))
     assert result.cloud_pixels is not None and len(result.cloud_pixels) <= most
@@ -103,7 +90,7 @@ def test_a_smaller_cloud_is_spread_evenly(
     assert distance_transform_edt(left_out)[seen].max() <= 1.5 * np.sqrt(period) + 1.0
 
 
-def test_kappa_thresholds_again_without_solving(pipeline: Pipeline, source: DentSource) -> None:
+def test_kappa_thresholds_again_without_solving(pipeline, source):
     estimate = pipeline.process(source[PRESSED], frozenset({"patch"})).estimate
     assert estimate is not None
     areas = []
@@ -113,9 +100,7 @@ def test_kappa_thresholds_again_without_solving(pipeline: Pipeline, source: Dent
     assert pipeline.counts["estimate"] == 1
 
 
-def test_a_contact_free_frame_solves_no_qp(
-    pipeline: Pipeline, source: DentSource, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_contact_free_frame_solves_no_qp(pipeline, source, monkeypatch):
     """No contact, no QP: its solver is not even called."""
     calls = []
     select = ActiveSetSolver.select
@@ -130,7 +115,7 @@ def test_a_contact_free_frame_solves_no_qp(
     assert calls  # else the test looks at the wrong solver
 
 
-def test_the_dent_is_found_where_it_is(pipeline: Pipeline, source: DentSource) -> None:
+def test_the_dent_is_found_where_it_is(pipeline, source):
     patch = pipeline.process(source[PRESSED], frozenset({"pixel_mask"})).patch
     assert patch is not None
     assert np.hypot(*(patch.center_of_pressure_m[:2] - [0.02, 0.0])) < 5e-3
@@ -142,7 +127,7 @@ def test_the_dent_is_found_where_it_is(pipeline: Pipeline, source: DentSource) -
     assert abs(rows.mean() - 29.5) < 4.0
 
 
-def test_an_empty_frame_between_presses(pipeline: Pipeline, source: DentSource) -> None:
+def test_an_empty_frame_between_presses(pipeline, source):
     first = pipeline.process(source[PRESSED], frozenset({"patch"}))
     nothing = Frame(1, 0.0, np.full_like(source[PRESSED].depth_m, np.nan))
     empty = pipeline.process(nothing, frozenset({"pixel_mask", "residual"}))
@@ -154,12 +139,10 @@ def test_an_empty_frame_between_presses(pipeline: Pipeline, source: DentSource) 
     np.testing.assert_allclose(again.patch.force_n, first.patch.force_n, rtol=0.02, atol=0.02)
 
 
-def test_a_frame_estimated_aside_leaves_the_next_one_alone(
-    pipeline: Pipeline, source: DentSource
-) -> None:
+def test_a_frame_estimated_aside_leaves_the_next_one_alone(pipeline, source):
     wanted: frozenset[Product] = frozenset({"estimate"})
 
-    def solved(index: int) -> Estimate:
+    def solved(index):
         estimate = pipeline.process(source[index], wanted).estimate
         assert estimate is not None
         return estimate
@@ -177,7 +160,7 @@ def test_a_frame_estimated_aside_leaves_the_next_one_alone(
     assert np.any(solved(PRESSED).displacement_m != then.displacement_m)  # else it is not warm
 
 
-def test_a_pipeline_settles_whatever_it_did_before(source: DentSource) -> None:
+def test_a_pipeline_settles_whatever_it_did_before(source):
     wanted, areas = frozenset[Product]({"patch"}), []
     for before in ((), (FREE,), range(PRESSED - 4, PRESSED)):
         pipeline = Pipeline.of(small_sensor())
@@ -190,24 +173,22 @@ def test_a_pipeline_settles_whatever_it_did_before(source: DentSource) -> None:
     assert areas[0] == areas[1] == areas[2] > 0.0
 
 
-def test_another_image_size_is_refused(pipeline: Pipeline) -> None:
+def test_another_image_size_is_refused(pipeline):
     frame = Frame(3, 0.0, np.full((10, 20), 0.1, np.float32))
     with pytest.raises(InputError, match=r"frame 3: image is 20×10 pixels .* 80×60"):
         pipeline.process(frame, frozenset({"estimate"}))
     assert not pipeline.counts
 
 
-def test_flow_is_found_while_the_estimate_is(
-    pipeline: Pipeline, source: DentSource, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flow_is_found_while_the_estimate_is(pipeline, source, monkeypatch):
     begun, measure = threading.Event(), RangeObserver.measure
     found = FlowField(np.zeros(1, int), np.zeros((1, 2)), np.ones(1), (2, 2))
 
-    def measured_after(observer: RangeObserver, depth_m: np.ndarray) -> Measured:
+    def measured_after(observer, depth_m):
         assert begun.wait(10.0)
         return measure(observer, depth_m)
 
-    def flow_of(_: Frame) -> FlowField:
+    def flow_of(_):
         begun.set()
         return found
 
@@ -219,8 +200,8 @@ def test_flow_is_found_while_the_estimate_is(
     assert set(result.times_ms) == wanted | {"total"}
 
 
-def test_what_goes_wrong_in_flow_is_told(pipeline: Pipeline, source: DentSource) -> None:
-    def flow_of(_: Frame) -> FlowField:
+def test_what_goes_wrong_in_flow_is_told(pipeline, source):
+    def flow_of(_):
         raise InputError("colour image: cannot be decoded")
 
     pipeline.watch_texture(flow_of)

@@ -1,7 +1,5 @@
 """`.ci/setup` on machines that are not this one, played by stand-ins for Debian's commands."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil
@@ -18,7 +16,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def machine(folder: Path, packages: str) -> dict[str, str]:
+def machine(folder, packages):
     """A checkout's setup on a machine where these packages, or "all", are installed."""
     (folder / ".ci").mkdir()
     shutil.copy(REPOSITORY / ".ci" / "setup", folder / ".ci" / "setup")
@@ -36,9 +34,7 @@ def machine(folder: Path, packages: str) -> dict[str, str]:
     return {**os.environ, "PATH": f"{command.parent}:{os.environ['PATH']}"}
 
 
-def setup(
-    folder: Path, *words: str, environment: dict[str, str]
-) -> subprocess.CompletedProcess[str]:
+def setup(folder, *words, environment):
     return subprocess.run(
         [folder / ".ci" / "setup", *words], env=environment, capture_output=True, text=True,
         check=False,
@@ -53,8 +49,8 @@ def setup(
     ],
 )
 def test_packages_that_were_renamed_and_no_others_have_the_new_name(
-    system: str, installed: str, glib: str, tmp_path: Path
-) -> None:
+    system, installed, glib, tmp_path
+):
     done = setup(tmp_path, "packages", environment=machine(tmp_path, installed))
     names = done.stdout.split()
     assert glib in names
@@ -62,7 +58,7 @@ def test_packages_that_were_renamed_and_no_others_have_the_new_name(
     assert {"libgl1", "libidn2-0", "xvfb"} <= set(names)
 
 
-def test_an_interpreter_that_will_not_do_is_named(tmp_path: Path) -> None:
+def test_an_interpreter_that_will_not_do_is_named(tmp_path):
     environment = machine(tmp_path, "all") | {"PYTHON": "/bin/false"}
     done = setup(tmp_path, environment=environment)
     assert done.returncode == 1
@@ -70,7 +66,7 @@ def test_an_interpreter_that_will_not_do_is_named(tmp_path: Path) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_second_setup_waits_for_the_first(tmp_path: Path) -> None:
+def test_a_second_setup_waits_for_the_first(tmp_path):
     environment = machine(tmp_path, "all") | {"PYTHON": "/bin/false"}
     with (tmp_path / ".ci" / "setup").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -1,7 +1,5 @@
 """What `import bubbleviz` offers, on small simulated presses and on the real one."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

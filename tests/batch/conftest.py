@@ -1,7 +1,5 @@
 """A small sensor and a few short recordings of it."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

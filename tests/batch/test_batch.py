@@ -1,7 +1,5 @@
 """The command batch: real processes, real files, real signals."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """The batch on a real Dask cluster: scheduler and workers are processes that talk over TCP."""
 
-from __future__ import annotations
-
 import socket
 import sys
 import threading

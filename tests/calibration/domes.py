@@ -1,7 +1,5 @@
 """Frames of a dome known exactly: rays cut the ellipsoid itself, no mesh in between."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

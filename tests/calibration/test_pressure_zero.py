@@ -9,18 +9,18 @@ from bubbleviz.recordings import Frame
 REFERENCE = 103_910.5
 
 
-def learned(pressures: np.ndarray) -> PressureZero:
+def learned(pressures):
     zero = PressureZero(REFERENCE)
     for pressure in pressures:
         zero.learn(pressure, contact_free=True)
     return zero
 
 
-def frame(pressure: float | None) -> Frame:
+def frame(pressure):
     return Frame(0, 0.0, np.zeros((2, 2), np.float32), gas_pressure_pa=pressure)
 
 
-def test_the_median_of_a_rest_is_taken_from_every_pressure() -> None:
+def test_the_median_of_a_rest_is_taken_from_every_pressure():
     pressures = REFERENCE + 250.0 + np.arange(ENOUGH) ** 2
     assert learned(pressures[:-1]).applied(frame(REFERENCE)).gas_pressure_pa == REFERENCE
     zero = learned(pressures)
@@ -33,7 +33,7 @@ def test_the_median_of_a_rest_is_taken_from_every_pressure() -> None:
     assert zero.rest_pa == np.median(pressures)
 
 
-def test_a_rest_that_is_interrupted_begins_anew() -> None:
+def test_a_rest_that_is_interrupted_begins_anew():
     zero = learned(np.full(ENOUGH - 1, REFERENCE + 900.0))
     zero.learn(None, contact_free=False)  # without a pressure there is nothing to tell
     assert zero.wants_next()
@@ -49,7 +49,7 @@ def test_a_rest_that_is_interrupted_begins_anew() -> None:
     assert zero.waiting and zero.offset_pa == pytest.approx(-70.0)  # till there is another
 
 
-def test_another_sensor_file_keeps_what_was_measured_and_asks_anew() -> None:
+def test_another_sensor_file_keeps_what_was_measured_and_asks_anew():
     zero = learned(np.full(ENOUGH, REFERENCE + 250.0))
     zero.refer_to(REFERENCE)
     assert not zero.waiting
@@ -62,7 +62,7 @@ def test_another_sensor_file_keeps_what_was_measured_and_asks_anew() -> None:
     assert fresh.rest_pa is None and fresh.offset_pa is None
 
 
-def test_a_zero_is_given_back() -> None:
+def test_a_zero_is_given_back():
     zero = PressureZero(REFERENCE)
     zero.restore(REFERENCE - 40.0, waiting=False)
     assert zero.offset_pa == -40.0 and zero.rest_pa == REFERENCE - 40.0 and not zero.waiting

@@ -1,7 +1,6 @@
 """Gas pressure of another day changes no force, or its interval holds what it changes."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,7 +97,7 @@ def test_a_rest_late_in_a_recording_is_found(twin):
 
 
 @pytest.mark.parametrize("rest", [True, False])
-def test_weather_of_the_real_press(punyo_press: Path, rest: bool):
+def test_weather_of_the_real_press(punyo_press, rest):
     """2.92 N, as on its own day; 1 kPa more made 7.75 N of it, believed to 0.24 N."""
     sensor, chosen = load_sensor("punyo_oval_d405"), [*range(4 * rest), 75, 84]
     with Recording(punyo_press) as recording:

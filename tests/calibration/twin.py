@@ -1,7 +1,5 @@
 """Synthetic twin of the real press: an oval, tilted, imperfect dome seen by a noisy camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,17 +34,17 @@ class Twin:
     false_returns: np.ndarray
     rim_biased: np.ndarray
 
-    def __len__(self) -> int:
+    def __len__(self):
         return len(self.depth)
 
-    def __getitem__(self, k: int) -> Frame:
+    def __getitem__(self, k):
         return Frame(k, self.times_s[k], self.depth[k], self.intrinsics, self.pressures[k])
 
-    def close(self) -> None:
+    def close(self):
         pass
 
 
-def nominal_sensor(gauge: float = GAUGE) -> Sensor:
+def nominal_sensor(gauge=GAUGE):
     """What the drawing says; the camera sits 1.3 mm off."""
     return Sensor(
         name="twin",
@@ -65,7 +63,7 @@ def nominal_sensor(gauge: float = GAUGE) -> Sensor:
     )
 
 
-def make_twin(seed: int = 0, pressure: bool = True) -> Twin:
+def make_twin(seed=0, pressure=True):
     """Frames of 160×120 pixels: FREE without contact, then a press that grows and holds."""
     rng = np.random.default_rng(seed)
     intrinsics = Intrinsics(160, 120, 107.4, 107.2, 78.4, 61.9)
@@ -102,14 +100,14 @@ def make_twin(seed: int = 0, pressure: bool = True) -> Twin:
     )  # fmt: skip
 
 
-def bumpy(mesh: MembraneMesh) -> MembraneMesh:
+def bumpy(mesh):
     """The dome with a broad deviation of 0.8 mm that no ellipsoid has, nothing at the rim."""
     x, y, z = mesh.nodes.T
     bulge = 8e-4 * np.cos(np.pi * x / 0.04) * np.cos(np.pi * y / 0.04) * (z / HEIGHT)
     return MembraneMesh(mesh.deformed(bulge), mesh.triangles, mesh.rim)
 
 
-def cast(mesh: MembraneMesh, camera: DepthCamera, displacement: np.ndarray) -> np.ndarray:
+def cast(mesh, camera, displacement):
     caster = RayCaster(camera.center, camera.directions, mesh.triangles)
     hits = caster.cast(mesh.deformed(displacement), mesh.normals)
     image = np.full((camera.intrinsics.height, camera.intrinsics.width), np.nan)
@@ -117,7 +115,7 @@ def cast(mesh: MembraneMesh, camera: DepthCamera, displacement: np.ndarray) -> n
     return image
 
 
-def residuals_and_bias(found, frames) -> tuple[np.ndarray, np.ndarray]:
+def residuals_and_bias(found, frames):
     """Measured minus modelled range (F, k) of the pixels in use, and the bias (k,) of each, m."""
     used = found.pixels.mask
     per_depth, model = found.camera.range_per_depth[used], found.modelled_range_m[used]

@@ -1,7 +1,5 @@
 """A speckle that is known everywhere, so that its images after any motion are exact."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +12,7 @@ NOISE = 2.0
 """σ of grey levels, as that of the real camera."""
 
 
-def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def texture(x, y):
     """Grey levels of material points: waves of 7 to 30 pixels, made into blots."""
     rng = np.random.default_rng(5)
     total = np.zeros_like(x)
@@ -25,16 +23,16 @@ def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 110.0 + 60.0 * np.tanh(total / 4.0)
 
 
-def grid() -> tuple[np.ndarray, np.ndarray]:
+def grid():
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     return x, y
 
 
-def still(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def still(x, y):
     return np.zeros_like(x), np.zeros_like(y)
 
 
-def clean_image(motion: Motion = still) -> np.ndarray:
+def clean_image(motion=still):
     """Brightness after a motion: each pixel sees the point that moved there."""
     x, y = grid()
     from_x, from_y = x, y
@@ -44,24 +42,24 @@ def clean_image(motion: Motion = still) -> np.ndarray:
     return texture(from_x, from_y)
 
 
-def camera(brightness: np.ndarray, seed: int) -> np.ndarray:
+def camera(brightness, seed):
     """What a camera makes of it: noise, 8 bits."""
     noise = np.random.default_rng(seed).normal(0.0, NOISE, brightness.shape)
     return np.clip(np.rint(brightness + noise), 0, 255).astype(np.uint8)
 
 
-def at_rest(count: int = 12) -> list[np.ndarray]:
+def at_rest(count=12):
     clean = clean_image()
     return [camera(clean, seed) for seed in range(count)]
 
 
-def dragged(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def dragged(x, y):
     """5 pixels in the middle, dying out."""
     near = np.exp(-((x - 150.0) ** 2 + (y - 120.0) ** 2) / (2.0 * 50.0**2))
     return 4.0 * near, -3.0 * near
 
 
-def twisted(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def twisted(x, y):
     """A turn by 0.12 rad about the middle, up to 4.4 pixels."""
     u, v = x - 160.0, y - 110.0
     near = 0.12 * np.exp(-(u**2 + v**2) / (2.0 * 60.0**2))

@@ -1,7 +1,5 @@
 """Colour images are decoded as the message says, and what is none is refused in one sentence."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +19,7 @@ LAYOUTS = {
 }
 
 
-def raw(pixels: np.ndarray, encoding: str, padding: int = 0) -> SimpleNamespace:
+def raw(pixels, encoding, padding=0):
     """An Image message whose rows are longer than its pixels."""
     height, width = pixels.shape[:2]
     rows = pixels.reshape(height, -1)
@@ -31,12 +29,12 @@ def raw(pixels: np.ndarray, encoding: str, padding: int = 0) -> SimpleNamespace:
     )
 
 
-def image(message: SimpleNamespace) -> ColourImage:
+def image(message):
     return ColourImage(lambda: EncodedImage.of(message))
 
 
 @pytest.mark.parametrize("encoding", LAYOUTS)
-def test_every_layout_gives_its_colours(encoding: str) -> None:
+def test_every_layout_gives_its_colours(encoding):
     found = image(raw(np.ascontiguousarray(LAYOUTS[encoding]), encoding, padding=5))
     np.testing.assert_array_equal(found.rgb(), RGB)
     brightness = RGB @ np.array([0.299, 0.587, 0.114])
@@ -44,28 +42,28 @@ def test_every_layout_gives_its_colours(encoding: str) -> None:
     assert found.grey().dtype == np.uint8
 
 
-def test_a_grey_image_is_grey_in_all_colours() -> None:
+def test_a_grey_image_is_grey_in_all_colours():
     found = image(raw(RGB[..., 0], "mono8", padding=3))
     np.testing.assert_array_equal(found.grey(), RGB[..., 0])
     np.testing.assert_array_equal(found.rgb(), np.repeat(RGB[..., :1], 3, axis=2))
 
 
 @pytest.mark.parametrize("said", ["jpeg", "jpg", "rgb8; jpeg compressed bgr8"])
-def test_a_jpeg_is_nearly_what_was_compressed(said: str) -> None:
+def test_a_jpeg_is_nearly_what_was_compressed(said):
     data = np.frombuffer(encoded(RGB, "jpeg"), np.uint8)
     found = image(SimpleNamespace(format=said, data=data))
     np.testing.assert_allclose(found.rgb(), RGB.astype(float), atol=6.0)
     np.testing.assert_allclose(found.grey(), RGB @ np.array([0.299, 0.587, 0.114]), atol=3.0)
 
 
-def test_a_png_is_what_was_compressed() -> None:
+def test_a_png_is_what_was_compressed():
     data = np.frombuffer(encoded(RGB, "png"), np.uint8)
     found = image(SimpleNamespace(format="bgr8; png compressed bgr8", data=data))
     np.testing.assert_array_equal(found.rgb(), RGB)
 
 
-def test_nothing_is_read_before_it_is_asked_for() -> None:
-    def read() -> EncodedImage:
+def test_nothing_is_read_before_it_is_asked_for():
+    def read():
         raise AssertionError("read")
 
     found = ColourImage(read)
@@ -89,12 +87,12 @@ def test_nothing_is_read_before_it_is_asked_for() -> None:
         ),
     ],
 )
-def test_what_cannot_be_decoded_says_why(message: dict[str, object], why: str) -> None:
+def test_what_cannot_be_decoded_says_why(message, why):
     with pytest.raises(InputError, match=why):
         image(SimpleNamespace(**message)).rgb()
 
 
-def test_a_compressed_depth_image_is_no_colour_image() -> None:
+def test_a_compressed_depth_image_is_no_colour_image():
     message = SimpleNamespace(format="16UC1; compressedDepth png", data=np.zeros(4, np.uint8))
     with pytest.raises(ValueError, match="not one of rgb8"):
         EncodedImage.of(message)

@@ -1,20 +1,16 @@
 """Flow finds the motion of a known texture, knows how well, and leaves out what it cannot see."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
-from bubbleviz.shear import FlowField, FlowPreset, OpticalFlow
+from bubbleviz.shear import OpticalFlow
 from tests.colour.speckle import (
     HEIGHT,
     WIDTH,
-    Motion,
     at_rest,
     camera,
     clean_image,
@@ -27,20 +23,18 @@ pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
 
 
 @pytest.fixture(scope="module")
-def rest() -> list[np.ndarray]:
+def rest():
     return at_rest()
 
 
-def errors_px(field: FlowField, motion: Motion) -> np.ndarray:
+def errors_px(field, motion):
     y, x = np.divmod(field.pixel, WIDTH)
     return field.moved_px - np.stack(motion(x.astype(float), y.astype(float)), axis=1)
 
 
 @pytest.mark.parametrize("motion", [dragged, twisted])
 @pytest.mark.parametrize(("preset", "rms_px"), [("fast", 0.3), ("balanced", 0.1), ("fine", 0.1)])
-def test_the_motion_is_found_and_its_sigma_true(
-    rest: list[np.ndarray], preset: FlowPreset, rms_px: float, motion: Motion
-) -> None:
+def test_the_motion_is_found_and_its_sigma_true(rest, preset, rms_px, motion):
     """The brightness changes by a fifth across the image, as when the membrane tilts."""
     flow = OpticalFlow.of(rest, preset)
     lit = 0.9 + 0.2 * grid()[0] / WIDTH
@@ -55,7 +49,7 @@ def test_the_motion_is_found_and_its_sigma_true(
     assert np.mean(np.abs(z) > 4.0) < 0.03
 
 
-def test_a_membrane_at_rest_does_not_move(rest: list[np.ndarray]) -> None:
+def test_a_membrane_at_rest_does_not_move(rest):
     flow = OpticalFlow.of(rest)
     field = flow.measure(camera(clean_image(), 99))
     assert np.sqrt(np.mean(field.moved_px**2)) < 0.03
@@ -64,7 +58,7 @@ def test_a_membrane_at_rest_does_not_move(rest: list[np.ndarray]) -> None:
     np.testing.assert_array_equal(field.pixel, np.sort(field.pixel))
 
 
-def test_noisier_images_tell_less() -> None:
+def test_noisier_images_tell_less():
     clean = clean_image()
     rng = np.random.default_rng(1)
     noisy = [camera(clean + rng.normal(0.0, 8.0, clean.shape), k) for k in range(12)]
@@ -74,7 +68,7 @@ def test_noisier_images_tell_less() -> None:
     assert 2.5 < np.median(ratio) < 6.0  # σ is 8.2 in place of 2 grey levels
 
 
-def test_what_has_no_texture_or_is_washed_out_is_left_out() -> None:
+def test_what_has_no_texture_or_is_washed_out_is_left_out():
     clean = clean_image()
     clean[:, :100] = 90.0
     clean[:100, 220:] += 160.0
@@ -85,7 +79,7 @@ def test_what_has_no_texture_or_is_washed_out_is_left_out() -> None:
     assert np.mean((y > 110) & (x > 110)) > 0.5
 
 
-def test_what_is_covered_or_glares_is_left_out(rest: list[np.ndarray]) -> None:
+def test_what_is_covered_or_glares_is_left_out(rest):
     """Something else is seen there than at rest."""
     flow = OpticalFlow.of(rest)
     image = clean_image()
@@ -99,14 +93,14 @@ def test_what_is_covered_or_glares_is_left_out(rest: list[np.ndarray]) -> None:
     assert not np.any((y > 155) & (y < 215) & (x > 205) & (x < 275))
 
 
-def test_pixels_outside_the_mask_are_left_out(rest: list[np.ndarray]) -> None:
+def test_pixels_outside_the_mask_are_left_out(rest):
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[40:200, 60:260] = True
     assert mask.ravel()[OpticalFlow.of(rest, mask=mask).pixel].all()
 
 
 @pytest.mark.parametrize(("level", "why"), [(100.0, "no texture"), (400.0, "over-exposed")])
-def test_images_of_no_use_say_why(level: float, why: str) -> None:
+def test_images_of_no_use_say_why(level, why):
     blank = np.full((HEIGHT, WIDTH), level)
     flow = OpticalFlow.of([camera(blank, k) for k in range(6)])
     assert why in flow.problem
@@ -114,14 +108,12 @@ def test_images_of_no_use_say_why(level: float, why: str) -> None:
     assert (len(field.pixel), field.problem) == (0, flow.problem)
 
 
-def test_another_scene_says_so(rest: list[np.ndarray]) -> None:
+def test_another_scene_says_so(rest):
     field = OpticalFlow.of(rest).measure(camera(clean_image()[::-1, ::-1], 3))
     assert "not found again" in field.problem
 
 
-def test_bad_input_is_said_in_one_sentence(
-    rest: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_input_is_said_in_one_sentence(rest, monkeypatch):
     with pytest.raises(InputError, match="give at least 5"):
         OpticalFlow.of(rest[:4])
     with pytest.raises(InputError, match="sizes differ"):
@@ -135,7 +127,7 @@ def test_bad_input_is_said_in_one_sentence(
         OpticalFlow.of(rest)
 
 
-def test_the_real_press(punyo_press_colour: Path) -> None:
+def test_the_real_press(punyo_press_colour):
     """A poker presses 5.6 mm deep: up to 17 pixels; nothing moves before."""
     with Recording(punyo_press_colour) as recording:
         images = [recording[k].colour for k in (*range(45, 60), 80)]

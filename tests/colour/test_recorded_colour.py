@@ -1,9 +1,5 @@
 """The colour images of a recording: the right topic, the right moment, and only where asked."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,7 +13,7 @@ from tests.recordings.realsense_bag import write_realsense_bag
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_format_has_the_images_that_were_written(tmp_path: Path, kind: str) -> None:
+def test_every_format_has_the_images_that_were_written(tmp_path, kind):
     bag = fill(BagMaker(kind))
     for k in range(6):
         add_colour(bag, START + k * PERIOD + PERIOD // 5, k)
@@ -31,7 +27,7 @@ def test_every_format_has_the_images_that_were_written(tmp_path: Path, kind: str
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "png"])
-def test_compressed_images_are_found(tmp_path: Path, kind: str) -> None:
+def test_compressed_images_are_found(tmp_path, kind):
     bag = fill(BagMaker("mcap file"))
     for k in range(6):
         data = encoded(picture(k), kind)
@@ -45,7 +41,7 @@ def test_compressed_images_are_found(tmp_path: Path, kind: str) -> None:
         np.testing.assert_allclose(colour.rgb(), picture(4).astype(float), atol=6.0)
 
 
-def test_a_frame_has_the_nearest_image_within_half_a_period_or_none(tmp_path: Path) -> None:
+def test_a_frame_has_the_nearest_image_within_half_a_period_or_none(tmp_path):
     """Log times that tell another story do not matter."""
     bag = fill(BagMaker("mcap file"))
     for k, shift in enumerate((0.4, -0.4, 0.0)):
@@ -58,7 +54,7 @@ def test_a_frame_has_the_nearest_image_within_half_a_period_or_none(tmp_path: Pa
             np.testing.assert_array_equal(found[k].rgb(), picture(k // 2))  # type: ignore[union-attr]
 
 
-def test_another_moment_has_another_image(tmp_path: Path) -> None:
+def test_another_moment_has_another_image(tmp_path):
     bag = fill(BagMaker("mcap file"))
     for k in range(6):
         add_colour(bag, START + k * PERIOD, k)
@@ -83,9 +79,7 @@ def test_another_moment_has_another_image(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_the_colour_camera_is_that_of_the_sensor(
-    tmp_path: Path, depth: str, ours: str, others: list[str]
-) -> None:
+def test_the_colour_camera_is_that_of_the_sensor(tmp_path, depth, ours, others):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0), topic=depth)
     for other in others:
@@ -99,7 +93,7 @@ def test_the_colour_camera_is_that_of_the_sensor(
         assert recording.colour.topic.name == ours
 
 
-def test_a_topic_may_be_named(tmp_path: Path) -> None:
+def test_a_topic_may_be_named(tmp_path):
     bag = fill(BagMaker("mcap file"))
     add_colour(bag, START, 2, "/elsewhere")
     path = bag.write(tmp_path)
@@ -111,7 +105,7 @@ def test_a_topic_may_be_named(tmp_path: Path) -> None:
         Recording(path, colour_topic="/gas")
 
 
-def test_the_camera_has_its_own_intrinsics_and_its_pose_in_the_depth_camera(tmp_path: Path) -> None:
+def test_the_camera_has_its_own_intrinsics_and_its_pose_in_the_depth_camera(tmp_path):
     """Both hang below the body of the camera; the chain is walked up and down."""
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
@@ -135,7 +129,7 @@ def test_the_camera_has_its_own_intrinsics_and_its_pose_in_the_depth_camera(tmp_
     np.testing.assert_allclose(camera.T_D_C[:3, 3], expected, atol=1e-12)
 
 
-def test_what_is_not_known_of_the_camera_is_said(tmp_path: Path) -> None:
+def test_what_is_not_known_of_the_camera_is_said(tmp_path):
     bag = BagMaker("bag none")
     bag.image(START, depth_image(0))
     header = bag.header(START)
@@ -150,7 +144,7 @@ def test_what_is_not_known_of_the_camera_is_said(tmp_path: Path) -> None:
     np.testing.assert_array_equal(camera.T_D_C, np.eye(4))
 
 
-def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_path: Path) -> None:
+def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_path):
     rs = pytest.importorskip("pyrealsense2")
     turns = Rotation.from_euler("xyz", [[10, 20, 30], [3, -5, 2]], degrees=True).as_quat()
     poses = {"Color_0": ((0.015, -0.01, 0.02), turns[0]), "Depth_0": ((1e-3, 2e-3, 3e-3), turns[1])}
@@ -168,9 +162,7 @@ def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_p
     assert "where the depth camera is" not in camera.remark
 
 
-def test_depth_alone_reads_nothing_of_the_colour_images(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_depth_alone_reads_nothing_of_the_colour_images(tmp_path, monkeypatch):
     bag = fill(BagMaker("mcap file"))
     for k in range(6):
         add_colour(bag, START + k * PERIOD, k)
@@ -178,7 +170,7 @@ def test_depth_alone_reads_nothing_of_the_colour_images(
         read: list[str] = []
         original = Messages.payload
 
-        def noting(messages: Messages, k: int, limit: int | None = None) -> bytes:
+        def noting(messages, k, limit=None):
             read.append(messages.topic.name)
             return original(messages, k, limit)
 
@@ -191,7 +183,7 @@ def test_depth_alone_reads_nothing_of_the_colour_images(
         assert read.count(COLOUR) > before
 
 
-def test_info_tells_the_colour_images(tmp_path: Path) -> None:
+def test_info_tells_the_colour_images(tmp_path):
     bag = fill(BagMaker("mcap file"))
     for k in range(3):
         add_colour(bag, START + 2 * k * PERIOD, k)

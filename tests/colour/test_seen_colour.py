@@ -1,7 +1,5 @@
 """The colour image on the membrane, against rays of the cameras."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Colour and depth are paired by stamps and a given delay; the delay seen is only told."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +9,6 @@ import pytest
 
 from bubbleviz.api.frames import info
 from bubbleviz.calibration import (
-    TemporalLag,
-    TextureFlow,
     lag_between,
     recorded_texture,
     temporal_lag,
@@ -20,7 +16,7 @@ from bubbleviz.calibration import (
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import Frame, Recording
+from bubbleviz.recordings import Recording
 from bubbleviz.simulation import PrintedMembrane, Speckle
 from tests.colour.speckle import camera, clean_image, dragged
 from tests.oracles.stuck_press import shear_sensor
@@ -31,13 +27,13 @@ SMALL = {"width": 320, "height": 240, "fx": 215.0, "fy": 215.0, "cx": 159.5, "cy
 TRUTH = Path(__file__).parents[3] / "shared" / "data" / "rubber_truth"
 
 
-def press(times_s: np.ndarray) -> np.ndarray:
+def press(times_s):
     """How far a press has gone: a smooth rise in 0.3 s, a hold that drifts."""
     s = np.clip((times_s - 1.0) / 0.3, 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s) + 0.02 * np.clip(times_s - 1.3, 0.0, None)
 
 
-def lags(true_s: float, noise: float) -> list[TemporalLag]:
+def lags(true_s, noise):
     """Lags found in curves of other units, noise and stamps."""
     found = []
     for seed in range(20):
@@ -52,7 +48,7 @@ def lags(true_s: float, noise: float) -> list[TemporalLag]:
 
 @pytest.mark.parametrize("true_s", [-0.083, -0.04, 0.0, 0.055])
 @pytest.mark.parametrize("noise", [0.003, 0.03])
-def test_the_lag_of_known_curves_and_its_interval(true_s: float, noise: float) -> None:
+def test_the_lag_of_known_curves_and_its_interval(true_s, noise):
     found = lags(true_s, noise)
     errors = np.array([each.lag_s - true_s for each in found])
     ends = np.array([each.interval_s for each in found]) - true_s
@@ -61,7 +57,7 @@ def test_the_lag_of_known_curves_and_its_interval(true_s: float, noise: float) -
     assert np.median(np.diff(ends)) < 2.0 * PERIOD_S
 
 
-def test_the_interval_knows_that_the_texture_of_a_drag_moves_on_alone() -> None:
+def test_the_interval_knows_that_the_texture_of_a_drag_moves_on_alone():
     """Stamped alike; as on the dragged rubber of `shared/data/rubber_truth`."""
     times = PERIOD_S * np.arange(75)
     gone = press(times)
@@ -70,7 +66,7 @@ def test_the_interval_knows_that_the_texture_of_a_drag_moves_on_alone() -> None:
     assert low <= 0.0 <= high
 
 
-def test_a_filter_of_depth_is_a_lag_of_its_delay() -> None:
+def test_a_filter_of_depth_is_a_lag_of_its_delay():
     """An exponential filter, as in RealSense cameras, delays a ramp by (1 − a) / a frames."""
     times, share = PERIOD_S * np.arange(75), 0.4
     filtered = press(times)
@@ -81,7 +77,7 @@ def test_a_filter_of_depth_is_a_lag_of_its_delay() -> None:
     assert found.to_text().startswith("colour delay of -0.0")
 
 
-def test_curves_that_are_not_alike_have_no_lag() -> None:
+def test_curves_that_are_not_alike_have_no_lag():
     times, rng = PERIOD_S * np.arange(75), np.random.default_rng(0)
     with pytest.raises(ValueError, match="do not change together"):
         lag_between(times, rng.normal(size=75), times, press(times), 1.0)
@@ -89,7 +85,7 @@ def test_curves_that_are_not_alike_have_no_lag() -> None:
         lag_between(times, press(times), times[:20], press(times[:20]), 1.0)
 
 
-def make_recording(folder: Path, lead: float, frames: int = 60) -> Path:
+def make_recording(folder, lead, frames=60):
     """Speckle dragged as far as the depth changes `lead` periods later."""
     bag, rng = BagMaker("mcap file"), np.random.default_rng(0)
     still = clean_image()
@@ -102,7 +98,7 @@ def make_recording(folder: Path, lead: float, frames: int = 60) -> Path:
         bag.image(stamp, depth.astype(np.float32), topic="/cam/depth/image")
         ahead = float(press(np.array((k + lead) * PERIOD_S)))
 
-        def moved(x: np.ndarray, y: np.ndarray, far: float = ahead) -> tuple[np.ndarray, ...]:
+        def moved(x, y, far=ahead):
             u, v = dragged(x, y)
             return far * u, far * v
 
@@ -112,16 +108,16 @@ def make_recording(folder: Path, lead: float, frames: int = 60) -> Path:
 
 
 @pytest.fixture(scope="module")
-def led_by_colour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def led_by_colour(tmp_path_factory):
     return make_recording(tmp_path_factory.mktemp("led"), 2.4)
 
 
 @pytest.fixture(scope="module")
-def stamped_alike(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stamped_alike(tmp_path_factory):
     return make_recording(tmp_path_factory.mktemp("alike"), 0.0)
 
 
-def test_the_lag_that_is_seen_is_told_with_its_interval(led_by_colour: Path) -> None:
+def test_the_lag_that_is_seen_is_told_with_its_interval(led_by_colour):
     with Recording(led_by_colour) as recording:
         found = temporal_lag(recording)
         assert found.lag_s == pytest.approx(-2.4 * PERIOD_S, abs=0.4 * PERIOD_S)
@@ -133,7 +129,7 @@ def test_the_lag_that_is_seen_is_told_with_its_interval(led_by_colour: Path) -> 
     assert "delay" not in info(led_by_colour).to_text()
 
 
-def errors_px(recording: Recording, texture: TextureFlow, frame: Frame, lead: float) -> np.ndarray:
+def errors_px(recording, texture, frame, lead):
     """Median error of the flow of a frame from that of the colour `lead` periods later."""
     flow = texture(frame)
     assert flow is not None
@@ -146,9 +142,7 @@ def errors_px(recording: Recording, texture: TextureFlow, frame: Frame, lead: fl
 
 
 @pytest.mark.parametrize("lead", [0.0, 2.4])
-def test_frames_are_paired_by_their_stamps_whatever_is_seen(
-    lead: float, led_by_colour: Path, stamped_alike: Path
-) -> None:
+def test_frames_are_paired_by_their_stamps_whatever_is_seen(lead, led_by_colour, stamped_alike):
     with Recording(led_by_colour if lead else stamped_alike) as recording:
         texture = recorded_texture(recording)
         for k in (5, 36, 50):
@@ -159,7 +153,7 @@ def test_frames_are_paired_by_their_stamps_whatever_is_seen(
             assert colour is not None and colour.stamp_ns == recording.stamps_ns[k]
 
 
-def test_a_delay_that_is_given_pairs_the_frames_of_one_moment(led_by_colour: Path) -> None:
+def test_a_delay_that_is_given_pairs_the_frames_of_one_moment(led_by_colour):
     """To half a frame: the images are 2.4 frames ahead."""
     delay_s = -2.4 * PERIOD_S
     with Recording(led_by_colour) as recording:
@@ -177,18 +171,18 @@ class CountedRecording(Recording):
 
     decoded = 0
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         self.decoded += 1
         return super().__getitem__(index)
 
 
-def test_what_flow_is_measured_from_is_learned_in_one_pass(stamped_alike: Path) -> None:
+def test_what_flow_is_measured_from_is_learned_in_one_pass(stamped_alike):
     with CountedRecording(stamped_alike) as recording:
         recorded_texture(recording)
         assert recording.decoded <= len(recording)
 
 
-def test_colour_that_never_moves_is_no_error(tmp_path: Path) -> None:
+def test_colour_that_never_moves_is_no_error(tmp_path):
     path = make_recording(tmp_path, 0.0, frames=25)  # ends before the press begins
     with Recording(path) as recording:
         texture = recorded_texture(recording)
@@ -201,7 +195,7 @@ def test_colour_that_never_moves_is_no_error(tmp_path: Path) -> None:
     assert facts.colour is not None and facts.colour.lag is None
 
 
-def test_a_recording_without_colour_images_tells_no_lag(tmp_path: Path) -> None:
+def test_a_recording_without_colour_images_tells_no_lag(tmp_path):
     bag = BagMaker("mcap file")
     for k in range(30):
         bag.image(START + k * PERIOD, np.full((48, 64), 0.1, np.float32))
@@ -211,7 +205,7 @@ def test_a_recording_without_colour_images_tells_no_lag(tmp_path: Path) -> None:
     assert info(path, lag=True).colour is None
 
 
-def test_colour_leads_in_the_real_press(punyo_press_colour: Path) -> None:
+def test_colour_leads_in_the_real_press(punyo_press_colour):
     """By one or two frames: the camera filters depth in time."""
     with Recording(punyo_press_colour) as recording:
         found = temporal_lag(recording)
@@ -223,7 +217,7 @@ def test_colour_leads_in_the_real_press(punyo_press_colour: Path) -> None:
 @pytest.mark.long
 @pytest.mark.skipif(not TRUTH.exists(), reason="the rubber's shapes are not in the repository")
 @pytest.mark.parametrize("name", ["ball_drag1", "puck_twist"])
-def test_the_interval_holds_the_truth_on_rubber_that_is_dragged(name: str, tmp_path: Path) -> None:
+def test_the_interval_holds_the_truth_on_rubber_that_is_dragged(name, tmp_path):
     """Its images are stamped alike; the old estimate was off by up to a quarter of a second."""
     with np.load(TRUTH / f"{name}.npz") as truth:
         rest, triangles = truth["rest_m"].astype(float), truth["triangles"]

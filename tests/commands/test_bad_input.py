@@ -1,7 +1,5 @@
 """Bad input: one line that names the file and what is wrong, exit code 2, nothing written."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Folders of images and other bags become recordings that say the same."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command estimate: from a recording to RESULT.npz, checked against what was simulated."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

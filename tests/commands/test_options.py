@@ -1,7 +1,5 @@
 """Options that commands share: former names, and writing over what is there."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import click

@@ -1,7 +1,5 @@
 """One small press, and an estimate of it by the command that the exports must agree with."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_press import write_press, write_small_sensor

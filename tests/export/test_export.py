@@ -1,7 +1,5 @@
 """The command export: files read back by other programs' readers, against RESULT.npz."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Frame ranges against Python's own slices."""
 
-from __future__ import annotations
-
 from hypothesis import given, strategies as st
 
 from bubbleviz.api.frames import parse_frames

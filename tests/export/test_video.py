@@ -1,7 +1,5 @@
 """MP4 files, read back by ffmpeg."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A small press whose truth was made on another, finer mesh."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 from bubbleviz.camera import DepthCamera, MembraneView, RangeObserver
 from bubbleviz.inverse import Estimator, EstimatorOptions
 from bubbleviz.membrane import Contact, ForwardModel, Gas, MembraneMesh, build_mesh
-from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 
@@ -29,16 +26,16 @@ class Press:
     range_m: np.ndarray
 
     @property
-    def force(self) -> np.ndarray:
+    def force(self):
         return -(self.mesh.areas * self.contact.contact_pressure_pa) @ self.mesh.normals
 
-    def depth(self, noise: float, seed: int = 0) -> np.ndarray:
+    def depth(self, noise, seed=0):
         rng = np.random.default_rng(seed)
         noisy = self.range_m * (1 + noise * rng.standard_normal(self.range_m.shape))
         return CAMERA.depth_image(noisy).astype(np.float32)
 
 
-def press(name: str, depth_m: float) -> Press:
+def press(name, depth_m):
     mesh = build_mesh(SENSOR, 6000)
     T_B_O = np.eye(4)
     T_B_O[:3, 3] = [0.006, -0.004, 0.05 - depth_m]
@@ -48,22 +45,22 @@ def press(name: str, depth_m: float) -> Press:
 
 
 @pytest.fixture(scope="session")
-def sphere() -> Press:
+def sphere():
     return press("sphere", 0.012)
 
 
 @pytest.fixture(scope="session")
-def untouched() -> Press:
+def untouched():
     return press("sphere", -0.01)
 
 
-def estimator(nodes: int = 500, solver: str | None = None, relinearisations: int = 2) -> Estimator:
+def estimator(nodes=500, solver=None, relinearisations=2):
     mesh = build_mesh(SENSOR, nodes)
     observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
     options = EstimatorOptions(solver, relinearisations)
     return Estimator(observer, Gas.of(SENSOR.pneumatics, mesh), TENSION, options)
 
 
-def first(solver: Estimator, depth_m: np.ndarray, gas_pressure_pa: float | None = None) -> Estimate:
+def first(solver, depth_m, gas_pressure_pa=None):
     """Estimate of a first frame."""
     return solver.estimate(depth_m, gas_pressure_pa)[0]

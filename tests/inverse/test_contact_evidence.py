@@ -1,9 +1,5 @@
 """Which parts of a pressure are contact: by their share of the load and by their own noise."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -55,7 +51,7 @@ def test_a_single_contact_is_one_however_weak():
 
 
 @pytest.mark.parametrize("frame", [64, 65, 66, 67])
-def test_the_real_press_is_one_contact_in_each_frame_by_itself(punyo_press: Path, frame: int):
+def test_the_real_press_is_one_contact_in_each_frame_by_itself(punyo_press, frame):
     """While it is loaded; its gas pressure needs no zero."""
     source = Recording(punyo_press)
     pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), source.intrinsics)

@@ -1,7 +1,5 @@
 """The contact on a finer mesh: against the meridian's equations, and presses on another mesh."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The inverse problem against presses made by the forward one on another mesh."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Friction by depth alone, against another solver's rubber and against presses on another mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pieces of the inverse problem against independent answers."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

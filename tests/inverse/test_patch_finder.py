@@ -1,7 +1,5 @@
 """The contact patch of presses whose contact is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,11 +25,11 @@ from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first, pres
 MESH, FINER = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)
 
 
-def overlap(a: np.ndarray, b: np.ndarray) -> float:
+def overlap(a, b):
     return float(np.count_nonzero(a & b) / np.count_nonzero(a | b))
 
 
-def seen_patch(truth) -> np.ndarray:
+def seen_patch(truth):
     """Pixels that see a node in contact nearer than one that is not."""
     touching = (truth.contact.contact_pressure_pa > 0).astype(float)
     return MembraneView(CAMERA, truth.mesh).above(truth.contact.displacement_m, touching, 0.5)
@@ -53,7 +51,7 @@ def test_the_patch_overlaps_the_true_contact(name):
     assert ours > paper
 
 
-def blurred(profile, width_m: float, mesh=MESH) -> np.ndarray:
+def blurred(profile, width_m, mesh=MESH):
     """Nodal field of a profile of the distance from the apex, blurred over `width_m`."""
     step = 0.0005
     line = np.arange(-0.04, 0.04 + step / 2, step)
@@ -63,7 +61,7 @@ def blurred(profile, width_m: float, mesh=MESH) -> np.ndarray:
     return np.interp(r, line[middle:], image[middle, middle:], right=0.0)
 
 
-def made_up(pressure: np.ndarray, gas: float = 0.0) -> Estimate:
+def made_up(pressure, gas=0.0):
     return Estimate("ok", np.zeros(len(pressure)), pressure, gas, 0.0, 0.0)
 
 

@@ -1,7 +1,5 @@
 """The inverse of the exact membrane: against its meridian's equations, and against presses."""
 
-from __future__ import annotations
-
 import os
 from functools import cache
 

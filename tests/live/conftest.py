@@ -1,17 +1,13 @@
 """What tests of live sources share."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 from wire import HEIGHT, WIDTH
 
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 
 
 @pytest.fixture(scope="session")
-def small_sensor(tmp_path_factory: pytest.TempPathFactory) -> Sensor:
+def small_sensor(tmp_path_factory):
     """The preset with a coarse mesh and few pixels, looking at the same dome."""
     sensor = load_sensor("pico_flexx_75mm")
     scale = WIDTH / sensor.camera.width
@@ -30,7 +26,7 @@ def small_sensor(tmp_path_factory: pytest.TempPathFactory) -> Sensor:
 
 
 @pytest.fixture(scope="session")
-def small_sensor_file(small_sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small_sensor_file(small_sensor, tmp_path_factory):
     """The same as a file."""
     from bubbleviz.sensor import sensor_to_toml
 

@@ -1,15 +1,12 @@
 """A file of the RealSense SDK, which it records from its own software device."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 
-def record_realsense(path: Path, frames: int, colour_pose: np.ndarray | None = None) -> Path:
+def record_realsense(path, frames, colour_pose=None):
     """Depth of 0.1 m + 0.1 mm an image with a hole, and colour where its pose (4, 4) is given."""
     rs = pytest.importorskip("pyrealsense2")
     device = rs.software_device()
@@ -53,7 +50,7 @@ def record_realsense(path: Path, frames: int, colour_pose: np.ndarray | None = N
     return path
 
 
-def lens_of(rs: Any, uid: int) -> Any:
+def lens_of(rs, uid):
     lens = rs.intrinsics()
     lens.width, lens.height, lens.ppx, lens.ppy = 64, 48, 31.5, 23.5
     lens.fx, lens.fy = 60.0 + uid, 61.0

@@ -4,8 +4,6 @@ Usage: robot.py PORT LAYOUT FIRST [MODE]. Counts images from FIRST, at 100 Hz, a
 once it is sent. In mode `bad` every third message is something that no camera sends.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import sys
@@ -44,7 +42,7 @@ TOKENS = {
 }
 
 
-def open_session(port: str, role: str = "robot") -> zenoh.Session:
+def open_session(port, role="robot"):
     """A robot that is connected to; or a router, and a node that is found through it."""
     place = f"tcp/127.0.0.1:{port}"
     config = zenoh.Config()
@@ -57,11 +55,11 @@ def open_session(port: str, role: str = "robot") -> zenoh.Session:
     return zenoh.open(config)
 
 
-def attachment(sequence: int) -> bytes:
+def attachment(sequence):
     return struct.pack("<qqB", sequence, time.time_ns(), 16) + bytes(range(16))
 
 
-def bad(k: int, stamp: int) -> bytes:
+def bad(k, stamp):
     """Garbage, cut short, another size, 1970, the future, another type's bytes, nothing."""
     kinds = [
         b"\xff\xfe garbage" * 30,
@@ -75,7 +73,7 @@ def bad(k: int, stamp: int) -> bytes:
     return kinds[k // 3 % len(kinds)]
 
 
-def main() -> None:
+def main():
     port, layout, first = sys.argv[1], sys.argv[2], int(sys.argv[3])
     session = open_session(port)
     tokens = [session.liveliness().declare_token(key) for key in TOKENS[layout]]

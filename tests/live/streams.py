@@ -1,31 +1,21 @@
 """What tests do with messages: make frames of them, record, play and publish them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
-from pathlib import Path
-from typing import Any
-
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import (
-    FrameAssembler,
-    LiveStream,
-    RawMessage,
     Recorder,
     SessionOptions,
     ZenohPublisher,
     open_session,
 )
-from bubbleviz.recordings import Frame, Message
 
 
-def frames_of(assembler: FrameAssembler, *messages: RawMessage) -> list[Frame]:
+def frames_of(assembler, *messages):
     """The frames that messages are made into."""
     found = [frame for message in messages for frame in assembler.push(message)]
     return found + assembler.flush()
 
 
-def recorded(path: Path, messages: Iterable[RawMessage], recorder: Recorder | None = None) -> Path:
+def recorded(path, messages, recorder=None):
     """A recording of messages."""
     recorder = recorder or Recorder()
     recorder.start(path)
@@ -35,7 +25,7 @@ def recorded(path: Path, messages: Iterable[RawMessage], recorder: Recorder | No
     return path
 
 
-def played(stream: LiveStream) -> Frame | None:
+def played(stream):
     """Play a stream to its end; the last frame."""
     last = None
     with stream:
@@ -44,18 +34,16 @@ def played(stream: LiveStream) -> Frame | None:
     return last
 
 
-def over_zenoh(
-    messages: list[Message], domain: int, eventually: Callable[[Callable[[], object]], None]
-) -> dict[str, bytes]:
+def over_zenoh(messages, domain, eventually):
     """What a subscriber gets of messages that are published, by key."""
     endpoint, got = f"tcp/127.0.0.1:{free_port()}", dict[str, bytes]()
     with ZenohPublisher(SessionOptions("out", listen=endpoint), domain=domain) as out:
         listener = open_session(SessionOptions("in", endpoint))
 
-        def note(sample: Any) -> None:
+        def note(sample):
             got[str(sample.key_expr)] = sample.payload.to_bytes()
 
-        def sent() -> bool:
+        def sent():
             for message in messages:
                 out.put(*message)
             return len(got) == len(messages)

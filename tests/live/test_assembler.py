@@ -1,7 +1,5 @@
 """Messages become frames; what is wrong with them is counted and never raises."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -36,7 +34,7 @@ from bubbleviz.live import WAIT_NS, FrameAssembler, RawMessage, TopicNames, stam
 from bubbleviz.recordings import Frame
 
 
-def test_a_frame_is_what_was_sent() -> None:
+def test_a_frame_is_what_was_sent():
     assembler = FrameAssembler()
     info = arrived("/cam/camera_info", INFO, camera_info(NOW), NOW)
     first, second = frames_of(assembler, info, depth(NOW, 3), depth(NOW + PERIOD, 4))
@@ -51,7 +49,7 @@ def test_a_frame_is_what_was_sent() -> None:
     assert assembler.counters.received == 3
 
 
-def test_compressed_depth_is_depth_and_compressed_colour_is_not_asked_for() -> None:
+def test_compressed_depth_is_depth_and_compressed_colour_is_not_asked_for():
     topic, names = "/cam/depth/image/compressedDepth", TopicNames()
     assembler = FrameAssembler()
     messages = [
@@ -66,7 +64,7 @@ def test_compressed_depth_is_depth_and_compressed_colour_is_not_asked_for() -> N
     assert frames_of(assembler, garbage) == [] and assembler.counters.undecodable == 1
 
 
-def test_gas_pressure_and_wrench_are_interpolated_at_the_stamp_with_the_lag() -> None:
+def test_gas_pressure_and_wrench_are_interpolated_at_the_stamp_with_the_lag():
     """A ramp of 1 kPa/s: the value tells the time it was taken at."""
     for lag in (0.0, 0.02, -0.015):
         assembler = FrameAssembler(lag_s=lag)
@@ -84,7 +82,7 @@ def test_gas_pressure_and_wrench_are_interpolated_at_the_stamp_with_the_lag() ->
         np.testing.assert_allclose(frame.wrench, np.full(6, at / 0.01), atol=1e-6)
 
 
-def test_a_frame_waits_for_the_pressure_of_its_time_but_not_for_long() -> None:
+def test_a_frame_waits_for_the_pressure_of_its_time_but_not_for_long():
     assembler = FrameAssembler()
     assembler.push(gas(NOW - 10_000_000, 1e5))
     assert assembler.push(depth(NOW)) == []
@@ -98,14 +96,14 @@ def test_a_frame_waits_for_the_pressure_of_its_time_but_not_for_long() -> None:
     assert late.gas_pressure_pa == 1.02e5  # the nearest there is
 
 
-def test_a_pressure_long_silent_is_neither_waited_for_nor_used() -> None:
+def test_a_pressure_long_silent_is_neither_waited_for_nor_used():
     assembler = FrameAssembler()
     assembler.push(gas(NOW - 5 * SECOND, 1e5))
     (frame,) = assembler.push(depth(NOW))
     assert frame.gas_pressure_pa is None
 
 
-def test_duplicates_and_old_frames_are_counted_and_left_out() -> None:
+def test_duplicates_and_old_frames_are_counted_and_left_out():
     assembler = FrameAssembler()
     order = [0, 1, 2, 2, 1, 3]
     sent = [depth(NOW + k * PERIOD, k, arrival=NOW + n * PERIOD) for n, k in enumerate(order)]
@@ -123,9 +121,7 @@ def test_duplicates_and_old_frames_are_counted_and_left_out() -> None:
         (NOW + 800 * 86400 * SECOND, "800 days ahead of this clock"),
     ],
 )
-def test_a_garbage_stamp_is_counted_and_the_frame_is_timed_by_its_arrival(
-    stamp: int, said: str
-) -> None:
+def test_a_garbage_stamp_is_counted_and_the_frame_is_timed_by_its_arrival(stamp, said):
     assembler = FrameAssembler()
     sent = [depth(NOW + k * PERIOD, k) for k in range(6)]
     sent[3] = depth(stamp, 3, arrival=sent[3].arrival_ns)
@@ -136,7 +132,7 @@ def test_a_garbage_stamp_is_counted_and_the_frame_is_timed_by_its_arrival(
     assert found[3].stamp_ns == stamp  # its own
 
 
-def test_a_clock_that_was_set_is_followed_after_three_frames() -> None:
+def test_a_clock_that_was_set_is_followed_after_three_frames():
     assembler = FrameAssembler()
     jump = -3 * 3600 * SECOND
     sent = [depth(NOW + k * PERIOD, k) for k in range(5)]
@@ -151,7 +147,7 @@ def test_a_clock_that_was_set_is_followed_after_three_frames() -> None:
     assert found[-1].time_s == pytest.approx(4 * PERIOD * 1e-9)
 
 
-def test_wrong_sizes_types_and_bytes_are_told_apart() -> None:
+def test_wrong_sizes_types_and_bytes_are_told_apart():
     assembler = FrameAssembler(size=(WIDTH, HEIGHT))
     stamps = [NOW + k * PERIOD for k in range(8)]
     found = frames_of(
@@ -171,7 +167,7 @@ def test_wrong_sizes_types_and_bytes_are_told_apart() -> None:
     assert "/cam/depth" in counters.problem
 
 
-def test_a_topic_called_depth_wins_and_infrared_is_left_alone() -> None:
+def test_a_topic_called_depth_wins_and_infrared_is_left_alone():
     assembler = FrameAssembler()
     sent = []
     for k in range(3):
@@ -181,7 +177,7 @@ def test_a_topic_called_depth_wins_and_infrared_is_left_alone() -> None:
     assert [round(1e3 * float(f.depth_m[0, 0])) - 100 for f in found] == [50, 0, 1, 2]
 
 
-def test_another_sensors_topics_and_our_own_results_are_left_alone() -> None:
+def test_another_sensors_topics_and_our_own_results_are_left_alone():
     assembler = FrameAssembler(TopicNames(prefix="/left"))
     found = frames_of(
         assembler,
@@ -195,7 +191,7 @@ def test_another_sensors_topics_and_our_own_results_are_left_alone() -> None:
     assert assembler.counters.undecodable == 0
 
 
-def test_point_clouds_become_depth_images() -> None:
+def test_point_clouds_become_depth_images():
     camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)
     truth = np.linspace(0.1, 0.2, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
     truth[3, 4] = np.nan
@@ -231,9 +227,7 @@ GOOD = {
     st.integers(0, 12_000),
     st.binary(max_size=64),
 )
-def test_whatever_bytes_arrive_nothing_is_raised(
-    kind: str, changes: list[tuple[int, bytes]], cut: int, tail: bytes
-) -> None:
+def test_whatever_bytes_arrive_nothing_is_raised(kind, changes, cut, tail):
     data = bytearray(GOOD[kind])
     for at, new in changes:
         data[at : at + len(new)] = new
@@ -248,7 +242,7 @@ def test_whatever_bytes_arrive_nothing_is_raised(
 
 @settings(max_examples=200)
 @given(st.sampled_from(sorted(GOOD)), st.binary(max_size=300))
-def test_pure_noise_is_undecodable(kind: str, noise: bytes) -> None:
+def test_pure_noise_is_undecodable(kind, noise):
     assembler = FrameAssembler()
     assembler.push(RawMessage("/t", kind, b"\x07" + noise, stamp_of(noise), NOW))
     assert assembler.counters.undecodable == 1
@@ -256,7 +250,7 @@ def test_pure_noise_is_undecodable(kind: str, noise: bytes) -> None:
 
 @settings(max_examples=100)
 @given(st.lists(st.integers(-(2**40), 2**63 - 1), min_size=1, max_size=30))
-def test_whatever_stamps_come_times_of_frames_never_fall_between_jumps(stamps: list[int]) -> None:
+def test_whatever_stamps_come_times_of_frames_never_fall_between_jumps(stamps):
     assembler = FrameAssembler()
     found: list[Frame] = []
     for k, stamp in enumerate(stamps):

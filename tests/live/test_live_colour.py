@@ -1,12 +1,9 @@
 """Live frames have colour images once somebody asks for them, and are not burdened before."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,18 +39,18 @@ from bubbleviz.live import (
     open_stream,
 )
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Frame, Recording
-from bubbleviz.sensor import Sensor, with_colour_delay
+from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Recording
+from bubbleviz.sensor import with_colour_delay
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
 
 
-def level(frame: Frame, delay_s: float = 0.0) -> int | None:
+def level(frame, delay_s=0.0):
     image = replace(frame, colour_delay_s=delay_s).colour
     return None if image is None else int(image.grey()[5, 5])
 
 
-def both(k: int, shift: int = 0) -> list[RawMessage]:
+def both(k, shift=0):
     """Depth image k, then the colour image of that time, and one of another sensor."""
     stamp = NOW + k * PERIOD
     return [
@@ -63,7 +60,7 @@ def both(k: int, shift: int = 0) -> list[RawMessage]:
     ]
 
 
-def test_nothing_is_taken_before_it_is_asked_for() -> None:
+def test_nothing_is_taken_before_it_is_asked_for():
     assembler = FrameAssembler()
     found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
     assert [frame.colour for frame in found] == [None] * 3
@@ -71,7 +68,7 @@ def test_nothing_is_taken_before_it_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize("shift", [0, PERIOD // 4, -PERIOD // 4])
-def test_a_frame_has_the_colour_of_its_time_and_before(shift: int) -> None:
+def test_a_frame_has_the_colour_of_its_time_and_before(shift):
     assembler = FrameAssembler()
     assembler.follow_colour()
     found = frames_of(assembler, *(m for k in range(8) for m in both(k, shift)))
@@ -84,7 +81,7 @@ def test_a_frame_has_the_colour_of_its_time_and_before(shift: int) -> None:
 
 
 @pytest.mark.parametrize(("late", "seen"), [(50_000_000, 1), (200_000_000, None)])
-def test_a_frame_waits_for_the_colour_of_its_time(late: int, seen: int | None) -> None:
+def test_a_frame_waits_for_the_colour_of_its_time(late, seen):
     """A slow replay: the images of one moment arrive long after each other."""
     assembler = FrameAssembler()
     assembler.follow_colour()
@@ -100,7 +97,7 @@ def test_a_frame_waits_for_the_colour_of_its_time(late: int, seen: int | None) -
     assert [level(frame) for frame in found] == [seen]
 
 
-def test_a_newer_frame_ends_the_wait_for_colour() -> None:
+def test_a_newer_frame_ends_the_wait_for_colour():
     assembler = FrameAssembler()
     assembler.follow_colour()
     for message in both(0):
@@ -111,9 +108,7 @@ def test_a_newer_frame_ends_the_wait_for_colour() -> None:
 
 
 @pytest.mark.parametrize("ahead", [0, 2, 14])
-def test_a_delay_of_the_sensor_pairs_the_frames_of_one_moment(
-    ahead: int, small_sensor: Sensor
-) -> None:
+def test_a_delay_of_the_sensor_pairs_the_frames_of_one_moment(ahead, small_sensor):
     """Colour shows the moment `ahead` frames later; up to half a second of images are kept."""
     delay_s = -1e-9 * ahead * PERIOD
     pipeline = Pipeline.of(with_colour_delay(small_sensor, delay_s))
@@ -127,7 +122,7 @@ def test_a_delay_of_the_sensor_pairs_the_frames_of_one_moment(
         assert int(frame.colour.grey()[5, 5]) == 19 - ahead
 
 
-def test_a_frame_waits_for_a_colour_image_that_is_late() -> None:
+def test_a_frame_waits_for_a_colour_image_that_is_late():
     """Colour at twice the rate shows what depth showed 0.8 periods before."""
     delay_s = 0.8e-9 * PERIOD
     assembler = FrameAssembler(colour_delay_s=delay_s)
@@ -141,7 +136,7 @@ def test_a_frame_waits_for_a_colour_image_that_is_late() -> None:
     assert level(frame, delay_s) == 12
 
 
-def test_the_camera_is_told() -> None:
+def test_the_camera_is_told():
     info = arrived("/cam/depth/camera_info", INFO, camera_info(NOW), NOW)
     assembler = FrameAssembler()
     assembler.follow_colour()
@@ -151,7 +146,7 @@ def test_the_camera_is_told() -> None:
     assert "that of the depth camera" in image.camera.remark
 
 
-def test_garbage_is_said_when_it_is_asked_for() -> None:
+def test_garbage_is_said_when_it_is_asked_for():
     assembler = FrameAssembler()
     assembler.follow_colour()
     messages = [*both(0), depth(NOW + PERIOD, 1, topic="/cam/depth/image")]
@@ -163,7 +158,7 @@ def test_garbage_is_said_when_it_is_asked_for() -> None:
         image.grey()
 
 
-def test_a_named_topic_of_another_namespace_counts() -> None:
+def test_a_named_topic_of_another_namespace_counts():
     assembler = FrameAssembler(TopicNames(colour="/other/color/image_raw"))
     assembler.follow_colour()
     found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
@@ -171,7 +166,7 @@ def test_a_named_topic_of_another_namespace_counts() -> None:
 
 
 @pytest.mark.parametrize("before", [True, False])
-def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, before: bool) -> None:
+def test_what_is_recorded_has_colour(tmp_path, small_sensor, before):
     path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
     recorder, copy = Recorder(), tmp_path / "copy.mcap"
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
@@ -186,7 +181,7 @@ def test_what_is_recorded_has_colour(tmp_path: Path, small_sensor: Sensor, befor
         assert [level(recording[k]) for k in range(5)] == list(range(5))
 
 
-def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
+def test_a_robot_sends_colour_only_to_who_asks(small_sensor):
     """Announced, but not subscribed to before; found also when it is asked for later."""
     port, topics = free_port(), {"depth/image": 0, "color/image_raw": 1}
     kind = f"sensor_msgs::msg::dds_::Image_/{HASH}"
@@ -200,7 +195,7 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
             for name, number in topics.items()
         ]
 
-        def send() -> None:
+        def send():
             stamp = time.time_ns()
             for message in both(0):
                 name = message.topic.removeprefix("/cam/")
@@ -232,7 +227,7 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor: Sensor) -> None:
         assert tokens
 
 
-def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor) -> None:
+def test_why_a_frame_has_no_colour_is_said(tmp_path, small_sensor):
     """Not asked for, awaited, or not there: three words."""
     said = []
     for colours, asked in ((1, False), (1, True), (0, True)):
@@ -257,8 +252,8 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path: Path, small_sensor: Sensor)
     ("asked", "let_go", "comes"), [(0, 0, False), (1, 0, True), (2, 1, True), (2, 2, False)]
 )
 def test_a_replay_plays_colour_until_the_last_who_asked_lets_go(
-    asked: int, let_go: int, comes: bool, tmp_path: Path, small_sensor: Sensor
-) -> None:
+    asked, let_go, comes, tmp_path, small_sensor
+):
     path = recorded(tmp_path / "rec.mcap", [m for k in range(3) for m in both(k)])
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
     for forget in [stream.follow_colour() for _ in range(asked)][:let_go]:
@@ -269,7 +264,7 @@ def test_a_replay_plays_colour_until_the_last_who_asked_lets_go(
     assert any(message.topic == COLOUR for message in heard) is comes
 
 
-def static_pose(parent: str, child: str, at_m: tuple[float, float, float]) -> RawMessage:
+def static_pose(parent, child, at_m):
     """T_parent_child: a quarter turn about z, on /tf_static."""
     kinds = STORE.types
     turn = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.5**0.5, 0.5**0.5)
@@ -283,7 +278,7 @@ def static_pose(parent: str, child: str, at_m: tuple[float, float, float]) -> Ra
     return arrived(STATIC_TRANSFORMS, TRANSFORMS, cdr(message, TRANSFORMS), 0)
 
 
-def framed(stamp: int, k: int, frame_id: str) -> RawMessage:
+def framed(stamp, k, frame_id):
     """A colour image in a frame of reference."""
     head = header(stamp)
     head.frame_id = frame_id
@@ -304,9 +299,7 @@ POSE = np.array(
         ("elsewhere", np.eye(4), True),
     ],
 )
-def test_the_pose_of_the_colour_camera_is_that_of_tf_static(
-    frame_id: str, pose: np.ndarray, remark: bool
-) -> None:
+def test_the_pose_of_the_colour_camera_is_that_of_tf_static(frame_id, pose, remark):
     """Sent once, before anybody asks for colour; what nothing places is said."""
     assembler = FrameAssembler()
     assembler.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
@@ -320,7 +313,7 @@ def test_the_pose_of_the_colour_camera_is_that_of_tf_static(
     assert ("where the depth camera is" in camera.remark) is remark
 
 
-def test_a_recording_and_its_replay_have_the_pose(tmp_path: Path, small_sensor: Sensor) -> None:
+def test_a_recording_and_its_replay_have_the_pose(tmp_path, small_sensor):
     """Although it was sent before the recording began."""
     recorder, stamps = Recorder(), [NOW + k * PERIOD for k in range(5)]
     recorder.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
@@ -339,9 +332,7 @@ def test_a_recording_and_its_replay_have_the_pose(tmp_path: Path, small_sensor: 
 
 
 @pytest.mark.parametrize("ours", [False, True])
-def test_a_robot_that_told_the_pose_long_ago_tells_it_again(
-    ours: bool, small_sensor: Sensor
-) -> None:
+def test_a_robot_that_told_the_pose_long_ago_tells_it_again(ours, small_sensor):
     """As rmw_zenoh does for transient-local topics; our own publisher does the same."""
     port, pose = free_port(), static_pose("", "lens", (0.01, 0.02, 0.03))
     place, held = f"tcp/127.0.0.1:{port}", ExitStack()
@@ -379,21 +370,19 @@ RECORDED = 80
 
 
 @pytest.fixture(scope="module")
-def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def realsense_file(tmp_path_factory):
     """Depth and colour of two sensors."""
     path = tmp_path_factory.mktemp("realsense") / "camera.db3"
     return record_realsense(path, RECORDED, POSE)
 
 
-def test_colour_of_a_realsense_camera_asked_for_later(
-    realsense_file: Path, small_sensor: Sensor
-) -> None:
+def test_colour_of_a_realsense_camera_asked_for_later(realsense_file, small_sensor):
     """After a few images the file begins again, with colour; let go of, that comes no more."""
     stream = open_stream(f"realsense:{realsense_file}?loop=1", small_sensor)
     heard: list[RawMessage] = []
     let_go: list[Callable[[], None]] = []
 
-    def ask(message: RawMessage) -> None:
+    def ask(message):
         heard.append(message)
         if not let_go and len(heard) == 10:  # by then the source has read as far ahead as it does
             let_go.append(stream.follow_colour())

@@ -1,9 +1,5 @@
 """A recording is a stream that has ended: the frames of either have the same beside them."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from streams import frames_of, recorded
@@ -22,12 +18,12 @@ from wire import (
 )
 
 from bubbleviz.live import FrameAssembler, RawMessage
-from bubbleviz.recordings import Frame, Recording
+from bubbleviz.recordings import Recording
 
 MS = 1_000_000
 
 
-def of_another_clock() -> list[RawMessage]:
+def of_another_clock():
     """Gas pressure without stamps; the camera's clock is 40 s behind."""
     frames = [depth(NOW - 40 * SECOND + k * PERIOD, k, NOW + k * PERIOD) for k in range(6)]
     stampless = [
@@ -37,7 +33,7 @@ def of_another_clock() -> list[RawMessage]:
     return stampless + frames
 
 
-def with_jitter() -> list[RawMessage]:
+def with_jitter():
     """Stamps and arrivals of every topic waver, each at its own rate."""
     rng, found = np.random.default_rng(0), list[RawMessage]()
     for k in range(20):
@@ -51,19 +47,19 @@ def with_jitter() -> list[RawMessage]:
     return found
 
 
-def beyond_the_last(late_ms: int) -> list[RawMessage]:
+def beyond_the_last(late_ms):
     """One gas pressure, and a frame after it."""
     return [gas(NOW, 1.06e5), depth(NOW + late_ms * MS)]
 
 
-def with_colour() -> list[RawMessage]:
+def with_colour():
     """Colour of two moments in three, a quarter of a period earlier."""
     shown = [k for k in range(12) if k % 3]
     images = [grey(NOW + k * PERIOD - PERIOD // 4, k) for k in shown]
     return [*images, *(depth(NOW + k * PERIOD, k) for k in range(12))]
 
 
-def beside(frame: Frame) -> tuple[object, ...]:
+def beside(frame):
     """What belongs to a frame, with the colour of its moment and of a fifth of a second before."""
     values = None if frame.wrench is None else tuple(frame.wrench.tolist())
     find = frame.find_colour or (lambda _: None)
@@ -83,9 +79,7 @@ def beside(frame: Frame) -> tuple[object, ...]:
     ],
     ids=["another clock", "jitter", "near the last", "far from it", "colour"],
 )
-def test_a_recording_and_its_stream_have_the_same_beside_each_frame(
-    tmp_path: Path, messages: list[RawMessage], has: list[float | None] | None
-) -> None:
+def test_a_recording_and_its_stream_have_the_same_beside_each_frame(tmp_path, messages, has):
     messages = sorted(messages, key=lambda message: message.arrival_ns)
     assembler = FrameAssembler()
     assembler.follow_colour()

@@ -1,7 +1,5 @@
 """The commands, as processes: record, watch, publish; a soak."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -10,11 +8,10 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from mcap.reader import make_reader
 from small_press import small_source
 from streams import recorded
@@ -28,17 +25,17 @@ from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionOptions, ZenohSource, open_session, open_stream
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 
 Eventually = Callable[[Callable[[], object]], None]
 ENTRY = "from bubbleviz.cli.command_line import main; main()"
 
 
-def run(*arguments: str) -> Result:
+def run(*arguments):
     return CliRunner().invoke(main, list(arguments))
 
 
-def start(*arguments: str) -> subprocess.Popen[str]:
+def start(*arguments):
     return subprocess.Popen(
         [sys.executable, "-c", ENTRY, *arguments],
         stdout=subprocess.PIPE,
@@ -47,14 +44,14 @@ def start(*arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def write_plain(path: Path, frames: int) -> None:
+def write_plain(path, frames):
     """Images of one depth, of another size than any preset's."""
     with RecordingWriter(path) as writer:
         for k in range(frames):
             writer.write(Frame(k, 0.01 * k, np.full((48, 64), 0.1, np.float32)))
 
 
-def has_frames(path: Path) -> bool:
+def has_frames(path):
     """Whether a recording in the making opens, with some frames."""
     try:
         return path.exists() and info(path).frames > 0
@@ -62,7 +59,7 @@ def has_frames(path: Path) -> bool:
         return False
 
 
-def test_record_for_a_while(tmp_path: Path, small_sensor_file: Path) -> None:
+def test_record_for_a_while(tmp_path, small_sensor_file):
     out = tmp_path / "rec.mcap"
     source, sensor = "synthetic:?rate=100&frames=4", str(small_sensor_file)
     words = ("--sensor", sensor, "--out", str(out), "--duration", "0.6", "--json")
@@ -79,9 +76,7 @@ def test_record_for_a_while(tmp_path: Path, small_sensor_file: Path) -> None:
     assert (again / "metadata.yaml").exists()
 
 
-def test_stopping_record_leaves_a_whole_file(
-    tmp_path: Path, small_sensor_file: Path, eventually: Eventually
-) -> None:
+def test_stopping_record_leaves_a_whole_file(tmp_path, small_sensor_file, eventually):
     out = tmp_path / "rec.mcap"
     source = "synthetic:?rate=100&frames=4"
     process = start(
@@ -108,7 +103,7 @@ def test_stopping_record_leaves_a_whole_file(
         ("realsense:nowhere.bag", "no such file"),
     ],
 )
-def test_bad_sources_are_one_line_and_leave_no_file(tmp_path: Path, source: str, says: str) -> None:
+def test_bad_sources_are_one_line_and_leave_no_file(tmp_path, source, says):
     for command in ("record", "watch"):
         out = tmp_path / f"{command}.mcap"
         more = () if command == "record" else ("--sensor", "pico_flexx_75mm")
@@ -119,7 +114,7 @@ def test_bad_sources_are_one_line_and_leave_no_file(tmp_path: Path, source: str,
         assert not out.exists()
 
 
-def test_images_of_another_camera_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_images_of_another_camera_are_refused_in_one_line(tmp_path):
     path = tmp_path / "rec.mcap"
     write_plain(path, 8)
     source = f"replay:{path}"
@@ -131,10 +126,8 @@ def test_images_of_another_camera_are_refused_in_one_line(tmp_path: Path) -> Non
     assert "no preset has a camera of 64×48 pixels" in done.stderr
 
 
-def test_nothing_arrived_is_said_and_leaves_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.3)
+def test_nothing_arrived_is_said_and_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("bubbleviz.live.open_stream.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
     record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
     watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
@@ -151,9 +144,7 @@ def test_nothing_arrived_is_said_and_leaves_no_file(
     assert not out.exists()
 
 
-def test_a_source_is_published_watched_and_recorded_with_its_results(
-    tmp_path: Path, small_sensor_file: Path
-) -> None:
+def test_a_source_is_published_watched_and_recorded_with_its_results(tmp_path, small_sensor_file):
     """Simulation → Zenoh → watch → recording, in processes of their own."""
     sensor, endpoint = str(small_sensor_file), f"tcp/127.0.0.1:{free_port()}"
     source = "synthetic:sphere?rate=30&frames=40"
@@ -190,7 +181,7 @@ def test_a_source_is_published_watched_and_recorded_with_its_results(
     assert json.loads(stdout)["sent"]["/bubble/depth/image_raw"] >= told.frames
 
 
-def untouched_recording(path: Path, sensor_file: Path, frames: int, off_pa: float) -> Path:
+def untouched_recording(path, sensor_file, frames, off_pa):
     """The small membrane at rest, in weather that is `off_pa` from the sensor file's."""
     level_pa = load_sensor(sensor_file).pneumatics.reference_pressure_pa + off_pa
     (frame,) = (small_source(sensor_file, heights=(0.06,))[0],)
@@ -201,7 +192,7 @@ def untouched_recording(path: Path, sensor_file: Path, frames: int, off_pa: floa
     return path
 
 
-def test_nothing_to_trust_is_no_number_of_newtons(tmp_path: Path, small_sensor_file: Path) -> None:
+def test_nothing_to_trust_is_no_number_of_newtons(tmp_path, small_sensor_file):
     path, camera = tmp_path / "rec.mcap", load_sensor(small_sensor_file).camera
     with RecordingWriter(path) as writer:
         for k in range(5):
@@ -215,9 +206,7 @@ def test_nothing_to_trust_is_no_number_of_newtons(tmp_path: Path, small_sensor_f
 
 
 @pytest.mark.parametrize("frames", [1, 6])
-def test_the_last_frame_of_a_source_that_ends_is_solved(
-    tmp_path: Path, small_sensor_file: Path, frames: int
-) -> None:
+def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_file, frames):
     path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, frames, 0.0)
     source, out = f"replay:{path}?speed=1000", tmp_path / "out.mcap"
     words = ("--source", source, "--sensor", str(small_sensor_file), "--out", str(out))
@@ -234,8 +223,8 @@ def test_the_last_frame_of_a_source_that_ends_is_solved(
 @pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-6e3, True)])
 @pytest.mark.parametrize("zero", ["--zero", "--no-zero"])
 def test_a_gas_pressure_beyond_weather_is_warned_of(
-    tmp_path: Path, small_sensor_file: Path, off_pa: float, warned: bool, zero: str
-) -> None:
+    tmp_path, small_sensor_file, off_pa, warned, zero
+):
     path, sensor = tmp_path / "rec.mcap", str(small_sensor_file)
     untouched_recording(path, small_sensor_file, 60, off_pa)
     for speed in (1.0, 0.1, 0.02):  # on a busy machine few frames are seen in a second
@@ -249,14 +238,12 @@ def test_a_gas_pressure_beyond_weather_is_warned_of(
     assert len(said) == warned and all(where in line for line in said)
 
 
-def listens(port: int) -> bool:
+def listens(port):
     with socket.socket() as client:
         return client.connect_ex(("127.0.0.1", port)) == 0
 
 
-def test_a_published_recording_waits_for_its_first_subscriber(
-    tmp_path: Path, eventually: Eventually
-) -> None:
+def test_a_published_recording_waits_for_its_first_subscriber(tmp_path, eventually):
     path, port = tmp_path / "rec.mcap", free_port()
     write_plain(path, 40)
     endpoint = f"tcp/127.0.0.1:{port}"
@@ -277,9 +264,7 @@ def test_a_published_recording_waits_for_its_first_subscriber(
     assert done.exit_code == 2 and "leave --wait out" in done.stderr
 
 
-def test_colour_images_are_published_with_the_pose_of_their_camera(
-    tmp_path: Path, small_sensor: Sensor
-) -> None:
+def test_colour_images_are_published_with_the_pose_of_their_camera(tmp_path, small_sensor):
     path, port = tmp_path / "rec.mcap", free_port()
     pose = np.eye(4)
     pose[:3, 3] = 0.01, 0.0, 0.02
@@ -309,8 +294,8 @@ def test_colour_images_are_published_with_the_pose_of_their_camera(
 
 @pytest.mark.long
 def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
-    tmp_path: Path, certificates: Path, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, certificates, eventually, monkeypatch
+):
     path, out, port = tmp_path / "rec.mcap", tmp_path / "got.mcap", free_port()
     write_plain(path, 10)
     endpoint, files = f"tls/localhost:{port}", ("ca.pem", "cert.pem", "key.pem", "login")
@@ -347,7 +332,7 @@ def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
     assert done.exit_code == 2 and "nowhere.pem: no such file" in done.stderr
 
 
-def test_publishing_is_refused_in_one_line() -> None:
+def test_publishing_is_refused_in_one_line():
     common = ("publish", "--source", "synthetic:", "--duration", "0.1")
     for more, says in (
         (("--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"), "not both"),
@@ -360,7 +345,7 @@ def test_publishing_is_refused_in_one_line() -> None:
         assert says in done.stderr
 
 
-def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:
+def test_the_soak_in_small(small_sensor_file, tmp_path):
     """Every image in the file, by the publisher's count; `benchmarks.window live` takes longer."""
     out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5
     report = soak(str(small_sensor_file), seconds, 60.0, out)
@@ -373,19 +358,19 @@ def test_the_soak_in_small(small_sensor_file: Path, tmp_path: Path) -> None:
     assert "0 missing" in report.to_text()
 
 
-def test_a_soak_without_a_solved_frame_says_so(small_sensor_file: Path, tmp_path: Path) -> None:
+def test_a_soak_without_a_solved_frame_says_so(small_sensor_file, tmp_path):
     with pytest.raises(InputError, match="0 solved within 0 s: nothing to report"):
         soak(str(small_sensor_file), 0.0, 60.0, tmp_path / "soak.mcap")
 
 
-def test_the_soak_sees_what_is_missing(tmp_path: Path) -> None:
+def test_the_soak_sees_what_is_missing(tmp_path):
     """The count that decides is not blind: a file with a hole has a hole."""
     messages = [replace(depth(NOW + k * PERIOD, k), sequence=k) for k in (5, 6, 8, 8, 9)]
     path = recorded(tmp_path / "rec.mcap", messages)
     assert sequences(path).tolist() == [5, 6, 8, 8, 9]
 
 
-def test_plain_commands_load_nothing_of_this() -> None:
+def test_plain_commands_load_nothing_of_this():
     code = (
         "import sys, bubbleviz.cli.command_line, bubbleviz.pipeline\n"
         "import bubbleviz.recordings.recording\n"

@@ -1,7 +1,5 @@
 """The recorder skips nothing, and its file opens wherever writing ended."""
 
-from __future__ import annotations
-
 import os
 import random
 import re
@@ -38,7 +36,7 @@ from bubbleviz.recordings import MARKERS, McapFile, Recording
 INFO = "sensor_msgs/msg/CameraInfo"
 
 
-def record(path: Path, frames: int = 50, recorder: Recorder | None = None) -> None:
+def record(path, frames=50, recorder=None):
     recorder = recorder or Recorder()
     recorder.start(path)
     for k in range(frames):
@@ -52,7 +50,7 @@ def record(path: Path, frames: int = 50, recorder: Recorder | None = None) -> No
 
 
 @pytest.mark.parametrize("name", ["rec.mcap", "folder"])
-def test_mcap_and_rosbags_read_every_message_with_its_schema(tmp_path: Path, name: str) -> None:
+def test_mcap_and_rosbags_read_every_message_with_its_schema(tmp_path, name):
     path = tmp_path / name
     record(path)
     file = path if path.is_file() else path / "folder.mcap"
@@ -78,7 +76,7 @@ def test_mcap_and_rosbags_read_every_message_with_its_schema(tmp_path: Path, nam
     assert topics["/gas"] == ("sensor_msgs/msg/FluidPressure", 50)
 
 
-def test_it_is_read_as_any_recording(tmp_path: Path) -> None:
+def test_it_is_read_as_any_recording(tmp_path):
     record(tmp_path / "rec.mcap")
     with Recording(tmp_path / "rec.mcap") as recording:
         assert len(recording) == 50
@@ -88,7 +86,7 @@ def test_it_is_read_as_any_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.times_s, np.arange(50) * PERIOD * 1e-9)
 
 
-def test_markers_and_notes_are_kept_with_their_time(tmp_path: Path) -> None:
+def test_markers_and_notes_are_kept_with_their_time(tmp_path):
     recorder = Recorder()
     recorder.start(tmp_path / "rec.mcap")
     recorder.push(depth(time.time_ns()))
@@ -107,7 +105,7 @@ def test_markers_and_notes_are_kept_with_their_time(tmp_path: Path) -> None:
     assert all(before <= at <= after for _, at in found)
 
 
-def test_the_seconds_before_are_recorded_too(tmp_path: Path) -> None:
+def test_the_seconds_before_are_recorded_too(tmp_path):
     recorder = Recorder(pre_roll_s=1.0)
     for k in range(90):
         recorder.push(depth(NOW + k * PERIOD, k))
@@ -122,7 +120,7 @@ def test_the_seconds_before_are_recorded_too(tmp_path: Path) -> None:
     assert numbers == list(range(60, 91)) or numbers == list(range(59, 91))
 
 
-def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path: Path) -> None:
+def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path):
     (tmp_path / "rec.mcap").write_text("precious")
     recorder = Recorder()
     with pytest.raises(InputError, match="exists"):
@@ -142,7 +140,7 @@ def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path: Path) -> N
         recorder.stop()
 
 
-def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
+def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path):
     """Wherever it is cut: the frames before are the same, and there are never fewer than before."""
     path, rng = tmp_path / "long.mcap", np.random.default_rng(0)
     file = McapFile(path)
@@ -199,9 +197,7 @@ while True:
     ("name", "seed"),
     [("rec.mcap", 0), pytest.param("rec.mcap", 1, marks=pytest.mark.long), ("folder", 2)],
 )
-def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(
-    tmp_path: Path, name: str, seed: int
-) -> None:
+def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path, name, seed):
     path = tmp_path / name
     code = STREAM.format(tests=str(Path(__file__).parent), path=str(path))
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
@@ -232,9 +228,7 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(
 
 
 @pytest.mark.parametrize("pause_s", [0.002, 0.0])
-def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(
-    tmp_path: Path, pause_s: float
-) -> None:
+def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(tmp_path, pause_s):
     """In a process whose files may not grow beyond 2.5 MB, at a pace or all at once."""
     path = tmp_path / "rec.mcap"
     code = f"""

@@ -1,11 +1,8 @@
 """Results as ROS 2 messages, over Zenoh and into a recording; the zero of the gas pressure."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +17,6 @@ from bubbleviz.live import (
     DIAGNOSTICS,
     POSE,
     Counters,
-    Deliver,
-    Link,
     LiveSource,
     LiveStream,
     RawMessage,
@@ -31,15 +26,14 @@ from bubbleviz.live import (
 )
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, FrameMessages, RecordingWriter
-from bubbleviz.result import Pose, Result
+from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource, default_path
 
 Eventually = Callable[[Callable[[], object]], None]
 
 
-def press(sensor: Sensor, frames: int = 30) -> SyntheticSource:
+def press(sensor, frames=30):
     poses = default_path(0.05, 0.15, frames)
     return SyntheticSource(
         sensor, load_object("sphere"), poses, DepthNoise(relative=0.001), nodes=600
@@ -47,12 +41,12 @@ def press(sensor: Sensor, frames: int = 30) -> SyntheticSource:
 
 
 @pytest.fixture(scope="module")
-def pipeline(small_sensor: Sensor) -> Pipeline:
+def pipeline(small_sensor):
     return Pipeline.of(small_sensor)
 
 
 @pytest.fixture(scope="module")
-def pressed(small_sensor: Sensor, pipeline: Pipeline) -> Result:
+def pressed(small_sensor, pipeline):
     frame = press(small_sensor)[22]
     result = pipeline.process(replace(frame, stamp_ns=1_790_000_000_123_456_789), PRODUCTS)
     assert result.estimate is not None
@@ -60,11 +54,11 @@ def pressed(small_sensor: Sensor, pipeline: Pipeline) -> Result:
     return result
 
 
-def decoded(messages: Iterator[tuple[str, str, bytes, int]]) -> dict[str, object]:
+def decoded(messages):
     return {topic: STORE.deserialize_cdr(payload, kind) for topic, kind, payload, _ in messages}
 
 
-def test_patch_and_force_are_what_was_estimated(pipeline: Pipeline, pressed: Result) -> None:
+def test_patch_and_force_are_what_was_estimated(pipeline, pressed):
     found = decoded(ResultMessages(pipeline.mesh, "/bubbleviz/left").of(pressed))
     assert sorted(found) == ["/bubbleviz/left/contact_patch", "/bubbleviz/left/contact_wrench"]
     cloud, stamped = found["/bubbleviz/left/contact_patch"], found["/bubbleviz/left/contact_wrench"]
@@ -94,9 +88,7 @@ def test_patch_and_force_are_what_was_estimated(pipeline: Pipeline, pressed: Res
         assert (stamp.sec, stamp.nanosec) == (1_790_000_000, 123_456_789)
 
 
-def test_without_contact_the_force_is_zero_and_the_patch_empty(
-    small_sensor: Sensor, pipeline: Pipeline
-) -> None:
+def test_without_contact_the_force_is_zero_and_the_patch_empty(small_sensor, pipeline):
     result = pipeline.process(press(small_sensor)[0], PRODUCTS)
     found = decoded(ResultMessages(pipeline.mesh).of(result))
     assert found["/bubble/contact_patch"].width == 0
@@ -104,7 +96,7 @@ def test_without_contact_the_force_is_zero_and_the_patch_empty(
     assert [wrench.force.z, wrench.torque.x] == [0.0, 0.0]
 
 
-def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Result) -> None:
+def test_a_pose_is_published_where_there_is_one(pipeline, pressed):
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     T[:3, 3] = [0.01, -0.02, 0.05]
@@ -121,9 +113,7 @@ def test_a_pose_is_published_where_there_is_one(pipeline: Pipeline, pressed: Res
     assert POSE == "geometry_msgs/msg/PoseStamped"
 
 
-def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(
-    pipeline: Pipeline, pressed: Result
-) -> None:
+def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(pipeline, pressed):
     doubtful = replace(pressed.estimate, status="implausible", reason="another sensor")
     result = replace(pressed, estimate=doubtful)
     messages = ResultMessages(pipeline.mesh)
@@ -133,7 +123,7 @@ def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(
     assert STORE.deserialize_cdr(payload, kind).status[0].message == "implausible: another sensor"
 
 
-def test_diagnostics_tell_state_and_counts(pipeline: Pipeline, pressed: Result) -> None:
+def test_diagnostics_tell_state_and_counts(pipeline, pressed):
     messages = ResultMessages(pipeline.mesh)
     counters = Counters(received=7, undecodable=2, problem="/cam: garbage")
     implausible = replace(pressed, estimate=replace(pressed.estimate, status="implausible"))
@@ -158,9 +148,7 @@ def test_diagnostics_tell_state_and_counts(pipeline: Pipeline, pressed: Result) 
     }
 
 
-def test_results_arrive_over_zenoh_and_only_where_asked_for(
-    pipeline: Pipeline, pressed: Result, eventually: Eventually
-) -> None:
+def test_results_arrive_over_zenoh_and_only_where_asked_for(pipeline, pressed, eventually):
     messages = list(ResultMessages(pipeline.mesh).of(pressed))
     hashes = {kind: STORE.hash_rihs01(kind) for kind in (CLOUD, WRENCH)}
     patch = f"3/bubble/contact_patch/sensor_msgs::msg::dds_::PointCloud2_/{hashes[CLOUD]}"
@@ -174,7 +162,7 @@ def test_results_arrive_over_zenoh_and_only_where_asked_for(
 # -- the zero of the gas pressure ---------------------------------------------------------------
 
 
-def test_a_zero_is_learned_in_one_rest_and_only_then() -> None:
+def test_a_zero_is_learned_in_one_rest_and_only_then():
     zero = PressureZero(103_900.0)
     frame = Frame(0, 0.0, np.zeros((2, 2)), gas_pressure_pa=102_400.0)
     unknown = zero.applied(frame)
@@ -204,17 +192,17 @@ def test_a_zero_is_learned_in_one_rest_and_only_then() -> None:
 class Weather(LiveSource):
     """The simulated sensor on a day when the air weighs 800 Pa less; sends a frame when told to."""
 
-    def __init__(self, simulation: SyntheticSource) -> None:
+    def __init__(self, simulation):
         super().__init__("weather")
         self.simulation, self.messages, self.sent = simulation, FrameMessages(), 0
 
-    def start(self, deliver: Deliver) -> None:
+    def start(self, deliver):
         self.deliver = deliver
 
-    def link(self) -> Link:
+    def link(self):
         return "up"
 
-    def send(self) -> None:
+    def send(self):
         now = time.time_ns()
         frame = self.simulation[self.sent % len(self.simulation)]
         for topic, kind, payload, stamp in self.messages.of(frame, now):
@@ -226,7 +214,7 @@ class Weather(LiveSource):
         self.sent += 1
 
 
-def test_weather_is_not_contact(small_sensor: Sensor) -> None:
+def test_weather_is_not_contact(small_sensor):
     """Solved live on another day, with the zero and without."""
     worst = {}
     for zeroed in (False, True):
@@ -251,9 +239,7 @@ def test_weather_is_not_contact(small_sensor: Sensor) -> None:
     assert worst[False].get("implausible", 0) > 20
 
 
-def test_a_recording_is_zeroed_unless_told_not_to(
-    small_sensor: Sensor, small_sensor_file: Path, tmp_path: Path
-) -> None:
+def test_a_recording_is_zeroed_unless_told_not_to(small_sensor, small_sensor_file, tmp_path):
     """A recording of a day with 800 Pa less: `--no-zero-gas` believes it."""
     path, source = tmp_path / "rec.mcap", press(small_sensor, 200)
     with RecordingWriter(path) as writer:
@@ -271,9 +257,7 @@ def test_a_recording_is_zeroed_unless_told_not_to(
         assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
 
 
-def test_what_is_said_where_there_is_no_zero(
-    small_sensor_file: Path, small_sensor: Sensor, tmp_path: Path
-) -> None:
+def test_what_is_said_where_there_is_no_zero(small_sensor_file, small_sensor, tmp_path):
     """Without a gas pressure there is none to take; without a rest it is the weather's."""
     source = press(small_sensor, 200)
     for name, frames, measured, says in (
@@ -309,13 +293,11 @@ def test_what_is_said_where_there_is_no_zero(
         ("ended", 0.1, "ended"),
     ],
 )
-def test_a_source_that_stopped_is_stale_within_a_second(
-    link: str, silent: float | None, state: str
-) -> None:
+def test_a_source_that_stopped_is_stale_within_a_second(link, silent, state):
     assert status_of(link, silent).state == state
 
 
-def test_a_zero_that_is_waited_for_asks_about_few_frames_of_a_contact() -> None:
+def test_a_zero_that_is_waited_for_asks_about_few_frames_of_a_contact():
     zero, asked = PressureZero(1e5), 0
     for _ in range(60):
         if zero.wants_next():

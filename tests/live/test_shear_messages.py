@@ -1,7 +1,5 @@
 """The wrench with friction and slip arrive over Zenoh as they were simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,7 +11,6 @@ from wire import STORE
 
 from bubbleviz.live import ResultMessages
 from bubbleviz.pipeline import Product
-from bubbleviz.result import Result
 from tests.shear.drag import Eyes, stuck
 
 Eventually = Callable[[Callable[[], object]], None]
@@ -28,12 +25,12 @@ SHEAR_TOPICS = {
 
 
 @pytest.fixture(scope="module")
-def eyes() -> Eyes:
+def eyes():
     return Eyes()
 
 
 @pytest.fixture(scope="module")
-def dragged(eyes: Eyes) -> Result:
+def dragged(eyes):
     """The second frame of a puck that is held where it was dragged to."""
     truth = stuck("puck", 0.004, 0.001, 8.0)
     first, second = (eyes.pipeline.process(eyes.see(truth, seed), SHEAR) for seed in range(2))
@@ -41,17 +38,15 @@ def dragged(eyes: Eyes) -> Result:
     return second
 
 
-def topics(eyes: Eyes, result: Result) -> set[str]:
+def topics(eyes, result):
     return {m[0].rsplit("/", 1)[1] for m in ResultMessages(eyes.pipeline.mesh).of(result)}
 
 
-def vector(of: Any) -> np.ndarray:
+def vector(of):
     return np.array([of.x, of.y, of.z])
 
 
-def test_a_wrench_and_slip_arrive_over_zenoh(
-    eyes: Eyes, dragged: Result, eventually: Eventually
-) -> None:
+def test_a_wrench_and_slip_arrive_over_zenoh(eyes, dragged, eventually):
     truth = stuck("puck", 0.004, 0.001, 8.0)
     sent = list(ResultMessages(eyes.pipeline.mesh).of(dragged))
     found = over_zenoh(sent, 4, eventually)
@@ -74,7 +69,7 @@ def test_a_wrench_and_slip_arrive_over_zenoh(
     assert got["slip_share_sigma"].data >= 0.0
 
 
-def test_nothing_goes_out_of_what_is_not_known(eyes: Eyes, dragged: Result) -> None:
+def test_nothing_goes_out_of_what_is_not_known(eyes, dragged):
     assert topics(eyes, replace(dragged, slip=None)) & SHEAR_TOPICS == {
         "traction_wrench",
         "traction_wrench_sigma",
@@ -90,7 +85,7 @@ def test_nothing_goes_out_of_what_is_not_known(eyes: Eyes, dragged: Result) -> N
         assert not topics(eyes, result) & SHEAR_TOPICS
 
 
-def test_without_contact_the_wrench_is_zero(eyes: Eyes) -> None:
+def test_without_contact_the_wrench_is_zero(eyes):
     result = eyes.pipeline.process(eyes.rest(), SHEAR)
     assert result.traction.status == "no_contact"
     assert topics(eyes, result) & SHEAR_TOPICS == {"traction_wrench"}

@@ -1,17 +1,12 @@
 """What --source may say, and how it is refused."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.live import open_stream, parse_uri
-from bubbleviz.sensor import Sensor
 
 
-def test_a_source_is_taken_apart() -> None:
+def test_a_source_is_taken_apart():
     uri = parse_uri("zenoh:tcp/10.0.0.7:7447?depth=/cam/depth&lag=-0.01&info=%3F")
     assert (uri.scheme, uri.place) == ("zenoh", "tcp/10.0.0.7:7447")
     options = uri.options
@@ -20,7 +15,7 @@ def test_a_source_is_taken_apart() -> None:
 
 
 @pytest.mark.parametrize("place", ["/a/b#1.mcap", "//host/a.mcap", "C:/a%20b.mcap"])
-def test_a_place_is_as_it_was_given(place: str) -> None:
+def test_a_place_is_as_it_was_given(place):
     assert parse_uri(f"replay:{place}?loop=1").place == place.replace("%20", " ")
 
 
@@ -48,9 +43,7 @@ def test_a_place_is_as_it_was_given(place: str) -> None:
         ("realsense:0123456789", "RealSense"),
     ],
 )
-def test_refusals_are_one_line_that_names_the_source(
-    source: str, says: str, small_sensor: Sensor, tmp_path: Path
-) -> None:
+def test_refusals_are_one_line_that_names_the_source(source, says, small_sensor, tmp_path):
     with pytest.raises(InputError, match=says.replace("(", r"\(")) as caught:
         open_stream(source, small_sensor)
     assert "\n" not in str(caught.value)

@@ -1,12 +1,9 @@
 """Simulated, replayed and RealSense sources."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,21 +41,21 @@ from bubbleviz.live import (
     open_stream,
 )
 from bubbleviz.recordings import Recording
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, finger_pose, grip_poses, oversized_nut
 
 Eventually = Callable[[Callable[[], object]], None]
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
+def recording(tmp_path):
     """Ten images and gas pressures, one of each every 33 ms."""
     stamps = [NOW + k * PERIOD for k in range(10)]
     messages = [m for k, s in enumerate(stamps) for m in (gas(s, 1e5 + k), depth(s, k))]
     return recorded(tmp_path / "rec.mcap", messages)
 
 
-def test_the_simulation_streams_stamped_with_the_present(small_sensor: Sensor) -> None:
+def test_the_simulation_streams_stamped_with_the_present(small_sensor):
     with open_stream("synthetic:?rate=100&frames=4&noise=0", small_sensor) as stream:
         first = stream.take(60.0)
         assert first is not None
@@ -72,9 +69,7 @@ def test_the_simulation_streams_stamped_with_the_present(small_sensor: Sensor) -
     assert stream.counters().bad_stamps == 0
 
 
-def test_every_round_shows_the_same_stamped_anew(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_every_round_shows_the_same_stamped_anew(small_sensor, eventually):
     seen: list[RawMessage] = []
     stream = open_stream("synthetic:?rate=100&frames=3&encoding=16UC1", small_sensor)
     stream.listen(seen.append)
@@ -92,7 +87,7 @@ def test_every_round_shows_the_same_stamped_anew(
     assert beside >= set(stamps)
 
 
-def test_on_the_fly_is_the_same_simulation(small_sensor: Sensor) -> None:
+def test_on_the_fly_is_the_same_simulation(small_sensor):
     depths = []
     for ahead in (0, 1):
         source = f"synthetic:sphere?rate=200&frames=3&seed=4&ahead={ahead}&prefix=/left"
@@ -106,9 +101,7 @@ def test_on_the_fly_is_the_same_simulation(small_sensor: Sensor) -> None:
     np.testing.assert_array_equal(depths[0], depths[1])
 
 
-def test_newest_wins_and_what_is_passed_by_is_counted(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_newest_wins_and_what_is_passed_by_is_counted(small_sensor, eventually):
     seen: list[RawMessage] = []
     stream = open_stream("synthetic:?rate=200&frames=3", small_sensor)
     stream.listen(seen.append)
@@ -123,11 +116,11 @@ def test_newest_wins_and_what_is_passed_by_is_counted(
     assert images == list(range(len(images)))  # who listens misses none
 
 
-def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor: Sensor) -> None:
+def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor):
     """A recorder waiting for its disk must not freeze the window, which asks how it is going."""
     waiting, go_on = threading.Event(), threading.Event()
 
-    def wait(message: RawMessage) -> None:
+    def wait(message):
         waiting.set()
         go_on.wait()
 
@@ -143,7 +136,7 @@ def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor: Sensor) -> 
         assert stream.take(30.0) is not None
 
 
-def test_who_waits_for_a_frame_is_called_off(small_sensor: Sensor) -> None:
+def test_who_waits_for_a_frame_is_called_off(small_sensor):
     stream, taken = open_stream("zenoh:tcp/127.0.0.1:1", small_sensor), list[object]()
     waiting = threading.Thread(target=lambda: taken.append(stream.take(1e6)), daemon=True)
     waiting.start()
@@ -152,9 +145,7 @@ def test_who_waits_for_a_frame_is_called_off(small_sensor: Sensor) -> None:
     assert taken == [None]
 
 
-def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(
-    recording: Path, eventually: Eventually
-) -> None:
+def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(recording, eventually):
     got: list[RawMessage] = []
     source = Replay(recording, speed=2.0)
     source.start(got.append)
@@ -168,7 +159,7 @@ def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(
     assert source.problem() == ""
 
 
-def test_a_looped_replay_goes_on(recording: Path, small_sensor: Sensor) -> None:
+def test_a_looped_replay_goes_on(recording, small_sensor):
     stream = open_stream(f"replay:{recording}?loop=1&speed=20", small_sensor, any_size=True)
     with stream:
         for _ in range(1000):
@@ -180,9 +171,7 @@ def test_a_looped_replay_goes_on(recording: Path, small_sensor: Sensor) -> None:
     assert (counters.bad_stamps, counters.out_of_order, counters.duplicate) == (0, 0, 0)
 
 
-def test_another_camera_s_recording_is_counted_not_solved(
-    recording: Path, eventually: Eventually
-) -> None:
+def test_another_camera_s_recording_is_counted_not_solved(recording, eventually):
     stream = open_stream(f"replay:{recording}?speed=50", load_sensor("pico_flexx_75mm"))
     with stream:
         eventually(lambda: stream.status().state == "ended")
@@ -191,7 +180,7 @@ def test_another_camera_s_recording_is_counted_not_solved(
 
 
 @pytest.mark.parametrize("rows", [True, False])
-def test_point_clouds_are_recorded_and_read_again(tmp_path: Path, rows: bool) -> None:
+def test_point_clouds_are_recorded_and_read_again(tmp_path, rows):
     camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)  # as wire.camera_info has it
     truths, messages = [], []
     for k in range(3):
@@ -213,7 +202,7 @@ def test_point_clouds_are_recorded_and_read_again(tmp_path: Path, rows: bool) ->
 # -- two fingers --------------------------------------------------------------------------------
 
 
-def test_the_nut_is_in_one_place_for_both_fingers() -> None:
+def test_the_nut_is_in_one_place_for_both_fingers():
     """T_W_O through either finger is the same while they are closed, by the preset's own poses."""
     session = load_session("dual_nut")
     left, right = session.sensors
@@ -233,7 +222,7 @@ def test_the_nut_is_in_one_place_for_both_fingers() -> None:
         )
 
 
-def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
+def test_each_finger_presses_its_side_of_the_nut(small_sensor):
     nut = oversized_nut()
     assert np.ptp(nut.vertices[:, 1]) == pytest.approx(0.048)
     forces = []
@@ -249,7 +238,7 @@ def test_each_finger_presses_its_side_of_the_nut(small_sensor: Sensor) -> None:
     np.testing.assert_allclose(forces[0], -forces[1], atol=0.05 * np.linalg.norm(forces[0]))
 
 
-def sent_pressures(path: Path, topic: str) -> list[float]:
+def sent_pressures(path, topic):
     """Gas pressures of a recording as the `mcap` library and rosbags read them."""
     with path.open("rb") as file:
         messages = list(make_reader(file).iter_messages(topics=[topic]))
@@ -257,8 +246,8 @@ def sent_pressures(path: Path, topic: str) -> list[float]:
 
 
 def test_two_sensors_are_recorded_into_one_file_and_told_apart(
-    small_sensor_file: Path, tmp_path: Path, eventually: Eventually
-) -> None:
+    small_sensor_file, tmp_path, eventually
+):
     places = [
         SensorPlace(
             name=side,
@@ -296,7 +285,7 @@ def test_two_sensors_are_recorded_into_one_file_and_told_apart(
         ("= =", "not a readable TOML"),
     ],
 )
-def test_session_files_are_refused_by_key(tmp_path: Path, change: str, says: str) -> None:
+def test_session_files_are_refused_by_key(tmp_path, change, says):
     path = tmp_path / "session.toml"
     lines = ["schema_version = 1", 'title = "x"', "[[sensors]]", 'name = "a"', 'sensor = "s"']
     text = "\n".join([*lines, 'source = "synthetic:"', change])
@@ -313,11 +302,11 @@ def test_session_files_are_refused_by_key(tmp_path: Path, change: str, says: str
 
 
 @pytest.fixture(scope="module")
-def realsense_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def realsense_file(tmp_path_factory):
     return record_realsense(tmp_path_factory.mktemp("realsense") / "camera.db3", 12)
 
 
-def test_a_file_of_the_realsense_sdk_is_played(realsense_file: Path, small_sensor: Sensor) -> None:
+def test_a_file_of_the_realsense_sdk_is_played(realsense_file, small_sensor):
     messages: list[RawMessage] = []
     stream = open_stream(f"realsense:{realsense_file}", small_sensor)
     stream.listen(messages.append)
@@ -336,7 +325,7 @@ def test_a_file_of_the_realsense_sdk_is_played(realsense_file: Path, small_senso
     assert stream.counters().missed == 0
 
 
-def test_a_looped_file_goes_on(realsense_file: Path, small_sensor: Sensor) -> None:
+def test_a_looped_file_goes_on(realsense_file, small_sensor):
     with open_stream(f"realsense:{realsense_file}?loop=1", small_sensor) as stream:
         frame = stream.take(30.0)
         while frame is not None and frame.index < 30:
@@ -345,15 +334,13 @@ def test_a_looped_file_goes_on(realsense_file: Path, small_sensor: Sensor) -> No
         assert stream.counters().bad_stamps == 0
 
 
-def test_without_the_package_one_line_says_what_to_install(
-    small_sensor: Sensor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_package_one_line_says_what_to_install(small_sensor, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     with pytest.raises(InputError, match=r"pip install .*\[realsense\]"):
         open_stream("realsense:", small_sensor)
 
 
-def test_without_a_camera_one_line_says_so(small_sensor: Sensor) -> None:
+def test_without_a_camera_one_line_says_so(small_sensor):
     rs = pytest.importorskip("pyrealsense2")
     if len(rs.context().query_devices()):
         pytest.skip("a RealSense camera is plugged in")
@@ -361,11 +348,11 @@ def test_without_a_camera_one_line_says_so(small_sensor: Sensor) -> None:
         open_stream("realsense:", small_sensor)
 
 
-def test_streams_end_when_their_source_fails(small_sensor: Sensor, eventually: Eventually) -> None:
+def test_streams_end_when_their_source_fails(small_sensor, eventually):
     """A simulation that cannot be: the object cuts the rim. The stream says so and ends."""
     from bubbleviz.live import SyntheticLive
 
-    def make() -> SyntheticSource:
+    def make():
         poses = np.tile(np.eye(4), (2, 1, 1))
         poses[:, 0, 3] = 0.07
         return SyntheticSource(small_sensor, oversized_nut(), poses)

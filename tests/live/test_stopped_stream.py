@@ -1,10 +1,7 @@
 """A stream whose camera dies ends with one clear error; `watch` says so and waits."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -18,19 +15,18 @@ from bubbleviz.cli.command_line import main
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.live import STOPPED_AFTER_S
 from bubbleviz.recordings import RecordingWriter
-from bubbleviz.sensor import Sensor
 
 BEFORE, GAP_S = 4, 2.5
 """Frames before and after each gap, and its length: more than twice the time that is waited."""
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sensor(tmp_path_factory):
     return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
 
 
 @pytest.fixture(scope="module")
-def gaps(sensor: Path) -> Path:
+def gaps(sensor):
     """A press whose camera falls silent twice and comes back."""
     frame, path = small_source(sensor)[0], sensor.with_name("gaps.mcap")
     with RecordingWriter(path) as writer:
@@ -40,7 +36,7 @@ def gaps(sensor: Path) -> Path:
     return path
 
 
-def test_estimating_a_stream_that_stops_ends_with_one_error(gaps: Path, sensor: Path) -> None:
+def test_estimating_a_stream_that_stops_ends_with_one_error(gaps, sensor):
     found = []
     with bv.connect(f"replay:{gaps}", sensor) as stream:
         with pytest.raises(StreamStoppedError) as error:
@@ -55,7 +51,7 @@ def test_estimating_a_stream_that_stops_ends_with_one_error(gaps: Path, sensor: 
     assert isinstance(error.value, bv.InputError)
 
 
-def test_frames_of_a_stream_and_poses_end_so_too(gaps: Path, sensor: Path) -> None:
+def test_frames_of_a_stream_and_poses_end_so_too(gaps, sensor):
     for made in (
         lambda stream: stream,
         lambda stream: bv.track(stream, "cylinder", timeout_s=0.6),
@@ -69,15 +65,13 @@ def test_frames_of_a_stream_and_poses_end_so_too(gaps: Path, sensor: Path) -> No
 
 
 @pytest.mark.parametrize("timeout_s", [None, 2.0 * GAP_S])
-def test_who_is_patient_gets_the_frames_after_the_gap(
-    timeout_s: float | None, gaps: Path, sensor: Path
-) -> None:
+def test_who_is_patient_gets_the_frames_after_the_gap(timeout_s, gaps, sensor):
     with bv.connect(f"replay:{gaps}", sensor) as stream:
         times_s = [found.time_s for found in bv.estimate(stream, timeout_s=timeout_s)]
     assert times_s[-1] > 2.0 * GAP_S and stream.ended
 
 
-def test_a_robot_that_is_killed_ends_the_loop(sensor: Path) -> None:
+def test_a_robot_that_is_killed_ends_the_loop(sensor):
     port = free_port()
     with (
         robot(port, "rmw") as process,
@@ -89,14 +83,14 @@ def test_a_robot_that_is_killed_ends_the_loop(sensor: Path) -> None:
                 process.kill()
 
 
-def of_robot(sensor: Path) -> Sensor:
+def of_robot(sensor):
     """The sensor with images of the robot's size."""
     given = bv.load_sensor(sensor)
     camera = given.camera.model_copy(update={"width": WIDTH, "height": HEIGHT})
     return given.model_copy(update={"camera": camera})
 
 
-def test_watch_says_once_an_outage_that_nothing_comes_and_goes_on(gaps: Path, sensor: Path) -> None:
+def test_watch_says_once_an_outage_that_nothing_comes_and_goes_on(gaps, sensor):
     command = ["watch", "--source", f"replay:{gaps}", "--sensor", str(sensor), "--json"]
     done = CliRunner().invoke(main, command)
     assert done.exit_code == 0, done.output

@@ -1,11 +1,7 @@
 """`watch --shear`: traction, torque and slip of a live source, or why there is depth alone."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +13,8 @@ from bubbleviz.calibration import COLLECTED, LAG
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.cli.command_line import main
 from bubbleviz.diagnostics import ShearTally, shear_line
-from bubbleviz.live import Deliver, Link, LiveSource, LiveStream, OfferedTopic, RawMessage
+from bubbleviz.live import LiveSource, LiveStream, OfferedTopic, RawMessage
 from bubbleviz.recordings import Frame, FrameMessages
-from bubbleviz.result import Result
 from bubbleviz.sensor_model import SensorModel
 from tests.shear.drag import Eyes, sensor, stuck
 from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, images, write_texture_press
@@ -31,27 +26,27 @@ NOW = 1_700_000_000_000_000_000
 class HandedSource(LiveSource):
     """Delivers the frames that it is handed."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__("handed")
         self.messages, self.found = FrameMessages(), dict[OfferedTopic, None]()
 
-    def start(self, deliver: Deliver) -> None:
+    def start(self, deliver):
         self.deliver = deliver
 
-    def hand(self, frame: Frame) -> None:
+    def hand(self, frame):
         stamp = NOW + round(1e9 * frame.time_s)
         for topic, kind, payload, at in self.messages.of(frame, stamp):
             self.found[OfferedTopic(topic, kind)] = None
             self.deliver(RawMessage(topic, kind, payload, at, stamp))
 
-    def topics(self) -> tuple[OfferedTopic, ...]:
+    def topics(self):
         return tuple(self.found)
 
-    def link(self) -> Link:
+    def link(self):
         return "up"
 
 
-def frame_of(k: int) -> Frame:
+def frame_of(k):
     """What both cameras see of the puck at frame k."""
     depth, grey = images()[k]
     height, width = grey.shape
@@ -61,7 +56,7 @@ def frame_of(k: int) -> Frame:
     return Frame(k, k / 30.0, depth, lens, find_colour=lambda _: image)
 
 
-def watched(*frames: Frame) -> Iterator[tuple[Watcher, Result]]:
+def watched(*frames):
     """Results of frames, one after the other."""
     source = HandedSource()
     with LiveStream(source) as stream:
@@ -77,7 +72,7 @@ def watched(*frames: Frame) -> Iterator[tuple[Watcher, Result]]:
 
 
 @pytest.mark.long
-def test_force_torque_and_slip_are_those_of_the_puck() -> None:
+def test_force_torque_and_slip_are_those_of_the_puck():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     tally, truth, said = ShearTally(), stuck("puck", 0.004, 0.001, 8.0), []
     free = range(COLLECTED + 1)  # at the first the source is not known to have colour
@@ -100,7 +95,7 @@ def test_force_torque_and_slip_are_those_of_the_puck() -> None:
     assert "± " in text and "its direction has not been verified" in text
 
 
-def test_images_before_a_contact_are_left_out_as_colour_shows_it_first() -> None:
+def test_images_before_a_contact_are_left_out_as_colour_shows_it_first():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     free = LAG + 5
     frames = [frame_of(k) for k in (*range(free), HELD, HELD + 1)]
@@ -113,7 +108,7 @@ def test_images_before_a_contact_are_left_out_as_colour_shows_it_first() -> None
     ]
 
 
-def test_without_colour_it_is_depth_alone_and_says_so() -> None:
+def test_without_colour_it_is_depth_alone_and_says_so():
     eyes, tally, truth = Eyes(), ShearTally(), stuck("puck", 0.004, 0.001, 8.0)
     seen = [eyes.rest(), eyes.see(truth), eyes.see(truth, 1)]
     lens = eyes.pipeline.camera.intrinsics
@@ -136,7 +131,7 @@ def test_without_colour_it_is_depth_alone_and_says_so() -> None:
         (["--shear"], "shear takes the exact membrane; choose --solver rubber"),
     ],
 )
-def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said: str) -> None:
+def test_what_is_asked_in_vain_is_said(tmp_path, options, said):
     own = write_small_sensor(tmp_path / "small.toml")
     press = write_press(tmp_path / "press.mcap", own)
     found = CliRunner().invoke(
@@ -147,7 +142,7 @@ def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said:
 
 
 @pytest.mark.long
-def test_the_command_records_the_wrench_with_friction(tmp_path: Path) -> None:
+def test_the_command_records_the_wrench_with_friction(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     press, own = write_texture_press(tmp_path, {})
     out = tmp_path / "out.mcap"

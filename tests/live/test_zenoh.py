@@ -1,7 +1,5 @@
 """Real Zenoh sessions on loopback, with a robot in a process of its own."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal
@@ -9,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,8 +22,6 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
     Credentials,
-    LiveStream,
-    RawMessage,
     Recorder,
     SessionOptions,
     ZenohPublisher,
@@ -33,8 +29,6 @@ from bubbleviz.live import (
     zenoh_session,
     zenoh_session as zenoh_keys,
 )
-from bubbleviz.recordings import Frame
-from bubbleviz.sensor import Sensor
 
 Eventually = Callable[[Callable[[], object]], None]
 SHORT, FULL = 2, 20
@@ -42,7 +36,7 @@ SHORT, FULL = 2, 20
 
 
 @contextmanager
-def robot(port: int, layout: str, first: int = 0, *mode: str) -> Iterator[subprocess.Popen[str]]:
+def robot(port, layout, first=0, *mode):
     script = Path(__file__).with_name("robot.py")
     command = [sys.executable, str(script), str(port), layout, str(first), *mode]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
@@ -53,11 +47,11 @@ def robot(port: int, layout: str, first: int = 0, *mode: str) -> Iterator[subpro
         process.wait()
 
 
-def stream_of(port: int, sensor: Sensor, options: str = "") -> LiveStream:
+def stream_of(port, sensor, options=""):
     return open_stream(f"zenoh:tcp/127.0.0.1:{port}{options}", sensor)
 
 
-def first_frame(stream: LiveStream, send: Callable[[], object]) -> Frame:
+def first_frame(stream, send):
     """Send until a frame is there."""
     frame = None
     while frame is None:
@@ -67,7 +61,7 @@ def first_frame(stream: LiveStream, send: Callable[[], object]) -> Frame:
 
 
 @pytest.mark.parametrize("layout", ["rmw", "dds"])
-def test_topics_are_found_and_frames_made(layout: str, small_sensor: Sensor) -> None:
+def test_topics_are_found_and_frames_made(layout, small_sensor):
     port = free_port()
     with robot(port, layout), stream_of(port, small_sensor) as stream:
         found = [stream.take(30.0) for _ in range(10)]
@@ -88,7 +82,7 @@ def test_topics_are_found_and_frames_made(layout: str, small_sensor: Sensor) -> 
         assert (counters.undecodable, counters.bad_stamps, counters.missed) == (0, 0, 0)
 
 
-def test_a_topic_named_needs_no_announcement(small_sensor: Sensor) -> None:
+def test_a_topic_named_needs_no_announcement(small_sensor):
     port = free_port()
     with (
         open_session(str(port)) as quiet,
@@ -99,9 +93,7 @@ def test_a_topic_named_needs_no_announcement(small_sensor: Sensor) -> None:
 
 
 @pytest.mark.parametrize("raw_too", [False, True])
-def test_compressed_depth_is_asked_for_where_there_is_no_other(
-    small_sensor: Sensor, raw_too: bool
-) -> None:
+def test_compressed_depth_is_asked_for_where_there_is_no_other(small_sensor, raw_too):
     """Else the robot would have to compress every image for nobody."""
     port, topics = free_port(), set[str]()
     squeezed, raw = "cam/depth/image/compressedDepth", "cam/depth/image"
@@ -125,9 +117,7 @@ def test_compressed_depth_is_asked_for_where_there_is_no_other(
     assert topics == {f"/{raw if raw_too else squeezed}"}
 
 
-def test_the_robot_is_killed_and_comes_back(
-    small_sensor: Sensor, tmp_path: Path, eventually: Eventually
-) -> None:
+def test_the_robot_is_killed_and_comes_back(small_sensor, tmp_path, eventually):
     """Each time frames come again, and every image that arrived is in the file."""
     port, rng = free_port(), random.Random(5)
     arrived: list[int] = []
@@ -135,7 +125,7 @@ def test_the_robot_is_killed_and_comes_back(
     recorder.start(tmp_path / "rec.mcap")
     times = FULL if "TEST_ALL" in os.environ else SHORT
 
-    def note(message: RawMessage) -> None:
+    def note(message):
         recorder.push(message)
         if message.type == IMAGE:
             arrived.append(number_of(message.payload))
@@ -170,9 +160,7 @@ def test_the_robot_is_killed_and_comes_back(
         np.testing.assert_array_equal(own, np.arange(own[0], own[0] + len(own)))
 
 
-def test_a_robot_that_hangs_is_stale_and_comes_back(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_a_robot_that_hangs_is_stale_and_comes_back(small_sensor, eventually):
     port = free_port()
     with robot(port, "rmw") as process, stream_of(port, small_sensor) as stream:
         assert stream.take(30.0) is not None
@@ -185,9 +173,7 @@ def test_a_robot_that_hangs_is_stale_and_comes_back(
         assert stream.status().state == "live"
 
 
-def test_what_no_camera_sends_is_counted_and_survived(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
     port = free_port()
     with robot(port, "rmw", 0, "bad"), stream_of(port, small_sensor) as stream:
         eventually(
@@ -203,9 +189,7 @@ def test_what_no_camera_sends_is_counted_and_survived(
         assert stream.status().state == "live"
 
 
-def test_another_type_under_the_same_name_is_counted(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_another_type_under_the_same_name_is_counted(small_sensor, eventually):
     port = free_port()
     depth = KEYS["rmw"]["/cam/depth"]
     other = f"0/cam/depth/std_msgs::msg::dds_::String_/{'RIHS01_' + '0' * 64}"
@@ -219,7 +203,7 @@ def test_another_type_under_the_same_name_is_counted(
         eventually(lambda: stream.counters().wrong_type == 1)
 
 
-def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor, eventually: Eventually) -> None:
+def test_through_a_router_as_rmw_zenoh_has_it(small_sensor, eventually):
     """Nodes are peers that gossip through a router; we are its client, here and on other hosts."""
     port = free_port()
     with open_session(str(port), "router"), open_session(str(port), "node") as node:
@@ -242,9 +226,7 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor: Sensor, eventually: 
             token.undeclare()
 
 
-def test_what_a_publisher_counted_and_never_arrived_is_missed(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_what_a_publisher_counted_and_never_arrived_is_missed(small_sensor, eventually):
     port = free_port()
     key = KEYS["rmw"]["/cam/depth"]
     with open_session(str(port)) as node, stream_of(port, small_sensor, "?depth=/cam/depth") as s:
@@ -255,7 +237,7 @@ def test_what_a_publisher_counted_and_never_arrived_is_missed(
         assert s.counters().missed == 4
 
 
-def test_two_sensors_share_nothing(small_sensor: Sensor) -> None:
+def test_two_sensors_share_nothing(small_sensor):
     ports = free_port(), free_port()
     with (
         robot(ports[0], "rmw", 0),
@@ -271,7 +253,7 @@ def test_two_sensors_share_nothing(small_sensor: Sensor) -> None:
         assert depths[0] < 20.0 < depths[1]
 
 
-def test_nobody_else_can_reach_us(small_sensor: Sensor, eventually: Eventually) -> None:
+def test_nobody_else_can_reach_us(small_sensor, eventually):
     """Who connects listens nowhere, who listens does so where it is told to."""
     port, other = free_port(), free_port()
     with robot(port, "rmw"), stream_of(port, small_sensor) as stream:
@@ -281,7 +263,7 @@ def test_nobody_else_can_reach_us(small_sensor: Sensor, eventually: Eventually) 
         assert listening() == {("127.0.0.1", other)}
 
 
-def listening() -> set[tuple[str, int]]:
+def listening():
     """Addresses this process listens at."""
     own = set(_sockets_of(os.getpid()))
     rows = [
@@ -296,7 +278,7 @@ def listening() -> set[tuple[str, int]]:
     }
 
 
-def _sockets_of(pid: int) -> Iterator[str]:
+def _sockets_of(pid):
     for link in Path(f"/proc/{pid}/fd").iterdir():
         try:
             target = str(link.readlink())
@@ -306,7 +288,7 @@ def _sockets_of(pid: int) -> Iterator[str]:
             yield target[8:-1]
 
 
-def test_endpoints_are_refused_in_one_line(small_sensor: Sensor) -> None:
+def test_endpoints_are_refused_in_one_line(small_sensor):
     for source in ("zenoh:nonsense", "zenoh:?listen=tcp/203.0.113.9:7447"):
         with pytest.raises(InputError, match="no Zenoh session") as caught:
             open_stream(source, small_sensor).start()
@@ -317,10 +299,10 @@ Told = Callable[..., str]
 
 
 @pytest.fixture
-def told(small_sensor: Sensor, eventually: Eventually) -> Told:
+def told(small_sensor, eventually):
     """What a source says that is refused: `told(endpoint, ca=…, login=…)`."""
 
-    def ask(endpoint: str, **given: str) -> str:
+    def ask(endpoint, **given):
         options = "&".join(f"{name}={value}" for name, value in given.items())
         with open_stream(f"zenoh:{endpoint}?{options}", small_sensor) as stream:
             eventually(stream.source.problem)
@@ -333,8 +315,8 @@ def told(small_sensor: Sensor, eventually: Eventually) -> Told:
 
 
 def test_who_refuses_a_session_is_told_from_who_is_not_there(
-    small_sensor: Sensor, certificates: Path, eventually: Eventually, told: Told
-) -> None:
+    small_sensor, certificates, eventually, told
+):
     """Zenoh says of either only that it cannot connect."""
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "login", "stranger")
     ca, cert, key, other, login, stranger = (str(certificates / name) for name in files)
@@ -358,14 +340,12 @@ def test_who_refuses_a_session_is_told_from_who_is_not_there(
             assert told(f"tcp/localhost:{port}").endswith("or it is encrypted, write tls/")
 
 
-def test_a_host_that_is_not_known_is_told(told: Told) -> None:
+def test_a_host_that_is_not_known_is_told(told):
     """RFC 6761 keeps .invalid from ever being a name."""
     assert told("tcp/robot.invalid:7447").startswith("the host robot.invalid is not known")
 
 
-def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(
-    certificates: Path, told: Told
-) -> None:
+def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(certificates, told):
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
     ca, cert, key, other, other_key = (str(certificates / name) for name in files)
     at = f"tls/localhost:{free_port()}"
@@ -377,12 +357,7 @@ def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(
         assert "is the authority's own" in told(at, ca=other)
 
 
-def test_a_refusal_of_who_comes_back_is_told(
-    small_sensor: Sensor,
-    certificates: Path,
-    eventually: Eventually,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_refusal_of_who_comes_back_is_told(small_sensor, certificates, eventually, monkeypatch):
     """The robot is up again with another certificate; then nothing listens there."""
     monkeypatch.setattr("bubbleviz.live.zenoh_source.WHY_EVERY_S", 0.2)
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
@@ -401,15 +376,13 @@ def test_a_refusal_of_who_comes_back_is_told(
             eventually(lambda: stream.source.problem() == "")
 
 
-def test_a_camera_of_another_size_that_comes_back_is_told(
-    small_sensor: Sensor, eventually: Eventually
-) -> None:
+def test_a_camera_of_another_size_that_comes_back_is_told(small_sensor, eventually):
     port = free_port()
     with open_session(str(port)) as camera, stream_of(port, small_sensor, "?depth=/q") as stream:
         first_frame(stream, lambda: camera.put("q", image(time.time_ns())))
         other = {"height": 24, "width": 32, "step": 64}
 
-        def refused() -> bool:
+        def refused():
             camera.put("q", image(time.time_ns(), **other))
             return "images are 32×24 pixels" in stream.status().text
 
@@ -422,11 +395,11 @@ def test_a_camera_of_another_size_that_comes_back_is_told(
         eventually(lambda: stream.status().problem == "")
 
 
-def listener(endpoint: str, credentials: Credentials) -> zenoh.Session:
+def listener(endpoint, credentials):
     return zenoh_session.open_session(SessionOptions("robot", None, endpoint, credentials))
 
 
-def test_our_keys_are_the_ones_robots_use() -> None:
+def test_our_keys_are_the_ones_robots_use():
     """Ours against those spelled out in robot.py."""
     for layout in ("rmw", "dds"):
         kinds = {}
@@ -446,7 +419,7 @@ def test_our_keys_are_the_ones_robots_use() -> None:
             assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
 
 
-def test_attachments_of_old_and_new_robots() -> None:
+def test_attachments_of_old_and_new_robots():
     found = zenoh_keys.unpack_attachment(attachment(77))
     assert found is not None
     assert (found.sequence, found.publisher) == (77, bytes(range(16)))

@@ -1,10 +1,7 @@
 """Messages as a robot sends them, made with rosbags alone."""
 
-from __future__ import annotations
-
 import io
 import struct
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -26,18 +23,16 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
 
-def header(stamp: int) -> Any:
+def header(stamp):
     time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND))
     return STORE.types["std_msgs/msg/Header"](time, "camera")
 
 
-def cdr(message: Any, kind: str) -> bytes:
+def cdr(message, kind):
     return bytes(STORE.serialize_cdr(message, kind))
 
 
-def image(
-    stamp: int, k: int = 0, height: int = HEIGHT, width: int = WIDTH, **changes: Any
-) -> bytes:
+def image(stamp, k=0, height=HEIGHT, width=WIDTH, **changes):
     """A 16UC1 image all of whose pixels are 100 + k mm."""
     pixels = np.full((height, width), 100 + k % 60_000, dtype="<u2")
     fields = {
@@ -52,12 +47,12 @@ def image(
     return cdr(STORE.types[IMAGE](**{**fields, **changes}), IMAGE)
 
 
-def number_of(payload: bytes) -> int:
+def number_of(payload):
     """k of an image."""
     return int(np.frombuffer(payload[-2:], "<u2")[0]) - 100
 
 
-def camera_info(stamp: int, width: int = WIDTH, height: int = HEIGHT) -> bytes:
+def camera_info(stamp, width=WIDTH, height=HEIGHT):
     region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     message = STORE.types[INFO](
         header=header(stamp),
@@ -75,17 +70,17 @@ def camera_info(stamp: int, width: int = WIDTH, height: int = HEIGHT) -> bytes:
     return cdr(message, INFO)
 
 
-def pressure(stamp: int, value: float) -> bytes:
+def pressure(stamp, value):
     return cdr(STORE.types[PRESSURE](header(stamp), value, 0.0), PRESSURE)
 
 
-def wrench(stamp: int, values: list[float]) -> bytes:
+def wrench(stamp, values):
     vector = STORE.types["geometry_msgs/msg/Vector3"]
     body = STORE.types["geometry_msgs/msg/Wrench"](vector(*values[:3]), vector(*values[3:]))
     return cdr(STORE.types[WRENCH](header(stamp), body), WRENCH)
 
 
-def cloud(stamp: int, points: np.ndarray, height: int, width: int) -> bytes:
+def cloud(stamp, points, height, width):
     field = STORE.types["sensor_msgs/msg/PointField"]
     table = np.ascontiguousarray(points, dtype="<f4")
     message = STORE.types[CLOUD](
@@ -102,7 +97,7 @@ def cloud(stamp: int, points: np.ndarray, height: int, width: int) -> bytes:
     return cdr(message, CLOUD)
 
 
-def compressed_depth(stamp: int, k: int = 0) -> bytes:
+def compressed_depth(stamp, k=0):
     """The pixels of `image`, compressed with Pillow as ROS's transport does."""
     file = io.BytesIO()
     Image.fromarray(np.full((HEIGHT, WIDTH), 100 + k, np.uint16)).save(file, "PNG")
@@ -111,26 +106,22 @@ def compressed_depth(stamp: int, k: int = 0) -> bytes:
     return cdr(message, COMPRESSED)
 
 
-def arrived(
-    topic: str, kind: str, payload: bytes, stamp: int, arrival: int | None = None
-) -> RawMessage:
+def arrived(topic, kind, payload, stamp, arrival=None):
     """As the source of a robot on this clock delivers it, a millisecond after its stamp."""
     return RawMessage(
         topic, kind, payload, stamp, stamp + 1_000_000 if arrival is None else arrival
     )
 
 
-def depth(
-    stamp: int, k: int = 0, arrival: int | None = None, topic: str = "/cam/depth"
-) -> RawMessage:
+def depth(stamp, k=0, arrival=None, topic="/cam/depth"):
     return arrived(topic, IMAGE, image(stamp, k), stamp, arrival)
 
 
-def gas(stamp: int, value: float, arrival: int | None = None) -> RawMessage:
+def gas(stamp, value, arrival=None):
     return arrived("/gas", PRESSURE, pressure(stamp, value), stamp, arrival)
 
 
-def grey(stamp: int, k: int, topic: str = "/cam/color/image_raw", **changes: Any) -> RawMessage:
+def grey(stamp, k, topic="/cam/color/image_raw", **changes):
     """A colour camera's grey image all of whose pixels are k."""
     pixels = np.full(HEIGHT * WIDTH, k, np.uint8)
     shown = {"encoding": "mono8", "step": WIDTH, "data": pixels, **changes}

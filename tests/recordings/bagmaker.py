@@ -1,8 +1,5 @@
 """Bags made with rosbags alone, so that the reader is not tested against its own writer."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,13 +25,13 @@ KINDS = (
 )
 
 
-def depth_image(k: int, height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
+def depth_image(k, height=HEIGHT, width=WIDTH):
     """Frame k: each pixel tells which it is; m."""
     pixels = np.arange(height * width, dtype=np.float32).reshape(height, width)
     return (0.1 + 1e-5 * pixels + 0.01 * k).astype(np.float32)
 
 
-def pressure_at(stamp_ns: int) -> float:
+def pressure_at(stamp_ns):
     """A gas pressure linear in time, so that interpolation is exact; Pa."""
     return 106_000.0 + 100.0 * (stamp_ns - START) / SECOND
 
@@ -42,20 +39,18 @@ def pressure_at(stamp_ns: int) -> float:
 class BagMaker:
     """Messages by (topic, kind, stamp, log, object) written with rosbags in a chosen format."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind):
         self.kind = kind
         self.ros1 = kind.startswith("bag")
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
         self.rows: list[tuple[str, str, int, Any]] = []
 
-    def header(self, stamp: int) -> Any:
+    def header(self, stamp):
         time = self.store.types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND))
         kind = self.store.types["std_msgs/msg/Header"]
         return kind(0, time, "camera") if self.ros1 else kind(time, "camera")
 
-    def image(
-        self, stamp: int, pixels: np.ndarray, encoding: str = "32FC1", **changes: Any
-    ) -> None:
+    def image(self, stamp, pixels, encoding="32FC1", **changes):
         topic, log = changes.pop("topic", "/cam/depth/image"), changes.pop("log", stamp)
         fields = {
             "header": self.header(stamp),
@@ -68,7 +63,7 @@ class BagMaker:
         }
         self.add(topic, "sensor_msgs/msg/Image", log, **{**fields, **changes})
 
-    def camera_info(self, stamp: int, model: str = "plumb_bob", d: Any = None, **k: Any) -> None:
+    def camera_info(self, stamp, model="plumb_bob", d=None, **k):
         region = self.store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
         matrices = {
             "d": np.zeros(5) if d is None else np.asarray(d, dtype=np.float64),
@@ -84,22 +79,22 @@ class BagMaker:
         topic = k.pop("topic", "/cam/depth/camera_info")
         self.add(topic, "sensor_msgs/msg/CameraInfo", k.pop("log", stamp), **{**fields, **k})
 
-    def pressure(self, stamp: int, value: float, log: int | None = None) -> None:
+    def pressure(self, stamp, value, log=None):
         fields = {"header": self.header(stamp), "fluid_pressure": value, "variance": 0.0}
         log = stamp if log is None else log
         self.add("/gas", "sensor_msgs/msg/FluidPressure", log, **fields)
 
-    def wrench(self, stamp: int, values: list[float]) -> None:
+    def wrench(self, stamp, values):
         vector = self.store.types["geometry_msgs/msg/Vector3"]
         wrench = self.store.types["geometry_msgs/msg/Wrench"]
         value = wrench(vector(*values[:3]), vector(*values[3:]))
         fields = {"header": self.header(stamp), "wrench": value}
         self.add("/wrench", "geometry_msgs/msg/WrenchStamped", stamp, **fields)
 
-    def add(self, topic: str, kind: str, log: int, **fields: Any) -> None:
+    def add(self, topic, kind, log, **fields):
         self.rows.append((topic, kind, log, self.store.types[kind](**fields)))
 
-    def write(self, folder: Path, name: str = "rec") -> Path:
+    def write(self, folder, name="rec"):
         path = folder / (f"{name}.bag" if self.ros1 else name)
         with self._writer(path) as writer:
             connections = {}
@@ -116,7 +111,7 @@ class BagMaker:
             return inner.rename(folder / inner.name)
         return path
 
-    def _writer(self, path: Path) -> Any:
+    def _writer(self, path):
         if self.ros1:
             writer1 = Writer1(path)
             if not self.kind.endswith("none"):
@@ -131,7 +126,7 @@ class BagMaker:
         return writer2
 
 
-def fill(bag: BagMaker, frames: int = 6) -> BagMaker:
+def fill(bag, frames=6):
     """A small press: depth, camera info, and gas pressure and wrench half a period apart."""
     bag.pressure(START - PERIOD // 2, pressure_at(START - PERIOD // 2))
     for k in range(frames):

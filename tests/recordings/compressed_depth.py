@@ -1,7 +1,5 @@
 """Depth images as ROS's compressed_depth_image_transport sends them, made with Pillow."""
 
-from __future__ import annotations
-
 import io
 import struct
 
@@ -13,7 +11,7 @@ Z0_M, FARTHEST_M = 50.0, 10.0
 which what is nearer than 0.15 m does not fit into 16 bits."""
 
 
-def compressed(depth_m: np.ndarray, encoding: str) -> tuple[str, bytes]:
+def compressed(depth_m, encoding):
     """Format and data of the message; NaN: no return."""
     gone = np.isnan(depth_m)
     if encoding == "16UC1":

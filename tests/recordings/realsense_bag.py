@@ -1,9 +1,5 @@
 """ROS 1 bags as the recorder of the RealSense library (2.x) lays them out, written with rosbags."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +17,7 @@ OWN_TYPES = {
 }
 
 
-def depth_units(k: int) -> np.ndarray:
+def depth_units(k):
     """Frame k in units of the device: every pixel and frame differs; 0 where no return."""
     units = 1000 + 40 * k + np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
     units[0, :3] = 0
@@ -32,12 +28,7 @@ Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Position, m, and quaternion xyzw."""
 
 
-def write_realsense_bag(
-    path: Path,
-    unit_m: float | None,
-    option: str = "Depth_Units",
-    extrinsics: Mapping[str, Pose] | None = None,
-) -> None:
+def write_realsense_bag(path, unit_m, option="Depth_Units", extrinsics=None):
     """Four frames of depth and infrared, and of colour with `extrinsics`, then uncompressed.
 
     The library itself does not read what rosbags compresses.
@@ -60,23 +51,23 @@ def write_realsense_bag(
     if not extrinsics:
         writer.set_compression(Writer.CompressionFormat.LZ4)
 
-    def write(topic: str, kind: str, log_ns: int, **fields: Any) -> None:
+    def write(topic, kind, log_ns, **fields):
         if topic not in connections:
             connections[topic] = writer.add_connection(topic, kind, typestore=store)
         payload = store.serialize_ros1(types[kind](**fields), kind)
         writer.write(connections[topic], log_ns, payload)
 
-    def header(number: int, stamp_ms: float) -> Any:
+    def header(number, stamp_ms):
         stamp = types["builtin_interfaces/msg/Time"](*divmod(round(1e6 * stamp_ms), 10**9))
         return types["std_msgs/msg/Header"](number, stamp, "0")
 
-    def placed(stream: str, position_m: Any, quaternion: Any) -> None:
+    def placed(stream, position_m, quaternion):
         kind = "geometry_msgs/msg/Transform"
         vector = types["geometry_msgs/msg/Vector3"](*position_m)
         turn = types["geometry_msgs/msg/Quaternion"](*quaternion)
         write(f"{SENSOR}/{stream}/tf/0", kind, STATIC, translation=vector, rotation=turn)
 
-    def image(stream: str, encoding: str, pixels: np.ndarray, k: int) -> None:
+    def image(stream, encoding, pixels, k):
         data = np.frombuffer(pixels.tobytes(), np.uint8)
         log = round(1e6 * PERIOD_MS * k) + 5_000_000
         step = pixels.nbytes // HEIGHT
@@ -86,10 +77,10 @@ def write_realsense_bag(
         write(f"{topic}/data", kind, log, header=head, encoding=encoding, data=data, **rows)
         note(f"{topic}/metadata", log, "timestamp_domain", "Hardware Clock")
 
-    def note(topic: str, log_ns: int, key: str, value: str) -> None:
+    def note(topic, log_ns, key, value):
         write(topic, "diagnostic_msgs/msg/KeyValue", log_ns, key=key, value=value)
 
-    def streaming(stream: str, encoding: str, model: str, bent: list[float]) -> None:
+    def streaming(stream, encoding, model, bent):
         topic, region = f"{SENSOR}/{stream}/info", types["sensor_msgs/msg/RegionOfInterest"]
         own = "realsense_msgs/msg/StreamInfo"
         write(topic, own, STATIC, fps=30, encoding=encoding, is_recommended=False)

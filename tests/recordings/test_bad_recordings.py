@@ -1,12 +1,8 @@
 """Whatever is wrong with a recording is one line that names the file, and no traceback."""
 
-from __future__ import annotations
-
 import os
 import random
 import shutil
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +17,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 
 
-def refusal(path: Path) -> str:
+def refusal(path):
     with pytest.raises(InputError) as caught:
         info(path)
     message = str(caught.value)
@@ -30,51 +26,51 @@ def refusal(path: Path) -> str:
     return message
 
 
-def read_all(path: Path) -> None:
+def read_all(path):
     info(path)
     with Recording(path) as recording:
         for k in range(len(recording)):
             recording[k]
 
 
-def test_missing(tmp_path: Path) -> None:
+def test_missing(tmp_path):
     assert "no such recording" in refusal(tmp_path / "nope.mcap")
     assert "no such recording" in refusal(tmp_path / ("x" * 5000))
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
-def test_empty_file(tmp_path: Path, suffix: str) -> None:
+def test_empty_file(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     path.touch()
     refusal(path)
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag", ".txt", ""])
-def test_something_else(tmp_path: Path, suffix: str) -> None:
+def test_something_else(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     path.write_bytes(b"not a recording at all, but some text\n" * 100)
     refusal(path)
 
 
-def test_folder_without_recording(tmp_path: Path) -> None:
+def test_folder_without_recording(tmp_path):
     assert "no recording in this folder" in refusal(tmp_path)
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: [1, 2]\n")
     refusal(tmp_path)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_messages(tmp_path: Path, kind: str) -> None:
+def test_no_messages(tmp_path, kind):
     assert "no messages" in refusal(BagMaker(kind).write(tmp_path))
 
 
-def test_no_depth_topic(tmp_path: Path) -> None:
+def test_no_depth_topic(tmp_path):
     bag = BagMaker("mcap file")
     bag.pressure(START, 1e5)
     assert "no depth image" in refusal(bag.write(tmp_path))
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "mono16", "64FC1", ""])
-def test_wrong_encoding(tmp_path: Path, encoding: str) -> None:
+def test_wrong_encoding(tmp_path, encoding):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0), encoding)
     message = refusal(bag.write(tmp_path))
@@ -82,14 +78,14 @@ def test_wrong_encoding(tmp_path: Path, encoding: str) -> None:
     assert "16UC1" in message
 
 
-def test_unknown_distortion(tmp_path: Path) -> None:
+def test_unknown_distortion(tmp_path):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
     bag.camera_info(START, model="equidistant", d=[0.1, 0.0, 0.0, 0.0])
     assert "equidistant" in refusal(bag.write(tmp_path))
 
 
-def test_a_frame_of_another_size_or_with_too_little_data(tmp_path: Path) -> None:
+def test_a_frame_of_another_size_or_with_too_little_data(tmp_path):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
     bag.image(START + PERIOD, depth_image(1, 12, 16))
@@ -102,7 +98,7 @@ def test_a_frame_of_another_size_or_with_too_little_data(tmp_path: Path) -> None
         np.testing.assert_array_equal(recording[0].depth_m, depth_image(0))  # still usable
 
 
-def test_payload_that_is_no_image(tmp_path: Path) -> None:
+def test_payload_that_is_no_image(tmp_path):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
     path = bag.write(tmp_path)
@@ -119,7 +115,7 @@ def test_payload_that_is_no_image(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["db3 file", "bag none", "bag lz4"])
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
-def test_truncated(tmp_path: Path, kind: str, share: float) -> None:
+def test_truncated(tmp_path, kind, share):
     path = fill(BagMaker(kind)).write(tmp_path)
     os.truncate(path, int(path.stat().st_size * share))
     with pytest.raises(InputError) as caught:
@@ -128,7 +124,7 @@ def test_truncated(tmp_path: Path, kind: str, share: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["mcap file", "mcap folder"])
-def test_a_truncated_mcap_of_rosbag2_opens(tmp_path: Path, kind: str) -> None:
+def test_a_truncated_mcap_of_rosbag2_opens(tmp_path, kind):
     path = fill(BagMaker(kind)).write(tmp_path)
     file = path if path.is_file() else next(path.glob("*.mcap"))
     os.truncate(file, file.stat().st_size - 20)  # in its summary: no chunk is lost
@@ -142,9 +138,7 @@ def test_a_truncated_mcap_of_rosbag2_opens(tmp_path: Path, kind: str) -> None:
     [{}, {"index_types": IndexType.NONE}, {"use_chunking": False}],
     ids=["indexed", "without indexes", "without chunks"],
 )
-def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(
-    tmp_path: Path, options: dict[str, Any]
-) -> None:
+def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(tmp_path, options):
     path = fill(BagMaker("mcap file"), frames=20).write(tmp_path)
     rewrite(path, **options)
     whole, found = path.read_bytes(), list[int]()
@@ -159,7 +153,7 @@ def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(
     assert found[0] == 0 and found[-1] == 20
 
 
-def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path: Path) -> None:
+def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path):
     path, cut = fill(BagMaker("mcap file"), frames=20).write(tmp_path), tmp_path / "cut.mcap"
     rewrite(path)
     whole, frames = path.read_bytes(), 0
@@ -177,7 +171,7 @@ def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path: Path)
     assert frames == 20
 
 
-def test_a_chunk_whose_checksum_is_another_is_refused(tmp_path: Path) -> None:
+def test_a_chunk_whose_checksum_is_another_is_refused(tmp_path):
     path = fill(BagMaker("mcap file")).write(tmp_path)
     rewrite(path)
     with path.open("rb") as file:
@@ -190,7 +184,7 @@ def test_a_chunk_whose_checksum_is_another_is_refused(tmp_path: Path) -> None:
         read_all(path)
 
 
-def rewrite(path: Path, **options: Any) -> None:
+def rewrite(path, **options):
     """The same messages by the `mcap` library, in chunks of a few images."""
     with path.open("rb") as file:
         messages = list(make_reader(file).iter_messages())
@@ -208,7 +202,7 @@ def rewrite(path: Path, **options: Any) -> None:
         writer.finish()
 
 
-def frames_up_to_the_cut(path: Path) -> int:
+def frames_up_to_the_cut(path):
     """How many frames open, each as it was recorded."""
     with Recording(path) as recording:
         assert "ends early" in recording.bag.note
@@ -220,7 +214,7 @@ def frames_up_to_the_cut(path: Path) -> int:
 @pytest.mark.parametrize(
     "kind", ["mcap file", "mcap folder", "mcap file lz4", "db3 file", "bag none", "bag bz2"]
 )
-def test_mutations_are_read_or_refused(tmp_path: Path, kind: str) -> None:
+def test_mutations_are_read_or_refused(tmp_path, kind):
     """Flipped, overwritten, doubled and removed bytes: nothing but InputError comes out."""
     path = fill(BagMaker(kind.removesuffix(" lz4")), frames=2).write(tmp_path)
     if kind.endswith("lz4"):  # as our recorder writes
@@ -242,7 +236,7 @@ def test_mutations_are_read_or_refused(tmp_path: Path, kind: str) -> None:
     read_all(path)
 
 
-def mutated(data: bytes, rng: random.Random) -> bytes:
+def mutated(data, rng):
     at = rng.randrange(len(data))
     count = rng.choice([1, 4, 8, 64, 1000])
     junk = rng.choice([b"\xff" * count, bytes(count), rng.randbytes(count)])
@@ -256,7 +250,7 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     )
 
 
-def test_unreadable_file(tmp_path: Path) -> None:
+def test_unreadable_file(tmp_path):
     if os.geteuid() == 0:
         pytest.skip("root reads everything")
     path = fill(BagMaker("mcap file")).write(tmp_path)
@@ -264,7 +258,7 @@ def test_unreadable_file(tmp_path: Path) -> None:
     refusal(path)
 
 
-def test_a_folder_whose_file_is_gone(tmp_path: Path) -> None:
+def test_a_folder_whose_file_is_gone(tmp_path):
     path = fill(BagMaker("mcap folder")).write(tmp_path)
     next(path.glob("*.mcap")).unlink()
     refusal(path)

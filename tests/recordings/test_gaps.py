@@ -1,9 +1,6 @@
 """Missing frames are counted, late ones are not."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +18,7 @@ from bubbleviz.recordings import find_gaps
     st.integers(0, 2**31),
     st.floats(1e-3, 1.0),
 )
-def test_dropped_frames_are_counted_in_spite_of_jitter(
-    total: int, dropped: set[int], jitter: float, seed: int, period: float
-) -> None:
+def test_dropped_frames_are_counted_in_spite_of_jitter(total, dropped, jitter, seed, period):
     kept = np.array([k for k in range(total) if k not in dropped or k >= total - 3])
     noise = np.random.default_rng(seed).uniform(-jitter, jitter, total)
     gaps = find_gaps((kept + noise[kept]) * period)
@@ -32,18 +27,18 @@ def test_dropped_frames_are_counted_in_spite_of_jitter(
     assert [(gap.after_frame, gap.missing) for gap in gaps] == expected
 
 
-def test_one_late_frame_is_no_gap() -> None:
+def test_one_late_frame_is_no_gap():
     times = np.arange(20) / 30.0
     times[9] += 0.6 / 30.0
     assert find_gaps(times) == ()
 
 
 @pytest.mark.parametrize("times", [[0.0], [0.0, 0.0, 0.0], [0.0, 1.0]])
-def test_too_little_to_judge(times: list[float]) -> None:
+def test_too_little_to_judge(times):
     assert find_gaps(np.array(times)) == ()
 
 
-def test_facts_of_a_recording(tmp_path: Path) -> None:
+def test_facts_of_a_recording(tmp_path):
     bag = fill(BagMaker("mcap file"))
     for k in (9, 10):  # frames 6, 7 and 8 are missing
         bag.image(START + k * PERIOD, depth_image(k))
@@ -68,7 +63,7 @@ def test_facts_of_a_recording(tmp_path: Path) -> None:
     }
 
 
-def test_json_and_text_say_the_same(press: Path) -> None:
+def test_json_and_text_say_the_same(press):
     facts = info(press)
     data = json.loads(facts.to_json())
     assert data["frames"] == 6
@@ -80,7 +75,7 @@ def test_json_and_text_say_the_same(press: Path) -> None:
         assert part in text
 
 
-def test_real_recording_has_no_gaps(punyo_press: Path) -> None:
+def test_real_recording_has_no_gaps(punyo_press):
     """Its camera is late by up to half a period, yet its frame numbers are complete."""
     facts = info(punyo_press)
     assert (facts.frames, facts.gaps) == (90, 0)

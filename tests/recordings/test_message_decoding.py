@@ -1,10 +1,7 @@
 """Messages to arrays, against images built byte by byte."""
 
-from __future__ import annotations
-
 import struct
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from bubbleviz.recordings import (
 )
 
 
-def image(values: list[list[float]], encoding: str, big: bool, padding: int) -> Any:
+def image(values, encoding, big, padding):
     code = (">" if big else "<") + ("H" if encoding == "16UC1" else "f")
     rows = [b"".join(struct.pack(code, v) for v in row) + b"\xee" * padding for row in values]
     data = np.frombuffer(b"".join(rows), dtype=np.uint8)
@@ -36,9 +33,7 @@ sizes = st.tuples(st.integers(1, 12), st.integers(1, 12))
 
 
 @given(sizes, st.booleans(), st.integers(0, 9), st.data())
-def test_millimetres_become_metres(
-    size: tuple[int, int], big: bool, padding: int, data: st.DataObject
-) -> None:
+def test_millimetres_become_metres(size, big, padding, data):
     row = st.lists(st.integers(0, 65_535), min_size=size[1], max_size=size[1])
     values = data.draw(st.lists(row, min_size=size[0], max_size=size[0]))
     depth = decode_depth(image(values, "16UC1", big, padding))
@@ -49,9 +44,7 @@ def test_millimetres_become_metres(
 
 
 @given(sizes, st.booleans(), st.integers(0, 9), st.data())
-def test_metres_stay_and_everything_that_is_no_distance_is_nan(
-    size: tuple[int, int], big: bool, padding: int, data: st.DataObject
-) -> None:
+def test_metres_stay_and_everything_that_is_no_distance_is_nan(size, big, padding, data):
     row = st.lists(st.floats(width=32), min_size=size[1], max_size=size[1])
     values = data.draw(st.lists(row, min_size=size[0], max_size=size[0]))
     depth = decode_depth(image(values, "32FC1", big, padding))
@@ -72,7 +65,7 @@ def test_metres_stay_and_everything_that_is_no_distance_is_nan(
         ({"step": 4_000_000_000}, "step"),
     ],
 )
-def test_images_that_contradict_themselves_are_refused(change: dict[str, Any], words: str) -> None:
+def test_images_that_contradict_themselves_are_refused(change, words):
     message = image([[0.1, 0.2, 0.3]] * 2, "32FC1", False, 0)
     for name, value in change.items():
         setattr(message, name, value)
@@ -80,12 +73,12 @@ def test_images_that_contradict_themselves_are_refused(change: dict[str, Any], w
         decode_depth(message)
 
 
-def test_has_returns() -> None:
+def test_has_returns():
     assert not has_returns(decode_depth(image([[0.0, 0.0]], "32FC1", False, 0)))
     assert has_returns(decode_depth(image([[0.0, 0.1]], "32FC1", False, 0)))
 
 
-def camera_info(model: str, d: list[float], fx: float = 400.0) -> Any:
+def camera_info(model, d, fx=400.0):
     k = np.array([fx, 0, 320, 0, 410, 240, 0, 0, 1.0])
     return SimpleNamespace(k=k, d=np.array(d), distortion_model=model, width=640, height=480)
 
@@ -101,9 +94,7 @@ def camera_info(model: str, d: list[float], fx: float = 400.0) -> Any:
         ("rational_polynomial", [0.1, 0, 0, 0, 0.2, 0, 0, 0], "plumb_bob", (0.1, 0, 0, 0, 0.2)),
     ],
 )
-def test_distortion_models(
-    model: str, d: list[float], expected: str, coefficients: tuple[float, ...]
-) -> None:
+def test_distortion_models(model, d, expected, coefficients):
     camera = decode_intrinsics(camera_info(model, d))
     assert camera is not None
     assert camera.distortion_model == expected
@@ -121,12 +112,12 @@ def test_distortion_models(
         ("plumb_bob", [np.nan]),
     ],
 )
-def test_unknown_distortion_is_refused(model: str, d: list[float]) -> None:
+def test_unknown_distortion_is_refused(model, d):
     with pytest.raises(ValueError, match="distortion"):
         decode_intrinsics(camera_info(model, d))
 
 
-def test_uncalibrated_camera_has_no_intrinsics() -> None:
+def test_uncalibrated_camera_has_no_intrinsics():
     message = camera_info("plumb_bob", [])
     message.k = np.zeros(9)
     assert decode_intrinsics(message) is None
@@ -135,7 +126,7 @@ def test_uncalibrated_camera_has_no_intrinsics() -> None:
 
 
 @given(st.integers(0, 2**31 - 1), st.integers(0, 10**9 - 1), st.booleans())
-def test_header_stamp(sec: int, nanosec: int, little: bool) -> None:
+def test_header_stamp(sec, nanosec, little):
     order = "<" if little else ">"
     cdr = bytes([0, little, 0, 0]) + struct.pack(f"{order}iI", sec, nanosec) + bytes(4)
     assert header_stamp_ns(cdr, ros1=False) == sec * 10**9 + nanosec

@@ -1,9 +1,6 @@
 """Point clouds as other programs lay them out in memory."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +12,7 @@ CAMERA = Intrinsics(5, 4, 6.0, 7.0, 2.0, 1.5)
 POINTS = np.random.default_rng(0).uniform(0.1, 0.2, (4, 5, 3))
 
 
-def cloud(
-    points: np.ndarray,
-    *,
-    kind: str = "<f4",
-    step: int = 24,
-    padding: int = 8,
-    offsets: tuple[int, int, int] = (4, 16, 8),
-    **changes: Any,
-) -> SimpleNamespace:
+def cloud(points, *, kind="<f4", step=24, padding=8, offsets=(4, 16, 8), **changes):
     """A PointCloud2 of points (h, w, 3) among other bytes, with padding after every row."""
     height, width, _ = points.shape
     row = width * step + padding
@@ -50,14 +39,12 @@ def cloud(
     ("kind", "offsets", "step"),
     [("<f4", (4, 16, 8), 24), (">f4", (0, 4, 8), 12), ("<f8", (8, 0, 16), 32)],
 )
-def test_the_layout_of_fields_steps_and_rows_is_the_message_s(
-    kind: str, offsets: tuple[int, int, int], step: int
-) -> None:
+def test_the_layout_of_fields_steps_and_rows_is_the_message_s(kind, offsets, step):
     decoded = decode_cloud(cloud(POINTS, kind=kind, offsets=offsets, step=step), None)
     np.testing.assert_array_equal(decoded, POINTS[..., 2].astype(np.float32))
 
 
-def test_what_is_no_distance_is_no_return() -> None:
+def test_what_is_no_distance_is_no_return():
     points = POINTS.copy()
     points[0, :4, 2] = np.nan, np.inf, 0.0, -0.1
     decoded = decode_cloud(cloud(points), None)
@@ -66,7 +53,7 @@ def test_what_is_no_distance_is_no_return() -> None:
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8"])
-def test_points_without_rows_go_where_the_camera_sees_them(kind: str) -> None:
+def test_points_without_rows_go_where_the_camera_sees_them(kind):
     """The nearest of those that meet in a pixel; none outside the image or behind it."""
     rows, columns = np.indices((4, 5))
     z = np.random.default_rng(2).uniform(0.1, 0.2, (4, 5)).astype(np.float32).astype(float)
@@ -93,14 +80,14 @@ def test_points_without_rows_go_where_the_camera_sees_them(kind: str) -> None:
         ({"fields": []}, "no fields x, y, z"),
     ],
 )
-def test_numbers_that_do_not_fit_are_refused(change: dict[str, Any], says: str) -> None:
+def test_numbers_that_do_not_fit_are_refused(change, says):
     with pytest.raises(ValueError, match=says):
         decode_cloud(cloud(POINTS, **change), None)
     whole = cloud(POINTS, data=cloud(POINTS).data[: 4 * 128])
     assert decode_cloud(whole, None).shape == (4, 5)
 
 
-def test_whole_numbers_are_no_points_and_a_row_alone_needs_a_camera() -> None:
+def test_whole_numbers_are_no_points_and_a_row_alone_needs_a_camera():
     message = cloud(POINTS)
     message.fields[1].datatype = 5
     with pytest.raises(ValueError, match="no floating point"):

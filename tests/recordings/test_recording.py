@@ -1,7 +1,5 @@
 """Recordings are read as what another program wrote."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +22,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording, bag_storage as chunks
 
 
-def test_every_format_gives_the_frames_written(press: Path) -> None:
+def test_every_format_gives_the_frames_written(press):
     with Recording(press) as recording:
         assert len(recording) == 6
         np.testing.assert_allclose(recording.times_s, np.arange(6) * PERIOD / SECOND, atol=1e-12)
@@ -42,9 +40,7 @@ def test_every_format_gives_the_frames_written(press: Path) -> None:
             assert frame.intrinsics.distortion_model == "none"  # plumb_bob with zeros
 
 
-def write_compressed(
-    folder: Path, kind: str, encoding: str, cut: int | None = None, more: str = ""
-) -> Path:
+def write_compressed(folder, kind, encoding, cut=None, more=""):
     """Depth as its publisher compresses it, beside compressed colour, and with a hole."""
     bag, topic = BagMaker(kind), "/cam/depth/image/compressedDepth"
     image = "sensor_msgs/msg/CompressedImage"
@@ -64,7 +60,7 @@ def write_compressed(
 
 @pytest.mark.parametrize("kind", ["mcap file", "db3 folder", "bag none"])
 @pytest.mark.parametrize(("encoding", "off_m"), [("16UC1", 5.1e-4), ("32FC1", 2e-5)])
-def test_compressed_depth_is_read(tmp_path: Path, kind: str, encoding: str, off_m: float) -> None:
+def test_compressed_depth_is_read(tmp_path, kind, encoding, off_m):
     with Recording(write_compressed(tmp_path, kind, encoding, more=" png")) as recording:
         assert (len(recording), recording.size) == (4, (WIDTH, HEIGHT))
         assert recording.encoding == encoding
@@ -81,22 +77,20 @@ def test_compressed_depth_is_read(tmp_path: Path, kind: str, encoding: str, off_
     ("cut", "more", "says"),
     [(60, "", "no compressed depth image"), (5, "", "no compressed"), (None, " rvl", "as PNG")],
 )
-def test_compressed_depth_that_cannot_be_read_is_refused(
-    tmp_path: Path, cut: int | None, more: str, says: str
-) -> None:
+def test_compressed_depth_that_cannot_be_read_is_refused(tmp_path, cut, more, says):
     path = write_compressed(tmp_path, "mcap file", "16UC1", cut, more)
     with pytest.raises(InputError, match=says):
         Recording(path)
 
 
-def test_index_outside_is_an_index_error(press: Path) -> None:
+def test_index_outside_is_an_index_error(press):
     with Recording(press) as recording:
         for k in (-1, 6, 10**6):
             with pytest.raises(IndexError):
                 recording[k]
 
 
-def test_a_bag_split_over_files_is_one_recording(tmp_path: Path) -> None:
+def test_a_bag_split_over_files_is_one_recording(tmp_path):
     for part in (1, 0):
         bag = BagMaker("mcap file")
         for k in range(3 * part, 3 * part + 3):
@@ -110,7 +104,7 @@ def test_a_bag_split_over_files_is_one_recording(tmp_path: Path) -> None:
             np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
 
 
-def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
+def test_stamps_out_of_order_are_sorted(tmp_path):
     bag = BagMaker("mcap file")
     for log, k in enumerate((2, 0, 1)):
         bag.image(START + k * PERIOD, depth_image(k), log=START + log)
@@ -121,7 +115,7 @@ def test_stamps_out_of_order_are_sorted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frames", [3, 40])
-def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path: Path, frames: int) -> None:
+def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path, frames):
     """A replay that begins again has its old stamps again, whether or not they go back far."""
     bag, laps = BagMaker("mcap file"), 3
     for log in range(laps * frames):
@@ -135,7 +129,7 @@ def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path: Path, frames
             assert frame.gas_pressure_pa == pytest.approx(1e5 + log)
 
 
-def test_what_belongs_together_in_a_recorded_loop_is_told_by_its_stamps(tmp_path: Path) -> None:
+def test_what_belongs_together_in_a_recorded_loop_is_told_by_its_stamps(tmp_path):
     """Images arrive up to half a second after the gas pressure of the same moment, in bursts."""
     bag, laps, frames, late = BagMaker("mcap file"), 3, 40, np.random.default_rng(0)
     free = START
@@ -157,7 +151,7 @@ def test_what_belongs_together_in_a_recorded_loop_is_told_by_its_stamps(tmp_path
         np.testing.assert_allclose(np.diff(lap), np.diff(kept[: frames - 3]) * PERIOD * 1e-9)
 
 
-def test_without_stamps_the_log_times_count(tmp_path: Path) -> None:
+def test_without_stamps_the_log_times_count(tmp_path):
     bag = BagMaker("mcap file")
     for k in range(4):
         bag.image(0, depth_image(k), log=START + k * PERIOD)
@@ -168,9 +162,7 @@ def test_without_stamps_the_log_times_count(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
-def test_pressure_beyond_its_range_is_the_nearest_or_none(
-    tmp_path: Path, late_s: float, found: bool
-) -> None:
+def test_pressure_beyond_its_range_is_the_nearest_or_none(tmp_path, late_s, found):
     bag = BagMaker("mcap file")
     bag.pressure(START, 106_000.0)
     bag.image(START + round(late_s * SECOND), depth_image(0))
@@ -180,7 +172,7 @@ def test_pressure_beyond_its_range_is_the_nearest_or_none(
         assert [recording[k].gas_pressure_pa for k in range(2)] == [expected] * 2
 
 
-def test_without_gas_pressure_wrench_and_camera_info_they_are_none(tmp_path: Path) -> None:
+def test_without_gas_pressure_wrench_and_camera_info_they_are_none(tmp_path):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
     with Recording(bag.write(tmp_path)) as recording:
@@ -189,7 +181,7 @@ def test_without_gas_pressure_wrench_and_camera_info_they_are_none(tmp_path: Pat
         assert not recording.has_wrench
 
 
-def test_the_depth_image_is_found_among_others_and_may_be_chosen(tmp_path: Path) -> None:
+def test_the_depth_image_is_found_among_others_and_may_be_chosen(tmp_path):
     bag = BagMaker("mcap file")
     grey = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
     infrared = np.full((HEIGHT, WIDTH), 500, dtype=np.uint16)
@@ -207,7 +199,7 @@ def test_the_depth_image_is_found_among_others_and_may_be_chosen(tmp_path: Path)
         Recording(path, pressure_topic="/nope")
 
 
-def test_camera_info_of_the_same_camera_and_size_is_taken(tmp_path: Path) -> None:
+def test_camera_info_of_the_same_camera_and_size_is_taken(tmp_path):
     bag = BagMaker("mcap file")
     bag.camera_info(START, topic="/other/camera_info", k=np.eye(3).ravel() * 7)
     bag.camera_info(START, topic="/cam/color/camera_info", width=1280, height=720)
@@ -218,9 +210,7 @@ def test_camera_info_of_the_same_camera_and_size_is_taken(tmp_path: Path) -> Non
         assert recording.intrinsics.fx == 30.0
 
 
-def test_reading_one_frame_does_not_decompress_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reading_one_frame_does_not_decompress_the_others(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
     bag = BagMaker("mcap file")
     for k in range(20):
@@ -230,7 +220,7 @@ def test_reading_one_frame_does_not_decompress_the_others(
     inflated = [0]
     original = chunks.LazyChunk.read
 
-    def counting(self: chunks.LazyChunk, count: int) -> bytes:
+    def counting(self, count):
         before = self.memory
         part = original(self, count)
         inflated[0] += self.memory - before
@@ -245,9 +235,7 @@ def test_reading_one_frame_does_not_decompress_the_others(
         assert inflated[0] < 1.2 * image
 
 
-def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(tmp_path, monkeypatch):
     monkeypatch.setattr("bubbleviz.recordings.recording.SAMPLED_ABOVE", 100)
     reads = []
     bag, jittered = BagMaker("mcap file"), BagMaker("mcap file")
@@ -265,7 +253,7 @@ def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(
         np.testing.assert_allclose(np.diff(recording.times_s), PERIOD / SECOND, atol=1e-12)
 
 
-def test_real_recording_against_rosbags(punyo_press: Path) -> None:
+def test_real_recording_against_rosbags(punyo_press):
     """Frames and pressures of the real press as rosbags' own sequential reader gives them."""
     from rosbags.highlevel import AnyReader
 
@@ -293,7 +281,7 @@ def test_real_recording_against_rosbags(punyo_press: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_closing_lets_go_of_the_file(tmp_path: Path, kind: str) -> None:
+def test_closing_lets_go_of_the_file(tmp_path, kind):
     path = fill(BagMaker(kind)).write(tmp_path)
     descriptors = Path("/proc/self/fd")
     if not descriptors.is_dir():
@@ -306,7 +294,7 @@ def test_closing_lets_go_of_the_file(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("garbage", [5, 86_400 * SECOND, 2_100_000_000 * SECOND])
-def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path: Path, garbage: int) -> None:
+def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path, garbage):
     bag = BagMaker("mcap file")
     for k in range(7):
         log = START + k * PERIOD
@@ -316,7 +304,7 @@ def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path: Path, garbage
         np.testing.assert_array_equal(recording[3].depth_m, depth_image(3))
 
 
-def test_a_file_of_the_realsense_library(tmp_path: Path) -> None:
+def test_a_file_of_the_realsense_library(tmp_path):
     """Its topics, encoding and unit; an infrared image has the same encoding."""
     bag, stem = BagMaker("bag lz4"), "/device_0/sensor_0"
     units = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)

@@ -1,9 +1,5 @@
 """What the writer writes is read by rosbags and by our own reader."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
@@ -16,7 +12,7 @@ from bubbleviz.recordings import Frame, Recording, RecordingWriter
 CAMERA = Intrinsics(5, 4, 30.0, 31.0, 2.0, 1.5, "inverse_brown_conrady", (0.1, 0.2, 0.0, 0.0, 0.3))
 
 
-def frame(k: int, shape: tuple[int, int] = (4, 5)) -> Frame:
+def frame(k, shape=(4, 5)):
     depth = np.linspace(0.05, 0.2, shape[0] * shape[1], dtype=np.float32).reshape(shape) + 0.01 * k
     depth[0, 0] = np.nan
     return Frame(
@@ -31,7 +27,7 @@ def frame(k: int, shape: tuple[int, int] = (4, 5)) -> Frame:
 
 
 @pytest.mark.parametrize("name", ["rec.mcap", "folder"])
-def test_round_trip(tmp_path: Path, name: str) -> None:
+def test_round_trip(tmp_path, name):
     path = tmp_path / name
     with RecordingWriter(path) as writer:
         for k in range(5):
@@ -50,7 +46,7 @@ def test_round_trip(tmp_path: Path, name: str) -> None:
             assert got.stamp_ns == sent.stamp_ns
 
 
-def test_rosbags_reads_it(tmp_path: Path) -> None:
+def test_rosbags_reads_it(tmp_path):
     path = tmp_path / "rec.mcap"
     with RecordingWriter(path, encoding="16UC1") as writer:
         writer.write(frame(0))
@@ -72,7 +68,7 @@ def test_rosbags_reads_it(tmp_path: Path) -> None:
 
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(1, 40), st.integers(1, 40), st.sampled_from(["32FC1", "16UC1"]))
-def test_any_size(tmp_path: Path, height: int, width: int, encoding: str) -> None:
+def test_any_size(tmp_path, height, width, encoding):
     path = tmp_path / "rec.mcap"
     path.unlink(missing_ok=True)
     sent = frame(0, (height, width))
@@ -83,7 +79,7 @@ def test_any_size(tmp_path: Path, height: int, width: int, encoding: str) -> Non
         np.testing.assert_allclose(recording[0].depth_m, sent.depth_m, rtol=0, atol=tolerance)
 
 
-def test_what_comes_later_is_written_too(tmp_path: Path) -> None:
+def test_what_comes_later_is_written_too(tmp_path):
     path = tmp_path / "rec.mcap"
     with RecordingWriter(path) as writer:
         writer.write(Frame(0, 0.0, frame(0).depth_m))
@@ -94,7 +90,7 @@ def test_what_comes_later_is_written_too(tmp_path: Path) -> None:
         assert recording[0].gas_pressure_pa is None
 
 
-def test_times_stand_in_for_missing_stamps(tmp_path: Path) -> None:
+def test_times_stand_in_for_missing_stamps(tmp_path):
     path = tmp_path / "rec.mcap"
     with RecordingWriter(path) as writer:
         for k in range(3):
@@ -103,7 +99,7 @@ def test_times_stand_in_for_missing_stamps(tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.times_s, np.arange(3) / 30.0, atol=2e-9)
 
 
-def test_nothing_remains_when_it_fails(tmp_path: Path) -> None:
+def test_nothing_remains_when_it_fails(tmp_path):
     with pytest.raises(ZeroDivisionError), RecordingWriter(tmp_path / "rec.mcap") as writer:
         writer.write(frame(0))
         raise ZeroDivisionError
@@ -112,7 +108,7 @@ def test_nothing_remains_when_it_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_recording_is_kept(tmp_path: Path) -> None:
+def test_an_existing_recording_is_kept(tmp_path):
     path = tmp_path / "rec.mcap"
     path.write_text("precious")
     with pytest.raises(InputError, match="exists"), RecordingWriter(path):

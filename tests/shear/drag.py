@@ -1,25 +1,21 @@
 """A small sensor, and objects that stick to its membrane: truths on another, finer mesh."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
-from bubbleviz.result import Traction
-from bubbleviz.sensor import Sensor
 from bubbleviz.shear import TractionOptions
 from bubbleviz.simulation import DepthNoise
 from tests.oracles.flow_sighting import FlowSighting, sighting
-from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, shear_sensor
+from tests.oracles.stuck_press import Motion, ShearTruth, pressed, shear_sensor
 
 NOISE = DepthNoise(absolute_m=5e-5)
 FLOW_PX = 0.03
 
 
-def sensor(nodes: int = 600) -> Sensor:
+def sensor(nodes=600):
     """The study's dome over a camera of fewer pixels."""
     whole = shear_sensor(nodes)
     fewer = {"width": 400, "height": 320, "fx": 260.0, "fy": 260.0, "cx": 199.5, "cy": 159.5}
@@ -27,7 +23,7 @@ def sensor(nodes: int = 600) -> Sensor:
 
 
 @cache
-def press(name: str, depth_m: float, nodes: int = 1400) -> tuple[StuckPress, np.ndarray]:
+def press(name, depth_m, nodes=1400):
     """An object pressed in off the axis, and the distance of each node from its middle, m."""
     found = pressed(sensor(), name, depth_m, nodes)
     x = found.pressed_m
@@ -36,7 +32,7 @@ def press(name: str, depth_m: float, nodes: int = 1400) -> tuple[StuckPress, np.
 
 
 @cache
-def stuck(name: str, depth_m: float, drag_m: float, twist_deg: float) -> ShearTruth:
+def stuck(name, depth_m, drag_m, twist_deg):
     """The object dragged aside and twisted, with all that touched it."""
     drag = np.array([drag_m, 0.4 * drag_m, 0.0])
     return press(name, depth_m)[0].moved(Motion(drag, np.radians(twist_deg)))
@@ -45,26 +41,26 @@ def stuck(name: str, depth_m: float, drag_m: float, twist_deg: float) -> ShearTr
 class Eyes:
     """A pipeline of the sensor and what its cameras see of truths, frame after frame."""
 
-    def __init__(self, nodes: int = 600, **options: float) -> None:
+    def __init__(self, nodes=600, **options):
         self.pipeline = Pipeline.of(sensor(nodes))
         self.flows: list[FlowSighting] = []
         chosen = TractionOptions(**options)
         self.pipeline.watch_texture(lambda frame: self.flows[frame.index].flow, options=chosen)
 
-    def see(self, truth: ShearTruth, seed: int = 0, flow_px: float = FLOW_PX) -> Frame:
+    def see(self, truth, seed=0, flow_px=FLOW_PX):
         """The next frame."""
         seen = sighting(self.pipeline.camera, truth, NOISE, flow_px, seed)
         self.flows.append(seen)
         index = len(self.flows) - 1
         return Frame(index, index / 30.0, seen.depth_m)
 
-    def traction(self, frame: Frame) -> Traction:
+    def traction(self, frame):
         """Traction of a frame."""
         found = self.pipeline.process(frame, frozenset({"traction"})).traction
         assert found is not None
         return found
 
-    def rest(self) -> Frame:
+    def rest(self):
         """The next frame, of the membrane at rest."""
         mesh = self.pipeline.mesh
         still = np.zeros_like(mesh.nodes)

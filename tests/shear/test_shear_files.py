@@ -1,7 +1,5 @@
 """What `estimate --shear` writes and says."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -23,7 +21,7 @@ from tests.small_press import write_press, write_small_sensor
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a_color"
 
 
-def test_a_result_has_traction_and_slip(tmp_path: Path) -> None:
+def test_a_result_has_traction_and_slip(tmp_path):
     eyes, wanted = Eyes(), frozenset({"pixel_mask", "traction", "slip"})
     truth = stuck("puck", 0.004, 0.001, 8.0)
     results = [eyes.pipeline.process(eyes.rest(), wanted)]
@@ -59,7 +57,7 @@ def test_a_result_has_traction_and_slip(tmp_path: Path) -> None:
         (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
     ],
 )
-def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said: str) -> None:
+def test_what_is_asked_in_vain_is_said(tmp_path, options, said):
     sensor = write_small_sensor(tmp_path / "small.toml")
     press = write_press(tmp_path / "press.mcap", sensor)
     command = ["estimate", str(press), "--sensor", str(sensor), "--out", str(tmp_path / "r.npz")]
@@ -69,12 +67,12 @@ def test_what_is_asked_in_vain_is_said(tmp_path: Path, options: list[str], said:
     assert not (tmp_path / "r.npz").exists()
 
 
-def jpeg(k: int, step: int = 1) -> bytes:
+def jpeg(k, step=1):
     """Colour image of a frame, smaller by a step."""
     return encoded(images()[k][1][::step, ::step], "jpeg")
 
 
-def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path: Path) -> None:
+def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path):
     """Among the contact-free ones they are left out."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     damaged, small, out = HELD + 1, HELD + 2, tmp_path / "r.npz"
@@ -104,7 +102,7 @@ def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path:
     assert "colour camera: no camera info: that of the depth camera" in summary["texture"]
 
 
-def estimated(press: Path, sensor: Path, out: Path, *options: str) -> dict[str, np.ndarray]:
+def estimated(press, sensor, out, *options):
     """Force with friction of frames that are pressed in and dragged, with what else is told."""
     command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
     found = CliRunner().invoke(main, [*command, "--frames", f"{HELD - 4}:{HELD}", *options])
@@ -113,7 +111,7 @@ def estimated(press: Path, sensor: Path, out: Path, *options: str) -> dict[str, 
         return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
 
 
-def test_colour_that_leads_by_frames_is_paired_by_the_delay_that_is_given(tmp_path: Path) -> None:
+def test_colour_that_leads_by_frames_is_paired_by_the_delay_that_is_given(tmp_path):
     """By the option, which wins, or the sensor file; without either frames are paired by stamps."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     for folder, lead in (("alike", 0), ("led", 2)):
@@ -135,7 +133,7 @@ def test_colour_that_leads_by_frames_is_paired_by_the_delay_that_is_given(tmp_pa
     assert np.abs(by_stamp["traction_force_n"] - wanted).max() > 0.05 * size
 
 
-def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path: Path) -> None:
+def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path):
     changed = {k: jpeg(k, 2) for k in range(FRAMES)}
     press, sensor = write_texture_press(tmp_path, changed)
     command = ["estimate", str(press), "--sensor", str(sensor), "--shear"]
@@ -146,7 +144,7 @@ def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path:
 
 @pytest.mark.long
 @pytest.mark.skipif(not PRESS.exists(), reason="the real press is not part of the repository")
-def test_the_real_press(tmp_path: Path) -> None:
+def test_the_real_press(tmp_path):
     """Friction makes the force a tenth larger; nothing touches before."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     command = ["estimate", str(PRESS), "--sensor", "punyo_oval_d405", "--shear", "--json"]

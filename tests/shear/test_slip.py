@@ -1,11 +1,8 @@
 """Slip is found soon after it begins, and not where everything sticks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from bubbleviz.result import Slip
 from tests.oracles.stuck_press import Motion
 from tests.shear.drag import Eyes, press
 
@@ -13,7 +10,7 @@ STEP_M = 2.5e-4
 STICKING = 3
 
 
-def slips(name: str, depth_m: float, frames: int, sliding_beyond: float) -> list[Slip | None]:
+def slips(name, depth_m, frames, sliding_beyond):
     """Of every frame of a drag; after some of them an outer ring of the contact stays behind."""
     path, away = press(name, depth_m)
     radius = sliding_beyond * away[path.touching].max()
@@ -34,7 +31,7 @@ def slips(name: str, depth_m: float, frames: int, sliding_beyond: float) -> list
     ("name", "depth"),
     [("puck", 0.005), pytest.param("sphere", 0.008, marks=pytest.mark.long)],
 )
-def test_a_ring_that_stays_behind(name: str, depth: float) -> None:
+def test_a_ring_that_stays_behind(name, depth):
     found = slips(name, depth, STICKING + 3, 0.55)
     begun = found[STICKING + 1]
     assert begun is not None and begun.share > 3.0 * begun.share_sigma > 0.0
@@ -48,7 +45,7 @@ def test_a_ring_that_stays_behind(name: str, depth: float) -> None:
 
 
 @pytest.mark.long
-def test_slip_of_a_contact_of_few_nodes() -> None:
+def test_slip_of_a_contact_of_few_nodes():
     """A ball that touches a circle 11 mm across, on a mesh with edges of 3 mm."""
     found = slips("sphere", 0.004, STICKING + 2, 0.4)
     assert all(slip is not None and slip.share == 0.0 for slip in found[1:-1])
@@ -56,13 +53,13 @@ def test_slip_of_a_contact_of_few_nodes() -> None:
 
 
 @pytest.mark.long
-def test_no_alarm_while_everything_sticks() -> None:
+def test_no_alarm_while_everything_sticks():
     found = [slip for slip in slips("puck", 0.005, 10, 10.0) if slip is not None]
     assert len(found) == 9
     assert np.mean([slip.share > 0.0 for slip in found]) < 0.05
 
 
-def test_no_alarm_by_what_facets_miss() -> None:
+def test_no_alarm_by_what_facets_miss():
     """A ball that turns brings other facets to each place; the flow is better than they are."""
     path, _ = press("sphere", 0.010)
     eyes, found = Eyes(1000), []

@@ -1,7 +1,5 @@
 """Traction with friction against membranes that stick to known objects, on another, finer mesh."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -23,9 +21,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "depth", "drag", "twist"), CASES)
-def test_of_an_object_that_is_dragged_and_twisted(
-    name: str, depth: float, drag: float, twist: float
-) -> None:
+def test_of_an_object_that_is_dragged_and_twisted(name, depth, drag, twist):
     truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
     traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason
@@ -46,7 +42,7 @@ def test_of_an_object_that_is_dragged_and_twisted(
 
 
 @pytest.mark.long
-def test_a_long_drag_is_followed() -> None:
+def test_a_long_drag_is_followed():
     path, eyes = press("puck", 0.004)[0], Eyes(1000)
     drags = [Motion(np.array([1.0, 0.4, 0.0]) * k * 5e-4) for k in range(9)]
     for truth in path.along(drags):
@@ -56,7 +52,7 @@ def test_a_long_drag_is_followed() -> None:
         assert error < 0.03 * np.linalg.norm(truth.force_n)
 
 
-def test_a_press_without_friction_has_no_shear() -> None:
+def test_a_press_without_friction_has_no_shear():
     """The shear that is found is the flow's noise, and known to be."""
     truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
     traction = eyes.traction(eyes.see(truth))
@@ -64,7 +60,7 @@ def test_a_press_without_friction_has_no_shear() -> None:
     assert np.linalg.norm(shear) < 0.01 * np.linalg.norm(truth.force_n)
 
 
-def test_depth_is_solved_as_without_it() -> None:
+def test_depth_is_solved_as_without_it():
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
     frame = eyes.see(truth)
     both = eyes.pipeline.process(frame, frozenset({"traction", "slip"}))
@@ -77,7 +73,7 @@ def test_depth_is_solved_as_without_it() -> None:
     assert both.times_ms.keys() == {"estimate", "flow", "traction", "slip", "total"}
 
 
-def test_a_second_frame_goes_on_from_the_first_or_from_rest() -> None:
+def test_a_second_frame_goes_on_from_the_first_or_from_rest():
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
     frame = eyes.see(truth)
     first, second = (eyes.traction(frame) for _ in range(2))
@@ -87,7 +83,7 @@ def test_a_second_frame_goes_on_from_the_first_or_from_rest() -> None:
     np.testing.assert_allclose(second.force_n, first.force_n, rtol=0.01, atol=0.01)
 
 
-def test_where_the_contact_has_no_texture_depth_is_left_alone() -> None:
+def test_where_the_contact_has_no_texture_depth_is_left_alone():
     truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
     frame, wanted = eyes.see(truth), frozenset({"traction", "slip"})
     flow = eyes.flows[0].flow
@@ -114,7 +110,7 @@ def test_where_the_contact_has_no_texture_depth_is_left_alone() -> None:
         assert result.slip is None
 
 
-def test_nothing_touches() -> None:
+def test_nothing_touches():
     eyes = Eyes()
     traction = eyes.traction(eyes.rest())
     assert traction.status == "no_contact"
@@ -123,7 +119,7 @@ def test_nothing_touches() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.6])
-def test_coulombs_bound_holds_where_it_is_asked_for(friction: float) -> None:
+def test_coulombs_bound_holds_where_it_is_asked_for(friction):
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes(friction=friction)
     traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason
@@ -134,7 +130,7 @@ def test_coulombs_bound_holds_where_it_is_asked_for(friction: float) -> None:
     assert along.sum() > 0.1 * across.sum()
 
 
-def test_a_bound_lets_go_of_what_does_not_touch() -> None:
+def test_a_bound_lets_go_of_what_does_not_touch():
     """A cone programme leaves a little of nothing everywhere, which would count as contact."""
     eyes = Eyes(friction=0.6)
     for drag in (0.0, 0.0005):
@@ -146,13 +142,13 @@ def test_a_bound_lets_go_of_what_does_not_touch() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.0, np.inf, np.nan, 6.0])
-def test_a_bound_out_of_range_is_refused(friction: float) -> None:
+def test_a_bound_out_of_range_is_refused(friction):
     with pytest.raises(InputError, match=r"friction .*: give a number above 0, up to 5"):
         TractionOptions(friction)
 
 
-def test_a_programme_that_was_not_solved_is_no_traction(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unsolved(*given: object) -> tuple[np.ndarray, bool]:
+def test_a_programme_that_was_not_solved_is_no_traction(monkeypatch):
+    def unsolved(*given):
         return within_cone(*given)[0], False  # type: ignore[arg-type]
 
     monkeypatch.setattr(traction_problem, "within_cone", unsolved)
@@ -161,7 +157,7 @@ def test_a_programme_that_was_not_solved_is_no_traction(monkeypatch: pytest.Monk
     assert traction.status == "not_converged"
 
 
-def test_torque_and_its_sigma_about_any_point() -> None:
+def test_torque_and_its_sigma_about_any_point():
     """Moved by a lever, as forces and their covariance are."""
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
     traction = eyes.traction(eyes.see(truth))
@@ -174,7 +170,7 @@ def test_torque_and_its_sigma_about_any_point() -> None:
     assert far[2] == pytest.approx(traction.torque_sigma_nm[2])
 
 
-def test_the_linear_membrane_is_refused_in_one_sentence() -> None:
+def test_the_linear_membrane_is_refused_in_one_sentence():
     pipeline = Pipeline.of(sensor(200), options=EstimatorOptions("linear"))
     with pytest.raises(InputError, match=r"shear takes the exact membrane; choose --solver rubber"):
         pipeline.prepare(frozenset({"traction"}))

@@ -1,10 +1,6 @@
 """Recordings of a puck that is pressed in and dragged, with JPEG images of a printed membrane."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -21,7 +17,7 @@ FRAMES, TOUCHED, HELD = 60, 30, 40
 
 
 @cache
-def images() -> list[tuple[np.ndarray, np.ndarray]]:
+def images():
     """Depth, m, and grey image of every frame."""
     truth, camera = stuck("puck", 0.004, 0.001, 8.0), SensorModel.of(sensor()).camera
     view = MembraneView(camera, truth.mesh)
@@ -35,9 +31,7 @@ def images() -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def write_texture_press(
-    folder: Path, changed: Mapping[int, bytes], lead: int = 0
-) -> tuple[Path, Path]:
+def write_texture_press(folder, changed, lead=0):
     """Recording, whose colour leads by `lead` frames, and sensor file; `changed`: JPEG by frame."""
     bag, own = BagMaker("mcap file"), sensor().camera
     matrix = np.array([own.fx, 0.0, own.cx, 0.0, own.fy, own.cy, 0.0, 0.0, 1.0])

@@ -1,25 +1,17 @@
 """A real window per test, and nothing of it left afterwards."""
 
-from __future__ import annotations
-
 import gc
 import threading
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 from fakes import small_sensor
 from live_bench import Bench
 from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 from shiboken6 import isValid
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
-from window_driver import Drive, Driver
+from window_driver import Driver
 
-from bubbleviz.recordings import FrameSource
-from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import default_press
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver_server import CachedSource, Server
@@ -27,7 +19,7 @@ from bubbleviz_ui.engine.solver_thread import Worker
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View
+from bubbleviz_ui.view3d.render_view import FAST, View
 from bubbleviz_ui.window_session import application
 
 SIZE = 1024, 700
@@ -35,29 +27,29 @@ SIZE = 1024, 700
 
 
 @pytest.fixture(scope="session")
-def sensor() -> Sensor:
+def sensor():
     return small_sensor()
 
 
 @pytest.fixture(scope="session")
-def press(sensor: Sensor) -> FrameSource:
+def press(sensor):
     """The window's own synthetic press on a small sensor."""
     return CachedSource(default_press(sensor))
 
 
 @pytest.fixture(scope="session")
-def qapp() -> QApplication:
+def qapp():
     """The window's own application, in tests without a window as well."""
     return application()
 
 
 @pytest.fixture
-def new_window(qtbot: QtBot) -> Iterator[Callable[..., tuple[MainWindow, Server]]]:
+def new_window(qtbot):
     """Make windows on which nothing is open yet; each is closed after the test."""
     application()
     windows: list[MainWindow] = []
 
-    def make(quality: RenderQuality = FAST) -> tuple[MainWindow, Server]:
+    def make(quality=FAST):
         server = Server()
         controller = Controller(SessionState(), Worker(server))
         window = MainWindow(controller.state, controller, quality)
@@ -74,20 +66,10 @@ def new_window(qtbot: QtBot) -> Iterator[Callable[..., tuple[MainWindow, Server]
 
 
 @pytest.fixture
-def drive(
-    qtbot: QtBot,
-    new_window: Callable[..., tuple[MainWindow, Server]],
-    sensor: Sensor,
-    press: FrameSource,
-) -> Drive:
+def drive(qtbot, new_window, sensor, press):
     """Open windows: `drive(open_source=…, frame=…, playing=…, live=…, quality=…)`."""
 
-    def make(
-        open_source: Callable[[Sensor], FrameSource] = lambda _: press,
-        sensor: Sensor = sensor,
-        quality: RenderQuality = FAST,
-        **at: Any,
-    ) -> Driver:
+    def make(open_source=lambda _: press, sensor=sensor, quality=FAST, **at):
         driver = Driver(qtbot, *new_window(quality))
         playing = at.setdefault("playing", False)
         driver.opens("press", open_source, sensor, **at)
@@ -100,12 +82,10 @@ def drive(
 
 
 @pytest.fixture
-def open_bench(
-    qtbot: QtBot, new_window: Callable[..., tuple[MainWindow, Server]], tmp_path: Path
-) -> Callable[[], Bench]:
+def open_bench(qtbot, new_window, tmp_path):
     """Open windows for live sources, on which nothing is open yet."""
 
-    def make() -> Bench:
+    def make():
         bench = Bench(qtbot, *new_window(), tmp_path)
         bench.window.show()
         return bench
@@ -114,7 +94,7 @@ def open_bench(
 
 
 @pytest.fixture(autouse=True)
-def nothing_left() -> Iterator[None]:
+def nothing_left():
     """Fail a test that leaves a window, a VTK render window or a solver thread alive."""
     yield
     app = QApplication.instance()

@@ -1,11 +1,7 @@
 """Small sensors and sources that are fast enough to drive a window with."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -19,9 +15,7 @@ FIRST_CONTACT = 4
 FRAMES = 12
 
 
-def small_sensor(
-    name: str = "small dome", nodes: int = 200, prestretch: float | None = None
-) -> Sensor:
+def small_sensor(name="small dome", nodes=200, prestretch=None):
     """Dome of 75 mm radius seen by a camera of 80×60 pixels; of rubber where it is prestretched."""
     return Sensor(
         name=name,
@@ -34,7 +28,7 @@ def small_sensor(
     )  # fmt: skip
 
 
-def record(path: Path, frames: Iterable[Frame]) -> Path:
+def record(path, frames):
     """A recording of frames."""
     with RecordingWriter(path) as writer:
         for frame in frames:
@@ -45,9 +39,7 @@ def record(path: Path, frames: Iterable[Frame]) -> Path:
 class DentSource:
     """Dome with a dent beside its apex that grows frame by frame, after frames without one."""
 
-    def __init__(
-        self, sensor: Sensor, *, broken_from: int | None = None, slow_s: float = 0.0
-    ) -> None:
+    def __init__(self, sensor, *, broken_from=None, slow_s=0.0):
         self.name = "dent"
         self.times_s = np.arange(FRAMES) / 30.0
         self.closed = False
@@ -59,13 +51,13 @@ class DentSource:
         away = np.linalg.norm(mesh.nodes[:, :2] - [0.02, 0.0], axis=1)
         self._dent = -np.exp(-((away / 0.015) ** 2)) * ~mesh.rim
 
-    def __len__(self) -> int:
+    def __len__(self):
         return len(self.times_s)
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self):
         return (self[k] for k in range(len(self)))
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         if self._broken_from is not None and index >= self._broken_from:
             raise InputError(f"dent: frame {index} cannot be read; the recording is damaged")
         self.reads += 1
@@ -75,14 +67,14 @@ class DentSource:
         along = self._camera.directions.reshape(*ranges.shape, 3) @ self._camera.T_B_C[:3, 2]
         return Frame(index, float(self.times_s[index]), (ranges * along).astype(np.float32))
 
-    def close(self) -> None:
+    def close(self):
         self.closed = True
 
 
 class GappySource(DentSource):
     """Lacks three frames after its fifth."""
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor):
         super().__init__(sensor)
         self.times_s = self.times_s + 0.1 * (np.arange(FRAMES) > 5)
 
@@ -93,7 +85,7 @@ class ColouredSource(DentSource):
     Its first frame has no colour image, the last a damaged one; `decoded` counts what was read.
     """
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor):
         super().__init__(sensor)
         self.decoded = 0
         height, width = self._camera.intrinsics.height, self._camera.intrinsics.width
@@ -101,12 +93,12 @@ class ColouredSource(DentSource):
         rgb[:, : width // 2, 0] = rgb[:, width // 2 :, 1] = 220
         self.rgb = rgb
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         frame = super().__getitem__(index)
         return replace(frame, find_colour=lambda _: self._colour(index) if index else None)
 
-    def _colour(self, index: int) -> ColourImage:
-        def read() -> EncodedImage:
+    def _colour(self, index):
+        def read():
             self.decoded += 1
             if index == FRAMES - 1:
                 return EncodedImage("jpeg", b"no picture")
@@ -122,9 +114,7 @@ class SpeckledSource(DentSource):
     Those of frames `halved` are half as wide and high; no camera info is known without `info`.
     """
 
-    def __init__(
-        self, sensor: Sensor, *, halved: frozenset[int] = frozenset(), info: bool = True
-    ) -> None:
+    def __init__(self, sensor, *, halved=frozenset(), info=True):
         super().__init__(sensor)
         self._halved, self._info = halved, info
         self.times_s = np.arange(25) / 30.0
@@ -133,14 +123,14 @@ class SpeckledSource(DentSource):
         coarse = np.random.default_rng(3).integers(40, 210, (height // 3 + 1, width // 3 + 1))
         self._speckles = np.kron(coarse, np.ones((3, 3)))[:height, :width]
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         frame = super().__getitem__(0)
         noise = np.random.default_rng(index)
         depth = frame.depth_m * (1.0 + 1e-3 * noise.standard_normal(frame.depth_m.shape))
         grey = (self._speckles + noise.normal(0.0, 2.0, self._speckles.shape)).astype(np.uint8)
         grey = np.ascontiguousarray(grey[::2, ::2]) if index in self._halved else grey
 
-        def read() -> EncodedImage:
+        def read():
             self.decoded += 1
             height, width = grey.shape
             return EncodedImage("mono8", grey.tobytes(), width, height, width)

@@ -1,10 +1,8 @@
 """A window with live sources for tests: small sensors, and a robot in a process of its own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,9 +14,8 @@ from window_driver import Driver
 
 from bubbleviz.calibration import ENOUGH
 from bubbleviz.live import SensorPlace, SessionPreset
-from bubbleviz.sensor import Sensor, sensor_to_toml
-from bubbleviz_ui.live.connection import LiveRun, single
-from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz.sensor import sensor_to_toml
+from bubbleviz_ui.live.connection import single
 
 ROBOT = Path(__file__).parents[1] / "live" / "robot.py"
 WIDTH, HEIGHT = 64, 48
@@ -26,7 +23,7 @@ WIDTH, HEIGHT = 64, 48
 IMAGE, STRING = "sensor_msgs/msg/Image", "std_msgs/msg/String"
 
 
-def robot_sensor(**pneumatics: float) -> Sensor:
+def robot_sensor(**pneumatics):
     """The small dome seen by a camera of the robot's image size."""
     sensor = small_sensor("robot dome")
     size = {"width": WIDTH, "height": HEIGHT, "fx": 36.8, "fy": 30.4, "cx": 31.5, "cy": 23.5}
@@ -35,14 +32,14 @@ def robot_sensor(**pneumatics: float) -> Sensor:
     return sensor.model_copy(update={"camera": camera, "pneumatics": air})
 
 
-def sensor_file(folder: Path, name: str = "robot_dome", **pneumatics: float) -> str:
+def sensor_file(folder, name="robot_dome", **pneumatics):
     path = folder / f"{name}.toml"
     path.write_text(sensor_to_toml(robot_sensor(**pneumatics)), encoding="utf-8")
     return str(path)
 
 
 @contextmanager
-def robot(port: int, first: int = 0, *mode: str) -> Iterator[subprocess.Popen[str]]:
+def robot(port, first=0, *mode):
     """Publishes images as a ROS 2 node with rmw_zenoh, until it is killed."""
     command = [sys.executable, str(ROBOT), str(port), "rmw", str(first), *mode]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
@@ -53,7 +50,7 @@ def robot(port: int, first: int = 0, *mode: str) -> Iterator[subprocess.Popen[st
         process.wait()
 
 
-def two(folder: Path, source: str = "synthetic:?frames=6") -> SessionPreset:
+def two(folder, source="synthetic:?frames=6"):
     """Two small sensors that face each other along the world's y."""
     name, half = sensor_file(folder), 0.5**0.5
     return SessionPreset(
@@ -79,39 +76,39 @@ class Bench(Driver):
     folder: Path
 
     @property
-    def live_controller(self) -> LiveController:
+    def live_controller(self):
         return self.window.live_controller
 
     @property
-    def run(self) -> LiveRun:
+    def run(self):
         assert self.live_controller.run is not None
         return self.live_controller.run
 
     @property
-    def shown(self) -> int:
+    def shown(self):
         """Number of the frame that is shown; -1 before the first."""
         result = self.window.controller.result
         return -1 if result is None else result.frame.index
 
-    def connect(self, preset: SessionPreset) -> None:
+    def connect(self, preset):
         """Connect and wait for pictures of frames that come live."""
         self.live_controller.connect_to(preset)
         self.follow()
 
-    def follow(self, frames: int = 3) -> None:
+    def follow(self, frames=3):
         """Wait until so many more frames were shown."""
         facts = self.state.facts
         before = self.shown if facts is not None and facts.grows else 0
         self.wait(lambda: self.state.facts is not None and self.state.facts.grows)
         self.wait(lambda: self.shown >= before + frames)
 
-    def messages_come(self, count: int, sensor: int = 0) -> None:
+    def messages_come(self, count, sensor=0):
         """Wait until so many more messages of a sensor have arrived."""
         counters = self.run.session.sensors[sensor].stream.counters
         enough = counters().received + count
         self.wait(lambda: counters().received >= enough)
 
-    def learn_zero(self, reading_pa: float | None = None, shift_pa: float = 0.0) -> Any:
+    def learn_zero(self, reading_pa=None, shift_pa=0.0):
         """Have the zero of the gas pressure learned from readings at rest; returns it."""
         zero = self.run.session.sensors[0].zero
         zero.zero_now()
@@ -119,18 +116,18 @@ class Bench(Driver):
             zero.learn(reading_pa or zero.reference_pa + shift_pa, contact_free=True)
         return zero
 
-    def record(self) -> None:
+    def record(self):
         """Press the record button and wait until it writes."""
         self.live_controller.choose_folder(self.folder)
         self.window.live.record.button.click()
         self.wait(lambda: self.status().messages > 5)
 
-    def status(self) -> Any:
+    def status(self):
         state = self.live_controller.recording.state()
         assert state is not None
         return state.status
 
-    def stop(self) -> Path:
+    def stop(self):
         """Press it again and wait until the file is whole."""
         path = Path(self.status().path)
         self.window.live.record.button.click()
@@ -142,20 +139,20 @@ Open = Callable[[], Bench]
 SYNTHETIC = "synthetic:?frames=6"
 
 
-def connected(open_bench: Open) -> Bench:
+def connected(open_bench):
     """A window on one simulated sensor."""
     live = open_bench()
     live.connect(single(SYNTHETIC, sensor_file(live.folder)))
     return live
 
 
-def record_dents(path: Path, presses: int = 5) -> Path:
+def record_dents(path, presses=5):
     """Record a few presses; the last frame is one."""
     dents = list(DentSource(robot_sensor())) * presses
     return record(path, (replace(f, index=k, time_s=k / 30.0) for k, f in enumerate(dents)))
 
 
-def contents(path: Path) -> dict[str, list[Any]]:
+def contents(path):
     """Messages of a recording by type, read by the `mcap` library itself."""
     found: dict[str, list[Any]] = {}
     with path.open("rb") as file:

@@ -1,9 +1,6 @@
 """A dome at rest and then pressed, with gas pressure and noise, known exactly."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -11,7 +8,6 @@ import numpy as np
 from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView
 from bubbleviz.membrane import build_mesh
 from bubbleviz.recordings import Frame
-from bubbleviz.sensor import Sensor
 
 REST, FRAMES = 20, 30
 TENSION = 2585.5 * 0.08125 / 2.0
@@ -19,7 +15,7 @@ TENSION = 2585.5 * 0.08125 / 2.0
 
 
 @cache
-def dented(sensor: Sensor) -> list[np.ndarray]:
+def dented(sensor):
     """Ranges without contact and with a dent that grows; they take half a second."""
     mesh = build_mesh(sensor, 3000)
     view = MembraneView(DepthCamera.of(sensor.camera), mesh)
@@ -43,9 +39,7 @@ class RestingSource:
 
     name = "resting"
 
-    def __init__(
-        self, sensor: Sensor, noise_m: float = 1e-4, *, fresh: bool = False, slow_s: float = 0.0
-    ) -> None:
+    def __init__(self, sensor, noise_m=1e-4, *, fresh=False, slow_s=0.0):
         self.times_s = np.arange(FRAMES) / 30.0
         self.reads, self.closed = 0, False
         self._noise, self._fresh, self._slow = noise_m, fresh, slow_s
@@ -57,13 +51,13 @@ class RestingSource:
         self._rest_pa = sensor.pneumatics.reference_pressure_pa
         self._ranges = dented(sensor)
 
-    def __len__(self) -> int:
+    def __len__(self):
         return FRAMES
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self):
         return (self[k] for k in range(FRAMES))
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         self.reads += 1
         time.sleep(self._slow)
         pressed = max(index - REST + 1, 0)
@@ -78,11 +72,11 @@ class RestingSource:
             self._rest_pa + 60.0 * pressed + rng.standard_normal(),
         )
 
-    def close(self) -> None:
+    def close(self):
         self.closed = True
 
 
-def never_written(*arguments: object) -> None:
+def never_written(*arguments):
     """Stands for a report that takes long."""
     progress = next(each for each in arguments if callable(each))
     while True:

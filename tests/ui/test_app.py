@@ -1,11 +1,8 @@
 """The window without a person: pictures, no display, and what it says then."""
 
-from __future__ import annotations
-
 import os
 import socket
 import struct
-import subprocess
 import tempfile
 import textwrap
 from pathlib import Path
@@ -13,7 +10,7 @@ from pathlib import Path
 import pytest
 from fakes import small_sensor
 from PySide6.QtGui import QImage
-from window_driver import Drive, as_pixels, run_python, warm
+from window_driver import as_pixels, run_python, warm
 
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
@@ -45,26 +42,26 @@ with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None) 
 """
 
 
-def run(what: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run(what, **environment):
     """Run a call in a process that has no display."""
     return run_python(PROGRAM.format(what=what), display=False, **environment)
 
 
-def in_window(body: str) -> str:
+def in_window(body):
     """Run `body` with a window that plays the synthetic press, as a process of its own."""
     done = run_python(WINDOW.format(body=textwrap.indent(textwrap.dedent(body), "    ")))
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
-def png_size(path: Path) -> tuple[int, int]:
+def png_size(path):
     head = path.read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
     width, height = struct.unpack(">II", head[16:24])
     return width, height
 
 
-def test_screenshot_is_the_whole_window(tmp_path: Path) -> None:
+def test_screenshot_is_the_whole_window(tmp_path):
     out = tmp_path / "frame.png"
     done = run(f"screenshot(small_sensor(), None, 75, Path({str(out)!r}))")
     assert done.returncode == 0, done.stderr
@@ -72,9 +69,7 @@ def test_screenshot_is_the_whole_window(tmp_path: Path) -> None:
     assert len(warm(as_pixels(QImage(str(out)))[:700, :1000])) > 200
 
 
-def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(
-    qtbot: object, tmp_path: Path
-) -> None:
+def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(qtbot, tmp_path):
     with (
         pytest.raises(InputError, match="has no frame 100000"),
         window_session(small_sensor(), None, 100_000),
@@ -88,7 +83,7 @@ def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(
 
 
 @pytest.mark.long
-def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path: Path) -> None:
+def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path):
     short = "import bubbleviz_ui.app as app; app.OFFSCREEN_SECONDS = 0.5; "
     done = run(short + "sys.exit(run_window(small_sensor()))", TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
@@ -99,7 +94,7 @@ def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path: Pat
 
 
 @pytest.mark.long
-def test_a_picture_of_a_session_that_plays_is_of_one_frame() -> None:
+def test_a_picture_of_a_session_that_plays_is_of_one_frame():
     printed = in_window("""
     def save(out):
         print(state.frame, session.controller.result.frame.index)
@@ -116,7 +111,7 @@ def test_a_picture_of_a_session_that_plays_is_of_one_frame() -> None:
 
 
 @pytest.mark.parametrize("pictures", [1, pytest.param(4, marks=pytest.mark.long)])
-def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures: int) -> None:
+def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures):
     body = f"""
     count = view.render_count
     def interrupt():
@@ -130,7 +125,7 @@ def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures: int) -> None:
 
 
 @pytest.mark.long
-def test_ctrl_c_while_something_opens_ends_in_order() -> None:
+def test_ctrl_c_while_something_opens_ends_in_order():
     printed = in_window("""
     os.kill(os.getpid(), signal.SIGINT)
     try:
@@ -142,7 +137,7 @@ def test_ctrl_c_while_something_opens_ends_in_order() -> None:
 
 
 @pytest.mark.long
-def test_ctrl_c_while_libraries_are_imported_ends_in_order() -> None:
+def test_ctrl_c_while_libraries_are_imported_ends_in_order():
     done = run_python("""
 import os, signal
 from fakes import small_sensor
@@ -166,28 +161,28 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.long
-def test_benchmark_counts_renders() -> None:
+def test_benchmark_counts_renders():
     replay = "from benchmarks.window import replay_rate; replay_rate.WARM_UP_S = 0.2; "
     done = run(replay + "print(sorted(replay_rate.replay_fps(small_sensor(), None, 1.0).items()))")
     assert done.returncode == 0, done.stderr
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
 
 
-def test_a_recording_that_cannot_be_opened_never_becomes_a_window(tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_opened_never_becomes_a_window(tmp_path):
     missing = tmp_path / "missing.mcap"
     done = run(f"run_window(small_sensor(), Path({str(missing)!r}))")
     assert done.returncode == 1 and "missing.mcap" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_the_real_press_is_painted_where_the_poker_is(drive: Drive, punyo_press: Path) -> None:
+def test_the_real_press_is_painted_where_the_poker_is(drive, punyo_press):
     driver = drive(lambda _: Recording(punyo_press), load_sensor("punyo_oval_d405"), frame=75)
     assert len(driver.warm_pixels()) > 50
     driver.seek(10)
     assert len(driver.warm_pixels()) == 0
 
 
-def test_a_recording_of_another_camera_brings_its_preset(drive: Drive, punyo_press: Path) -> None:
+def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press):
     driver = drive()
     driver.window.open_file(punyo_press)
     driver.wait(lambda: driver.state.facts.frames == 90)
@@ -197,7 +192,7 @@ def test_a_recording_of_another_camera_brings_its_preset(drive: Drive, punyo_pre
     driver.told("640×480")
 
 
-def test_without_a_display_that_answers_one_clear_line(tmp_path: Path) -> None:
+def test_without_a_display_that_answers_one_clear_line(tmp_path):
     assert has_display(os.environ)
     assert not has_display({"DISPLAY": ":4711"})
     assert not has_display({"DISPLAY": ""})
@@ -214,7 +209,7 @@ def test_without_a_display_that_answers_one_clear_line(tmp_path: Path) -> None:
             assert len(done.stderr.strip().splitlines()) == 1 and told in done.stderr
 
 
-def test_a_session_outlives_the_references_to_none_that_qt_loses() -> None:
+def test_a_session_outlives_the_references_to_none_that_qt_loses():
     """None starts with some 10⁵ references; PySide6 6.12.0 on Python 3.11 loses one a call."""
     done = run_python("""
 from bubbleviz_ui.window_session import application

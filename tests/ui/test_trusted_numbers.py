@@ -1,18 +1,15 @@
 """How sure a number is, wherever the window shows it; and none where there is none to trust."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtGui import QColor
-from window_driver import Drive, Driver, texts
+from window_driver import texts
 
-from bubbleviz.recordings import Frame, Recording
+from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
 
 PRESSED = FIRST_CONTACT + 2
@@ -22,18 +19,18 @@ BIAS = np.array([-0.4, -0.6, -0.5])
 class Measured(DentSource):
     """A dent whose wrench is known, N; from a frame on, the gas pressure is of another planet."""
 
-    def __init__(self, sensor, wrong_from: int = FRAMES) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, sensor, wrong_from=FRAMES):  # type: ignore[no-untyped-def]
         super().__init__(sensor)
         self._wrong_from, self._rest_pa = wrong_from, sensor.pneumatics.reference_pressure_pa
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         push = 2.0 if index >= FIRST_CONTACT else 0.0
         wrench = np.concatenate([BIAS + push * np.array([0.6, 0.0, -0.8]), np.zeros(3)])
         gas = self._rest_pa + 5e4 if index >= self._wrong_from else None
         return replace(super().__getitem__(index), wrench=wrench, gas_pressure_pa=gas)
 
 
-def analyse(driver: Driver) -> None:
+def analyse(driver):
     """Have the force plot of all frames."""
     driver.show("plots")
     driver.wait(lambda: bool(driver.window.plots.plots))
@@ -43,11 +40,11 @@ def analyse(driver: Driver) -> None:
     driver.wait(lambda: len(driver.window.plots.plots["force"].data["force_n"][0]) == FRAMES)
 
 
-def heading(driver: Driver) -> str:
+def heading(driver):
     return re.sub(r"<[^>]*>", "", driver.window.plots.plots["force"].frame.text)
 
 
-def test_force_has_its_interval_in_status_bar_readout_panel_and_plot(drive: Drive) -> None:
+def test_force_has_its_interval_in_status_bar_readout_panel_and_plot(drive):
     driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
     estimate = driver.result.estimate
     force = np.linalg.norm(estimate.force_n)
@@ -68,7 +65,7 @@ def test_force_has_its_interval_in_status_bar_readout_panel_and_plot(drive: Driv
     assert high[PRESSED] > low[PRESSED] and np.isnan(low[0])  # no contact has no interval
 
 
-def test_measured_force_is_beside_the_estimate_without_its_bias(drive: Drive) -> None:
+def test_measured_force_is_beside_the_estimate_without_its_bias(drive):
     driver = drive(Measured, frame=PRESSED)
     analyse(driver)
     plot = driver.window.plots.plots["force"]
@@ -79,7 +76,7 @@ def test_measured_force_is_beside_the_estimate_without_its_bias(drive: Drive) ->
     driver.wait(lambda: "wrench 2.00 N" in heading(driver))
 
 
-def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive: Drive) -> None:
+def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive):
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
     window, result = driver.window, driver.result
     assert result.estimate.status == "implausible"
@@ -104,7 +101,7 @@ def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive: Drive
     assert "not to be trusted" in heading(driver)
 
 
-def test_rubber_and_linear_are_compared_side_by_side(drive: Drive) -> None:
+def test_rubber_and_linear_are_compared_side_by_side(drive):
     driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
     driver.show("compare")
     driver.window.panels["compare"].raise_()
@@ -118,9 +115,7 @@ def test_rubber_and_linear_are_compared_side_by_side(drive: Drive) -> None:
 
 
 @pytest.mark.parametrize("shift_pa", [20.0, 1200.0])
-def test_the_window_says_what_was_done_to_the_zero_of_a_recording(
-    drive: Drive, tmp_path: Path, shift_pa: float
-) -> None:
+def test_the_window_says_what_was_done_to_the_zero_of_a_recording(drive, tmp_path, shift_pa):
     sensor = small_sensor()
     gas_pa = sensor.pneumatics.reference_pressure_pa + shift_pa
     pushed = lambda frame: gas_pa + 100.0 * (frame.index >= FIRST_CONTACT)  # noqa: E731

@@ -1,11 +1,8 @@
 """The real window on the real pipeline, driven by clicks and keys, its pixels read back."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,12 +20,9 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from vtkmodules.vtkRenderingCore import vtkTextActor
-from window_driver import CONTACT, LEFT, Drive, Driver, written
+from window_driver import CONTACT, LEFT, written
 
 import bubbleviz
-from bubbleviz.recordings import Frame, FrameSource
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.demand import STAGES
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
@@ -36,7 +30,7 @@ from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.text import beside_bars
 
 
-def test_shows_where_the_contact_is(drive: Drive) -> None:
+def test_shows_where_the_contact_is(drive):
     driver = drive(frame=CONTACT)
     warm = driver.warm_pixels()
     assert len(warm) > 200
@@ -55,18 +49,18 @@ def test_shows_where_the_contact_is(drive: Drive) -> None:
 class Outlier(DentSource):
     """One frame early on has the depth of the last, the deepest."""
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         return replace(super().__getitem__(FRAMES - 1 if index == 6 else index), index=index)
 
 
-def test_one_outlier_does_not_fade_the_other_frames(drive: Drive) -> None:
+def test_one_outlier_does_not_fade_the_other_frames(drive):
     driver = drive(Outlier, frame=5)
 
-    def end_pa() -> float:
+    def end_pa():
         high = driver.window.scene.layers["membrane"].actor.mapper.scalar_range[1]
         return driver.state.units.pressure.to_si(high)
 
-    def peak_pa(frame: int) -> float:
+    def peak_pa(frame):
         driver.seek(frame)
         peak = float(driver.result.estimate.contact_pressure_pa.max())
         assert end_pa() >= peak
@@ -81,7 +75,7 @@ def test_one_outlier_does_not_fade_the_other_frames(drive: Drive) -> None:
     assert end_pa() >= sorted([usual, outlier, *peaks])[-3]
 
 
-def test_each_layer_draws_something_and_hidden_takes_it_away(drive: Drive) -> None:
+def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
     driver = drive(frame=CONTACT)
     boxes = driver.window.layers.boxes
     driver.click(boxes["contour"])
@@ -107,7 +101,7 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive: Drive) -> No
         driver.state.choose(layers=frozenset())
 
 
-def test_kappa_thresholds_anew_without_solving(drive: Drive) -> None:
+def test_kappa_thresholds_anew_without_solving(drive):
     driver = drive(frame=CONTACT)
     panel = driver.window.kappa
     solved, area = driver.pipeline.counts["estimate"], panel.area.text()
@@ -124,7 +118,7 @@ def test_kappa_thresholds_anew_without_solving(drive: Drive) -> None:
     assert driver.pipeline.counts["estimate"] == solved
 
 
-def test_another_solver_starts_anew_at_the_same_frame(drive: Drive) -> None:
+def test_another_solver_starts_anew_at_the_same_frame(drive):
     driver = drive(frame=CONTACT)
     panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
     panel.solver.setFocus()
@@ -137,7 +131,7 @@ def test_another_solver_starts_anew_at_the_same_frame(drive: Drive) -> None:
     assert driver.result.patch.area_m2 > 0.0
 
 
-def test_points_of_the_patch_follow_kappa_and_have_their_own_colour(drive: Drive) -> None:
+def test_points_of_the_patch_follow_kappa_and_have_their_own_colour(drive):
     driver = drive(frame=CONTACT)
     driver.state.choose(cloud_colour="patch")
     result = lambda: driver.result  # noqa: E731
@@ -156,7 +150,7 @@ def test_points_of_the_patch_follow_kappa_and_have_their_own_colour(drive: Drive
     assert not np.all(driver.pixels() == patch_colour, axis=2).any()
 
 
-def test_keys_play_step_and_jump(drive: Drive) -> None:
+def test_keys_play_step_and_jump(drive):
     driver = drive()
     last = driver.state.facts.frames - 1
     driver.key(Qt.Key.Key_Right)
@@ -179,7 +173,7 @@ def test_keys_play_step_and_jump(drive: Drive) -> None:
     assert box.isChecked() and not driver.state.playing
 
 
-def test_every_number_has_a_unit_and_is_not_clipped(drive: Drive) -> None:
+def test_every_number_has_a_unit_and_is_not_clipped(drive):
     driver = drive(frame=CONTACT)
     driver.window.show_rates()
     labels = driver.window.status.labels
@@ -196,7 +190,7 @@ def test_every_number_has_a_unit_and_is_not_clipped(drive: Drive) -> None:
         assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
 
 
-def test_new_data_keeps_the_camera_and_the_choices(drive: Drive, sensor: Sensor) -> None:
+def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
     first = DentSource(sensor)
     driver = drive(lambda _: first, frame=6)
     view = driver.window.view
@@ -217,7 +211,7 @@ def test_new_data_keeps_the_camera_and_the_choices(drive: Drive, sensor: Sensor)
     assert first.closed
 
 
-def test_a_file_that_cannot_be_opened_is_a_message(drive: Drive, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_opened_is_a_message(drive, tmp_path):
     driver = drive(frame=CONTACT)
     title, message = driver.window.windowTitle(), driver.window.message
     (tmp_path / "broken.mcap").write_bytes(b"not a recording")
@@ -240,9 +234,7 @@ def test_a_file_that_cannot_be_opened_is_a_message(drive: Drive, tmp_path: Path)
     driver.seek(CONTACT)
 
 
-def test_errors_of_opening_do_not_outlive_what_is_opened(
-    drive: Drive, press: FrameSource, tmp_path: Path
-) -> None:
+def test_errors_of_opening_do_not_outlive_what_is_opened(drive, press, tmp_path):
     driver, cut = drive(frame=CONTACT), tmp_path / "cut.mcap"
     record(cut, (press[k] for k in range(5)))
     os.truncate(cut, cut.stat().st_size - 20)
@@ -256,17 +248,17 @@ def test_errors_of_opening_do_not_outlive_what_is_opened(
     assert "cut off" in message.label.text() and not message.more.isVisible()
 
 
-def test_a_frame_that_cannot_be_read_is_a_message_and_stops_playback(drive: Drive) -> None:
+def test_a_frame_that_cannot_be_read_is_a_message_and_stops_playback(drive):
     driver = drive(lambda sensor: DentSource(sensor, broken_from=3), playing=True)
     driver.told("damaged")
     assert not driver.state.playing
     driver.seek(2)
 
 
-def test_a_bug_in_the_solver_is_a_message_with_details(drive: Drive) -> None:
+def test_a_bug_in_the_solver_is_a_message_with_details(drive):
     driver = drive()
 
-    def broken(*_: object) -> None:
+    def broken(*_):
         raise ZeroDivisionError("a bug")
 
     driver.pipeline.process = broken  # type: ignore[method-assign]
@@ -276,7 +268,7 @@ def test_a_bug_in_the_solver_is_a_message_with_details(drive: Drive) -> None:
     assert "Traceback" in QApplication.clipboard().text()
 
 
-def test_play_button_plays_and_pauses_and_the_numbers_follow(drive: Drive) -> None:
+def test_play_button_plays_and_pauses_and_the_numbers_follow(drive):
     driver = drive()
     window, state = driver.window, driver.state
     readout, label = window.playback.readout, window.status.labels["frame"]
@@ -285,7 +277,7 @@ def test_play_button_plays_and_pauses_and_the_numbers_follow(drive: Drive) -> No
     state.frame_changed.connect(lambda index, _: played.append(index))
     driver.click(window.playback.play)
 
-    def look() -> bool:
+    def look():
         """Note which frame each names while it plays."""
         seen.add(tuple(at.text().replace("·", " ").split()[1] for at in (readout, label)))
         return len(seen) > 8
@@ -301,7 +293,7 @@ def test_play_button_plays_and_pauses_and_the_numbers_follow(drive: Drive) -> No
     window.close()  # stops everything
 
 
-def test_about_says_what_runs(drive: Drive) -> None:
+def test_about_says_what_runs(drive):
     driver = drive()
     driver.act("Help › About bubbleviz")
     (about,) = driver.window.findChildren(QMessageBox)
@@ -310,7 +302,7 @@ def test_about_says_what_runs(drive: Drive) -> None:
     about.accept()
 
 
-def test_a_small_screen_holds_the_window_and_the_force(drive: Drive) -> None:
+def test_a_small_screen_holds_the_window_and_the_force(drive):
     driver = drive(DentSource, frame=6)
     labels = driver.window.status.labels
     driver.window.resize(1016, 660)
@@ -325,14 +317,14 @@ def test_a_small_screen_holds_the_window_and_the_force(drive: Drive) -> None:
     driver.wait(lambda: labels["dropped"].isVisible())
 
 
-def right_end(driver: Driver, text: vtkTextActor) -> float:
+def right_end(driver, text):
     """Where a text of the 3-D view ends, pixels."""
     box, renderer = [0.0] * 4, driver.window.view.renderer
     text.GetBoundingBox(renderer, box)
     return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]
 
 
-def test_a_large_scale_on_a_small_screen_holds_the_window(drive: Drive) -> None:
+def test_a_large_scale_on_a_small_screen_holds_the_window(drive):
     """As 1024×700 at 150 %, less the frame."""
     driver = drive(DentSource, frame=6)
     window = driver.window
@@ -354,14 +346,14 @@ def test_a_large_scale_on_a_small_screen_holds_the_window(drive: Drive) -> None:
 CONTROLS = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox)
 
 
-def said(window: QWidget) -> set[str]:
+def said(window):
     """Every label, button, menu item and tooltip of a window."""
     shown = [*window.findChildren(QLabel), *window.findChildren(QAbstractButton)]
     texts = {each.text() for each in [*shown, *window.findChildren(QAction)]}
     return texts | {widget.toolTip() for widget in window.findChildren(QWidget)}
 
 
-def test_every_control_has_a_tooltip_and_labels_say_what_they_mean(drive: Drive) -> None:
+def test_every_control_has_a_tooltip_and_labels_say_what_they_mean(drive):
     driver = drive(frame=3)
     silent = []
     for name, panel in driver.window.panels.items():

@@ -1,7 +1,5 @@
 """`python -m benchmarks.window` in small: it measures a real window, and judges no times."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -14,7 +12,6 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from PySide6.QtCore import QTimer
-from pytestqt.qtbot import QtBot
 from small_press import HEIGHTS, write_press
 from window_driver import PATIENCE_MS, run_python
 
@@ -36,14 +33,14 @@ print(json.dumps([report.actions, report.problems]))
 """
 
 
-def monkey(seconds: float, seed: int, before: str = "") -> tuple[int, list[str]]:
+def monkey(seconds, seed, before=""):
     done = run_python(before + MONKEY.format(seconds=seconds, seed=seed))
     assert done.returncode == 0, done.stderr
     actions, problems = json.loads(done.stdout.splitlines()[-1])
     return actions, problems
 
 
-def test_a_monkey_breaks_nothing() -> None:
+def test_a_monkey_breaks_nothing():
     """A short run; the long one is `python -m benchmarks.window monkey`."""
     actions, problems = monkey(FULL_S if "TEST_ALL" in os.environ else SHORT_S, seed=7)
     assert not problems, problems[0]
@@ -51,7 +48,7 @@ def test_a_monkey_breaks_nothing() -> None:
 
 
 @pytest.mark.long
-def test_a_monkey_finds_an_exception_in_a_slot() -> None:
+def test_a_monkey_finds_an_exception_in_a_slot():
     broken = (
         "from bubbleviz_ui.model.session_state import SessionState\n"
         "SessionState.choose_panel = lambda *a, **k: 1 / 0\n"
@@ -60,10 +57,10 @@ def test_a_monkey_finds_an_exception_in_a_slot() -> None:
     assert any("ZeroDivisionError" in problem for problem in problems)
 
 
-def test_the_calls_of_a_blocked_thread_are_told(qtbot: QtBot) -> None:
+def test_the_calls_of_a_blocked_thread_are_told(qtbot):
     watch, timer = BlockWatch(), QTimer()
 
-    def keep_the_window_waiting() -> None:
+    def keep_the_window_waiting():
         # a machine that is busy may block it before, and for longer
         threading.Event().wait(max(5.0 * BLOCKED_S, 1.5 * watch.longest_s))
 
@@ -75,10 +72,10 @@ def test_the_calls_of_a_blocked_thread_are_told(qtbot: QtBot) -> None:
     assert watch.longest_s > 2.0 * BLOCKED_S
 
 
-def test_who_computes_is_told_by_name() -> None:
+def test_who_computes_is_told_by_name():
     done, go_on = threading.Event(), threading.Event()
 
-    def compute() -> None:
+    def compute():
         while process_seconds(os.getpid()) < before + ENOUGH_S:
             pass
         done.set()
@@ -98,7 +95,7 @@ def test_who_computes_is_told_by_name() -> None:
 
 
 @pytest.fixture(scope="module")
-def press(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def press(tmp_path_factory):
     """A recording of many pixels on a coarse mesh, and its sensor's file."""
     folder = tmp_path_factory.mktemp("press")
     preset, sensor = load_sensor("pico_flexx_75mm"), folder / "coarse.toml"
@@ -109,7 +106,7 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         return write_press(folder / "press.mcap", sensor, 4 * HEIGHTS), sensor
 
 
-def bench(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+def bench(*arguments):
     command = [sys.executable, "-m", "benchmarks.window", *map(str, arguments), "--json"]
     return subprocess.run(
         command, capture_output=True, text=True, check=False, timeout=600, cwd=REPOSITORY
@@ -117,7 +114,7 @@ def bench(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.long
-def test_start_waits_for_the_picture_of_each_process(press: tuple[Path, Path]) -> None:
+def test_start_waits_for_the_picture_of_each_process(press):
     recording, sensor = press
     done = bench("start", recording, "--sensor", sensor, "--runs", "1")
     assert done.returncode == 0, done.stderr
@@ -127,7 +124,7 @@ def test_start_waits_for_the_picture_of_each_process(press: tuple[Path, Path]) -
     assert measured["cpu_s"] > 0.5
 
 
-def test_seek_waits_for_the_picture_of_each_frame(press: tuple[Path, Path]) -> None:
+def test_seek_waits_for_the_picture_of_each_frame(press):
     recording, sensor = press
     done = bench("seek", recording, "--sensor", sensor, "--seeks", "2")
     assert done.returncode == 0, done.stderr
@@ -137,7 +134,7 @@ def test_seek_waits_for_the_picture_of_each_frame(press: tuple[Path, Path]) -> N
 
 
 @pytest.mark.parametrize("what", ["start", "seek"])
-def test_what_cannot_be_opened_is_said_in_one_line(what: str, tmp_path: Path) -> None:
+def test_what_cannot_be_opened_is_said_in_one_line(what, tmp_path):
     done = CliRunner().invoke(main, [what, str(tmp_path / "missing.mcap")])
     assert done.exit_code == 2
     [line] = done.stderr.splitlines()
@@ -145,9 +142,7 @@ def test_what_cannot_be_opened_is_said_in_one_line(what: str, tmp_path: Path) ->
 
 
 @pytest.mark.long
-def test_a_frame_that_cannot_be_read_ends_the_seeks(
-    press: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_frame_that_cannot_be_read_ends_the_seeks(press, tmp_path):
     recording, sensor = press
     spoilt, data = tmp_path / "spoilt.mcap", bytearray(recording.read_bytes())
     summary = make_reader(BytesIO(data)).get_summary()

@@ -1,57 +1,51 @@
 """The γ0 panel in the real window, and what a person does with it."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
-from PySide6.QtCore import QPoint, Qt, QTimer
+from PySide6.QtCore import QPoint, QTimer
 from PySide6.QtWidgets import QApplication, QMessageBox, QProgressDialog, QPushButton, QWidget
 from window_driver import LEFT, PLAIN, Driver
 
-from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
-from bubbleviz_ui.calibration.calibration_session import Answer
 from bubbleviz_ui.model.scene_presets import load_scene
 
 
 class Bench(Driver):
     """The window with its γ0 panel open, and what a person does with it."""
 
-    def __init__(self, driver: Driver) -> None:
+    def __init__(self, driver):
         super().__init__(driver.bot, driver.window, driver.server)
         self.window.use_scene(load_scene("calibrate"))
         self.settle()
 
     @property
-    def panel(self) -> Gamma0Panel:
+    def panel(self):
         return self.window.gamma0
 
     @property
-    def answer(self) -> Answer:
+    def answer(self):
         return self.panel.calibration.answer
 
     @property
-    def draft(self) -> Any:
+    def draft(self):
         return self.answer.draft
 
-    def done(self) -> None:
+    def done(self):
         self.wait(lambda: not self.panel.calibration.busy)
 
-    def click(self, widget: QWidget, at: QPoint | None = None, *, wait: bool = True) -> None:
+    def click(self, widget, at=None, *, wait=True):
         super().click(widget, at)
         if wait:
             self.done()
 
-    def step(self, number: int) -> None:
+    def step(self, number):
         self.click(self.panel.steps.button(number))
 
-    def identify(self) -> None:
+    def identify(self):
         self.click(self.panel.next)
         self.click(self.panel.all)
         assert not self.window.message.isVisible()
 
-    def collect(self, count: int) -> None:
+    def collect(self, count):
         """Collect so many live frames and wait for what follows from them."""
         box = self.panel.frames.collect
         box.count.setValue(count)
@@ -59,13 +53,11 @@ class Bench(Driver):
         self.wait(lambda: not box.collector.active)
         self.done()
 
-    def key(
-        self, which: Qt.Key, held: Qt.KeyboardModifier = PLAIN, widget: QWidget | None = None
-    ) -> None:
+    def key(self, which, held=PLAIN, widget=None):
         super().key(which, held, widget)
         self.done()
 
-    def move_end(self, start: int, end: int) -> None:
+    def move_end(self, start, end):
         """Drag on the strip of the timeline, from frame to frame."""
         strip = self.panel.strip
         frames = (start, (start + end) // 2, end)
@@ -73,11 +65,11 @@ class Bench(Driver):
         self.done()
 
 
-def answered(bench: Bench, start: Callable[[], object], button: str) -> str:
+def answered(bench, start, button):
     """Click a button of the question that `start` asks; what was asked."""
     asked, timer = [], QTimer(interval=20)
 
-    def answer() -> None:
+    def answer():
         question = QApplication.activeModalWidget()
         if isinstance(question, QMessageBox) and not asked:
             asked.append(question.text())
@@ -93,11 +85,11 @@ def answered(bench: Bench, start: Callable[[], object], button: str) -> str:
 
 
 @contextmanager
-def cancelling(bench: Bench) -> Iterator[None]:
+def cancelling(bench):
     """Click Cancel of what waits for the report."""
     timer, clicked = QTimer(interval=20), list[QWidget]()
 
-    def cancel() -> None:
+    def cancel():
         waiting = QApplication.activeModalWidget()
         if isinstance(waiting, QProgressDialog) and not clicked:
             clicked.append(waiting)

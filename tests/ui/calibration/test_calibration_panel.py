@@ -1,7 +1,5 @@
 """The γ0 panel in the real window: clicks, drags and keys on a dome known exactly."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -12,17 +10,17 @@ from fakes import record, small_sensor
 from PySide6.QtCore import QPoint, Qt
 from resting import REST, TENSION, RestingSource
 from scipy.spatial.transform import Rotation
-from window_driver import PLAIN, Drive
+from window_driver import PLAIN
 
 from bubbleviz.calibration import Step
 from bubbleviz.recordings import Recording
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.model.scene_presets import load_scene
 
 
-def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench: Bench) -> None:
+def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
     panel = bench.panel
     assert not panel.strip.isVisible()
     bench.click(panel.next)
@@ -67,7 +65,7 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench: Bench) -> 
     assert panel.calibration.settings.nodes == 200 == nodes.value()
 
 
-def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench: Bench) -> None:
+def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench):
     panel, strip = bench.panel, bench.panel.strip
     bench.click(panel.next)
     assert (panel.frames.first.value(), panel.frames.last.value() + 1) == bench.draft.ranges[0]
@@ -99,7 +97,7 @@ def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench: Bench) -> No
     assert bench.state.frame == frame and not bench.state.playing
 
 
-def test_a_sample_is_taken_out_and_another_range_replaces_all(bench: Bench) -> None:
+def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     """What was found of the frames follows; what was chosen of later steps stays."""
     bench.identify()
     panel, frames, before = bench.panel, bench.panel.frames, bench.draft
@@ -117,7 +115,7 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench: Bench) -> N
     assert after.tension.tension.value != before.tension.tension.value
     assert frames.said.text().startswith("frames 0–4, 10–")
 
-    def replace(first: str, last: str) -> None:
+    def replace(first, last):
         bench.type(frames.first, first)
         bench.type(frames.last, last)
         bench.click(frames.replace)
@@ -140,7 +138,7 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench: Bench) -> N
     assert bench.answer is replaced and "Out of date" not in panel.verdict.text()
 
 
-def test_thresholds_move_the_mask_alone_and_a_drag_is_undone_at_once(bench: Bench) -> None:
+def test_thresholds_move_the_mask_alone_and_a_drag_is_undone_at_once(bench):
     bench.identify()
     panel, page, before = bench.panel, bench.panel.pixels, bench.draft
     bench.step(1)
@@ -166,7 +164,7 @@ def test_thresholds_move_the_mask_alone_and_a_drag_is_undone_at_once(bench: Benc
     assert panel.calibration.settings == settings
 
 
-def test_cancel_leaves_everything_as_it_was(drive: Drive) -> None:
+def test_cancel_leaves_everything_as_it_was(drive):
     bench = Bench(drive(lambda sensor: RestingSource(sensor, slow_s=0.02)))
     panel = bench.panel
     bench.click(panel.next)
@@ -184,7 +182,7 @@ def test_cancel_leaves_everything_as_it_was(drive: Drive) -> None:
     assert bench.window.undo_stack.index() == index + 1  # and nothing was heard of that one
 
 
-def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench: Bench) -> None:
+def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
     panel = bench.panel
     tips = lambda: [panel.steps.button(k).toolTip() for k in range(7)]  # noqa: E731
     assert all(tip.endswith(": to do") for tip in tips())
@@ -208,9 +206,7 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench: 
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
 
 
-def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(
-    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(bench, tmp_path, monkeypatch):
     bench.identify()
     panel, report, out = bench.panel, bench.panel.report, tmp_path / "mine.toml"
     bench.step(len(panel.pages) - 1)
@@ -256,7 +252,7 @@ def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(
     assert panel.next.isVisible() and not report.save_as.isVisible()
 
 
-def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive: Drive) -> None:
+def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive):
     driver = drive(frame=3)
     window = driver.window
     dock, panel = window.panels["calibration"], window.gamma0
@@ -280,7 +276,7 @@ def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive: 
 
 
 @pytest.mark.long
-def test_another_inflation_level_is_added_and_undone(bench: Bench, tmp_path: Path) -> None:
+def test_another_inflation_level_is_added_and_undone(bench, tmp_path):
     bench.identify()
     page, low = bench.panel.rectification, small_sensor()
     membrane = low.membrane.model_copy(update={"height_m": 0.042})
@@ -297,7 +293,7 @@ def test_another_inflation_level_is_added_and_undone(bench: Bench, tmp_path: Pat
     assert bench.draft.found.pixels.line is None
 
 
-def test_a_known_press_is_predicted_and_painted(drive: Drive, sensor: Sensor) -> None:
+def test_a_known_press_is_predicted_and_painted(drive, sensor):
     """Some rest and one place of the built-in press: its object and pose are known."""
     frame, whole = 18, default_press(sensor)
     source = SyntheticSource(sensor, whole.obj, whole.poses[[0] * 16 + [80] * 5], whole.noise)
@@ -323,7 +319,7 @@ def test_a_known_press_is_predicted_and_painted(drive: Drive, sensor: Sensor) ->
 
 
 @pytest.mark.long
-def test_real_press(drive: Drive, punyo_press: Path) -> None:
+def test_real_press(drive, punyo_press):
     sensor = load_sensor("punyo_oval_d405")
     bench = Bench(drive(lambda _: Recording(punyo_press), sensor=sensor))
     bench.identify()

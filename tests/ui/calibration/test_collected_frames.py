@@ -1,17 +1,14 @@
 """Frames for the calibration are collected from a live source."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 from calibration_bench import Bench, answered
 from PySide6.QtCore import Qt
 from resting import REST, TENSION, RestingSource
-from window_driver import CTRL, Drive
+from window_driver import CTRL
 
 from bubbleviz.recordings import Frame
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.calibration.frame_collector import FIRST_LOOK
 
 PERIOD_S = 1.0 / 60.0
@@ -21,16 +18,16 @@ PERIOD_S = 1.0 / 60.0
 class Camera(RestingSource):
     """New noise in each frame; a frame it is `stuck` at comes again and again."""
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor):
         super().__init__(sensor, fresh=True, slow_s=PERIOD_S)
         self.stuck: Frame | None = None
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         frame = super().__getitem__(index)
         return frame if self.stuck is None else replace(frame, depth_m=self.stuck.depth_m)
 
 
-def test_frames_are_collected_live_until_the_interval_is_small(drive: Drive) -> None:
+def test_frames_are_collected_live_until_the_interval_is_small(drive):
     bench = Bench(drive(Camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
     assert not panel.next.isEnabled() and box.isVisible()
@@ -51,13 +48,11 @@ def test_frames_are_collected_live_until_the_interval_is_small(drive: Drive) -> 
     assert panel.calibration.work.collected is None
 
 
-def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(
-    drive: Drive, resting: RestingSource
-) -> None:
+def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(drive, resting):
     frames, read = list(resting), list[int]()
 
     class Loop(RestingSource):
-        def __getitem__(self, index: int) -> Frame:
+        def __getitem__(self, index):
             read.append(index)
             return frames[index]
 
@@ -72,7 +67,7 @@ def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(
     assert not box.collector.active and bench.panel.calibration.work.collected is None
 
 
-def test_frames_are_collected_live_again_and_replace_those_before(drive: Drive) -> None:
+def test_frames_are_collected_live_again_and_replace_those_before(drive):
     cameras = list[Camera]()
     opened = lambda sensor: cameras.append(Camera(sensor)) or cameras[0]  # noqa: E731
     bench = Bench(drive(opened, playing=True, live=True))
@@ -109,15 +104,15 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive: Drive) 
     assert "Out of date" not in panel.verdict.text()
 
 
-def test_collected_frames_outlive_close_and_connecting_again(drive: Drive) -> None:
+def test_collected_frames_outlive_close_and_connecting_again(drive):
     bench = Bench(drive(Camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
     sensor = bench.window.controller.sensor
 
-    def connect(sensor: Sensor) -> None:
+    def connect(sensor):
         bench.opens("resting", lambda sensor: Camera(sensor), sensor, live=True)
 
-    def kept() -> bool:
+    def kept():
         return panel.calibration.work is work and bench.answer is answer
 
     bench.collect(8)

@@ -1,25 +1,22 @@
 """A calibration that is not saved: used, sent along, asked for and kept when its source goes."""
 
-from __future__ import annotations
-
 from functools import partial
-from pathlib import Path
 
 import pytest
 from calibration_bench import Bench, answered, cancelling
 from fakes import record
 from PySide6.QtCore import Qt
-from resting import RestingSource, never_written
-from window_driver import CTRL, Drive
+from resting import never_written
+from window_driver import CTRL
 
 from bubbleviz.calibration import report as save_identification
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.engine.solver_server import recording
 
 
 @pytest.fixture
-def folder(resting: RestingSource, tmp_path: Path) -> Path:
+def folder(resting, tmp_path):
     """A folder with two recordings at rest."""
     mine = tmp_path / "mine"
     mine.mkdir()
@@ -28,9 +25,7 @@ def folder(resting: RestingSource, tmp_path: Path) -> Path:
     return mine
 
 
-def test_the_new_sensor_is_used_undone_and_sent_with_the_session(
-    drive: Drive, sensor: Sensor, folder: Path, tmp_path: Path
-) -> None:
+def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, folder, tmp_path):
     """Identified and used, but saved nowhere: its files are gone when the window is."""
     bench = Bench(drive(recording(folder / "rest.mcap")))
     bench.identify()
@@ -62,8 +57,8 @@ def test_the_new_sensor_is_used_undone_and_sent_with_the_session(
 
 
 def test_an_identification_outlives_close_and_another_recording_asks_for_it(
-    drive: Drive, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    drive, folder, monkeypatch
+):
     bench = Bench(drive(recording(folder / "rest.mcap")))
     bench.identify()
     window, panel, answer = bench.window, bench.panel, bench.answer
@@ -76,7 +71,7 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     assert bench.answer is answer and panel.strip.isVisible()
     other, out = partial(window.open_file, folder / "other.mcap"), folder / "mine.toml"
 
-    def refused(button: str, file: Path | None) -> None:
+    def refused(button, file):
         """The question is answered so, or its dialog; what is open stays."""
         monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (file, ""))
         assert "rest.mcap is not saved" in answered(bench, other, button)
@@ -97,9 +92,7 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     assert bench.draft.found is None
 
 
-def test_closing_asks_and_a_session_that_is_refused_changes_nothing(
-    drive: Drive, folder: Path
-) -> None:
+def test_closing_asks_and_a_session_that_is_refused_changes_nothing(drive, folder):
     other = drive(recording(folder / "other.mcap"))
     other.state.choose(layers=frozenset({"rim"}))
     other.window.session_saver.save_as(folder / "look.bubbleviz")
@@ -122,9 +115,7 @@ def test_closing_asks_and_a_session_that_is_refused_changes_nothing(
 
 
 @pytest.mark.long
-def test_a_saved_identification_is_not_asked_for(
-    drive: Drive, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_saved_identification_is_not_asked_for(drive, folder, monkeypatch):
     bench = Bench(drive(recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)

@@ -1,13 +1,11 @@
 """Threads, memory and signals behind the window: in order, in the right thread, and let go."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from threading import Event
 
@@ -15,16 +13,12 @@ import numpy as np
 import pytest
 from fakes import DentSource
 from PySide6.QtCore import QCoreApplication, QEventLoop, QTimer
-from PySide6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 from window_driver import PATIENCE_MS, run_python
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import mesh_cap, spherical_cap
-from bubbleviz.progress import Progress
 from bubbleviz.result import Estimate, FineContact
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.requests import (
     Answer,
@@ -50,7 +44,7 @@ Wait = Callable[[Callable[[], object]], None]
 
 
 @pytest.fixture
-def wait(qtbot: QtBot) -> Wait:
+def wait(qtbot):
     return lambda done: qtbot.waitUntil(done, timeout=PATIENCE_MS)
 
 
@@ -58,27 +52,25 @@ def wait(qtbot: QtBot) -> Wait:
 
 
 @pytest.fixture
-def jobs(qtbot: QtBot) -> Iterator[Jobs]:
+def jobs(qtbot):
     made = Jobs("jobs of a test")
     yield made
     made.cancel()
     made.close(60.0)
 
 
-def test_jobs_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(
-    wait: Wait, jobs: Jobs
-) -> None:
+def test_jobs_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(wait, jobs):
     ended, here = list[Done](), threading.current_thread()
     threads = set[threading.Thread]()
 
-    def refuse(_: Progress) -> None:
+    def refuse(_):
         threads.add(threading.current_thread())
         raise InputError("x.toml: not there")
 
-    def break_down(_: Progress) -> None:
+    def break_down(_):
         raise ZeroDivisionError("by nothing")
 
-    def then(done: Done) -> None:
+    def then(done):
         assert threading.current_thread() is here
         ended.append(done)
 
@@ -92,11 +84,11 @@ def test_jobs_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(
     assert ended[2:] == [Done(3), Done(4)]
 
 
-def test_progress_is_told_and_ends_a_job_that_is_replaced(wait: Wait, jobs: Jobs) -> None:
+def test_progress_is_told_and_ends_a_job_that_is_replaced(wait, jobs):
     told, ended = list[tuple[str, float]](), list[Done]()
     jobs.progressed.connect(lambda step, done: told.append((step, done)))
 
-    def endless(progress: Progress) -> None:
+    def endless(progress):
         while True:
             progress("on and on", 0.5)
 
@@ -108,11 +100,11 @@ def test_progress_is_told_and_ends_a_job_that_is_replaced(wait: Wait, jobs: Jobs
     assert ended == [Done("new")]
 
 
-def test_an_answer_that_comes_too_late_is_let_go(jobs: Jobs) -> None:
+def test_an_answer_that_comes_too_late_is_let_go(jobs):
     began, go = Event(), Event()
     ended, unwanted = list[Done](), list[str]()
 
-    def slow(_: Progress) -> str:
+    def slow(_):
         began.set()
         assert go.wait(240.0)
         return "a source that is open"
@@ -125,7 +117,7 @@ def test_an_answer_that_comes_too_late_is_let_go(jobs: Jobs) -> None:
     assert unwanted == ["a source that is open"] and not ended
 
 
-def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot: QtBot) -> None:
+def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot):
     jobs, done = Jobs("wanted"), list[int]()
     for number in range(20):
         jobs.run(lambda _, number=number: done.append(number))
@@ -139,7 +131,7 @@ def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot: Q
     assert ended.wait(240.0)  # it is not lost
 
 
-def test_a_job_that_outlasts_closing_does_not_change_the_exit_code() -> None:
+def test_a_job_that_outlasts_closing_does_not_change_the_exit_code():
     """SciPy's factorisations of a thread that is left behind would (scipy#25404)."""
     words = """
 import threading
@@ -162,7 +154,7 @@ jobs.close(0.01)
     assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")
 
 
-def test_jobs_that_end_after_their_window_do_no_harm(qtbot: QtBot) -> None:
+def test_jobs_that_end_after_their_window_do_no_harm(qtbot):
     """Their threads are the last to know of them, while their ends are told in the GUI thread."""
     for _ in range(2_000):
         jobs, go_on = Jobs("held"), Event()
@@ -180,23 +172,23 @@ def test_jobs_that_end_after_their_window_do_no_harm(qtbot: QtBot) -> None:
 class Held(Server):
     """Serves nothing until it is let go."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.begun, self.go, self.ended = Event(), Event(), Event()
         self.served: list[Request] = []
 
-    def serve(self, request: Request) -> Answer | None:
+    def serve(self, request):
         self.begun.set()
         self.go.wait(240.0)
         self.served.append(request)
         return Failed(request, "held", "")
 
-    def close(self) -> None:
+    def close(self):
         super().close()
         self.ended.set()
 
 
-def test_frames_asked_for_meanwhile_are_dropped(wait: Wait) -> None:
+def test_frames_asked_for_meanwhile_are_dropped(wait):
     server, answers = Held(), list[Answer]()
     worker = Worker(server)
     worker.answered.connect(answers.append)
@@ -211,7 +203,7 @@ def test_frames_asked_for_meanwhile_are_dropped(wait: Wait) -> None:
     worker.close()
 
 
-def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(sensor: Sensor) -> None:
+def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(sensor):
     server = Held()
     worker = Worker(server)
     worker.ask(OpenRequest(1, "dent", DentSource, lambda: sensor, 0, Demand(frozenset())))
@@ -223,7 +215,7 @@ def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(sensor: Sens
     assert server.ended.is_set()
 
 
-def test_one_request_a_kind_waits_and_none_for_what_is_not_due(sensor: Sensor) -> None:
+def test_one_request_a_kind_waits_and_none_for_what_is_not_due(sensor):
     """A drag of κ is answered although the next live frame is not to be taken yet."""
     slots, server, demand = RequestSlots(), Server(), Demand(frozenset({"cloud"}))
     opening = OpenRequest(1, "dent", DentSource, lambda: sensor, 99, demand)
@@ -261,14 +253,14 @@ def test_one_request_a_kind_waits_and_none_for_what_is_not_due(sensor: Sensor) -
 # -- memory -------------------------------------------------------------------------------------
 
 
-def test_garbage_of_another_thread_goes_in_the_gui_thread(wait: Wait) -> None:
+def test_garbage_of_another_thread_goes_in_the_gui_thread(wait):
     wanted, gone_in = 5_000, list[int]()
 
     class Ring:
-        def __init__(self) -> None:
+        def __init__(self):
             self.itself = self
 
-        def __del__(self) -> None:
+        def __del__(self):
             gone_in.append(threading.get_ident())
 
     thread = threading.Thread(target=lambda: [Ring() for _ in range(wanted)])
@@ -280,7 +272,7 @@ def test_garbage_of_another_thread_goes_in_the_gui_thread(wait: Wait) -> None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc is asked to")
-def test_what_nobody_uses_goes_back_to_the_system() -> None:
+def test_what_nobody_uses_goes_back_to_the_system():
     done = run_python("""
 import numpy as np
 from benchmarks.window.process_usage import resident_mib
@@ -298,7 +290,7 @@ print(held - before, resident_mib() - before)
     assert kept < 30.0
 
 
-def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot: QtBot, wait: Wait) -> None:
+def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot, wait):
     state, given, rest_ms = SessionState(), Event(), 20
     state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=True)
     giving = MemoryRelease(state, given.set, rest_ms)
@@ -312,7 +304,7 @@ def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot: QtBot, wait: 
     giving.close()
 
 
-def test_of_kept_estimates_the_oldest_is_let_go_first_and_a_finer_mesh_counts() -> None:
+def test_of_kept_estimates_the_oldest_is_let_go_first_and_a_finer_mesh_counts():
     nothing = np.zeros(1000)
     estimate = Estimate("no_contact", nothing, nothing.copy(), 0.0, 0.0, 0.0)
     size = 2 * nothing.nbytes
@@ -336,22 +328,20 @@ def test_of_kept_estimates_the_oldest_is_let_go_first_and_a_finer_mesh_counts() 
 
 
 @pytest.fixture
-def interrupt(qapp: QApplication) -> Iterator[Interrupt]:
+def interrupt(qapp):
     made = Interrupt()
     made.end(qapp)
     yield made
     made.close()
 
 
-def test_an_interrupt_ends_the_loop_that_runs_and_no_other(
-    qapp: QApplication, interrupt: Interrupt
-) -> None:
+def test_an_interrupt_ends_the_loop_that_runs_and_no_other(qapp, interrupt):
     QTimer.singleShot(0, lambda: signal.raise_signal(signal.SIGTERM))
     assert qapp.exec() == EXIT_CODE
     assert interrupt.came
 
 
-def test_the_loop_of_the_next_window_goes_on(qapp: QApplication, interrupt: Interrupt) -> None:
+def test_the_loop_of_the_next_window_goes_on(qapp, interrupt):
     """It came while a window was opened, which handles events without a loop of Qt's."""
     signal.raise_signal(signal.SIGINT)
     qapp.processEvents()

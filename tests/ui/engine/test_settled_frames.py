@@ -1,44 +1,39 @@
 """A frame one stays at has one answer, however one came to it."""
 
-from __future__ import annotations
-
 from collections import Counter
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from fakes import DentSource
 from PySide6.QtCore import QObject, Signal
-from pytestqt.qtbot import QtBot
-from window_driver import CONTACT, Drive, Driver
+from window_driver import CONTACT
 
-from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.requests import Answer, OpenRequest, Request, Solved
+from bubbleviz_ui.engine.requests import OpenRequest, Request, Solved
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 
 
-def settled_by_itself(driver: Driver) -> None:
+def settled_by_itself(driver):
     """Wait until the window has settled the frame at the cursor."""
     driver.wait(lambda: driver.at_the_cursor() and driver.window.controller.settled)
 
 
-def shown(driver: Driver) -> tuple[float, float]:
+def shown(driver):
     """Force, N, and area, m², of the patch that is shown, once nothing changes any more."""
     settled_by_itself(driver)
     patch = driver.result.patch
     return float(np.linalg.norm(patch.force_n)), patch.area_m2
 
 
-def play_past(driver: Driver, frame: int) -> None:
+def play_past(driver, frame):
     driver.click(driver.window.playback.play)
     driver.wait(lambda: driver.state.frame >= frame)
     driver.click(driver.window.playback.play)
 
 
-def test_opened_sought_stepped_and_played_to_a_frame_has_the_same_area(drive: Drive) -> None:
+def test_opened_sought_stepped_and_played_to_a_frame_has_the_same_area(drive):
     alone = shown(drive(frame=CONTACT))
     driver = drive(frame=110)
     driver.state.seek(CONTACT)
@@ -58,14 +53,14 @@ def test_opened_sought_stepped_and_played_to_a_frame_has_the_same_area(drive: Dr
     assert paused == pytest.approx(shown(drive(frame=driver.state.frame)), rel=0.01)
 
 
-def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
+def test_a_paused_frame_has_its_pose_found_once(drive):
     """Also where closer looks, which are left out while playing, are due with it."""
     driver = drive(frame=CONTACT - 3)
     driver.show("pose", "images")
     driver.choose(every_frame=True, pose_object="sphere", pose_track=True)
     client, found = driver.window.controller.client, Counter[int]()
 
-    def note(answer: Answer) -> None:
+    def note(answer):
         if isinstance(answer, Solved) and "pose" in answer.result.times_ms:
             found[answer.result.frame.index] += 1
 
@@ -77,13 +72,13 @@ def test_a_paused_frame_has_its_pose_found_once(drive: Drive) -> None:
     assert found[driver.state.frame] == 1
 
 
-def test_a_frame_is_settled_with_what_was_chosen_since(drive: Drive) -> None:
+def test_a_frame_is_settled_with_what_was_chosen_since(drive):
     driver = drive(frame=CONTACT)
     controller, areas = driver.window.controller, list[float]()
     driver.state.choose(least_area_m2=0.01)
     driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
 
-    def note(answer: Answer) -> None:
+    def note(answer):
         if isinstance(answer, Solved):
             areas.append(answer.result.patch.area_m2)
 
@@ -108,17 +103,17 @@ class Waiting(QObject):
 
     answered = Signal(object)
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.server, self.requests = Server(), list[Request]()
 
-    def ask(self, request: Request) -> None:
+    def ask(self, request):
         self.requests.append(request)
 
-    def answer(self, request: Request) -> None:
+    def answer(self, request):
         self.answered.emit(self.server.serve(request))
 
-    def close(self) -> None:
+    def close(self):
         self.server.close()
 
 
@@ -127,12 +122,12 @@ LOOKING = PLAIN.looking(frozenset({"kappa_curve"}))
 
 
 @pytest.fixture
-def state() -> SessionState:
+def state():
     return SessionState()
 
 
 @pytest.fixture
-def client(qtbot: QtBot, sensor: Sensor, state: SessionState) -> Iterator[SensorClient]:
+def client(qtbot, sensor, state):
     """What asks for frames of a source that is open at frame 3."""
     solver = Waiting()
     made = SensorClient(state, solver)
@@ -141,7 +136,7 @@ def client(qtbot: QtBot, sensor: Sensor, state: SessionState) -> Iterator[Sensor
     made.close()
 
 
-def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client: SensorClient) -> None:
+def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
     solver = client.worker
     client.ask_settled()
     client.ask_frame(3, LOOKING)
@@ -153,9 +148,7 @@ def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client: SensorCl
     assert client.inspection.kappa_curve is not None and client.settled
 
 
-def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(
-    client: SensorClient, state: SessionState
-) -> None:
+def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(client, state):
     """Looks are left out of most frames while playing, but not because of one that never came."""
     solver = client.worker
     state.open(client.facts, 3, playing=True, history=client.history)

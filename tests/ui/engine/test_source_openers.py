@@ -1,9 +1,6 @@
 """A recording made by `bubbleviz simulate`: its truth in the window, however it gets there."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,14 +8,14 @@ from click.testing import CliRunner
 from fakes import DentSource
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
-from window_driver import Drive, Driver, run_bubbleviz
+from window_driver import run_bubbleviz
 
 from bubbleviz.api.simulating import write_simulation
 from bubbleviz.cli.command_line import main
 from bubbleviz.live import RawMessage, Recorder
 from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.window_session import window_session
@@ -27,7 +24,7 @@ FRAMES = 3
 
 
 @pytest.fixture(scope="module")
-def files(sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(sensor, tmp_path_factory):
     """A folder with a simulated press, its truth under another name, and the sensor's file."""
     folder = tmp_path_factory.mktemp("simulated")
     poses = np.repeat(np.eye(4)[None], FRAMES, axis=0)
@@ -39,7 +36,7 @@ def files(sensor: Sensor, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def opened(drive: Drive, sensor: Sensor, path: Path) -> Driver:
+def opened(drive, sensor, path):
     """A window on a recording with the Threshold panel open."""
     driver = drive(recording(path), sensor, frame=2)
     driver.show("threshold")
@@ -47,14 +44,12 @@ def opened(drive: Drive, sensor: Sensor, path: Path) -> Driver:
     return driver
 
 
-def says_iou(driver: Driver) -> bool:
+def says_iou(driver):
     curve = driver.window.threshold.curve
     return curve is not None and "IoU" in curve.frame.words.text
 
 
-def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
-    drive: Drive, sensor: Sensor, files: Path
-) -> None:
+def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(drive, sensor, files):
     driver = opened(drive, sensor, files / "sim.mcap")
     driver.settle()
     assert not says_iou(driver)
@@ -75,9 +70,7 @@ def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(
     other.wait(lambda: says_iou(other))
 
 
-def test_markers_and_notes_of_a_recording_are_on_the_timeline(
-    drive: Drive, sensor: Sensor, tmp_path: Path
-) -> None:
+def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp_path):
     source, recorder = DentSource(sensor), Recorder()
     recorder.start(tmp_path / "marked.mcap")
     begun = 1_790_000_000_000_000_000
@@ -97,8 +90,8 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(
 
 
 def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another_s(
-    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
-) -> None:
+    drive, sensor, files, tmp_path
+):
     shutil.copy(files / "sim.mcap", tmp_path)
     shutil.copy(files / "what_is_true.npz", tmp_path / "sim.npz")
     driver = opened(drive, sensor, tmp_path / "sim.mcap")
@@ -110,7 +103,7 @@ def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another
     assert not says_iou(driver)
 
 
-def test_recording_sensor_and_truth_are_dropped_together(drive: Drive, files: Path) -> None:
+def test_recording_sensor_and_truth_are_dropped_together(drive, files):
     driver = drive()
     driver.show("threshold")
     driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
@@ -120,8 +113,8 @@ def test_recording_sensor_and_truth_are_dropped_together(drive: Drive, files: Pa
 
 
 def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
-    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    drive, sensor, files, tmp_path, monkeypatch
+):
     menu, name = "File › Open truth of a simulation", str(files / "what_is_true.npz")
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (name, ""))
     driver = drive()
@@ -138,7 +131,7 @@ def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
 
 
 @pytest.mark.long
-def test_the_command_line_takes_a_truth(qtbot: object, sensor: Sensor, files: Path) -> None:
+def test_the_command_line_takes_a_truth(qtbot, sensor, files):
     rec, truth = files / "sim.mcap", files / "what_is_true.npz"
     with window_session(sensor, rec, 2, None, truth=truth) as session:
         session.window.show()
@@ -152,9 +145,7 @@ def test_the_command_line_takes_a_truth(qtbot: object, sensor: Sensor, files: Pa
     assert refused.exit_code == 2 and "--truth" in refused.stderr
 
 
-def test_a_recording_that_ends_early_says_so(
-    drive: Drive, sensor: Sensor, files: Path, tmp_path: Path
-) -> None:
+def test_a_recording_that_ends_early_says_so(drive, sensor, files, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((files / "sim.mcap").read_bytes()[:-40])
     drive(recording(cut), sensor).told("cut.mcap ends early")

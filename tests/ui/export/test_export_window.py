@@ -1,24 +1,18 @@
 """Exports from the window: chosen by clicks, read back from the files."""
 
-from __future__ import annotations
-
 import csv
 import re
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource
-from live_bench import Open, connected
+from live_bench import connected
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
-from window_driver import CTRL, Drive, Driver, clipped, texts, warm
+from window_driver import CTRL, Driver, clipped, texts, warm
 
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import default_press
 from bubbleviz_ui.export import export_dialog, exporting as video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
@@ -29,19 +23,19 @@ from bubbleviz_ui.view3d.tools import still
 class Bench(Driver):
     """The window with its export dialog open, and what a person does with it."""
 
-    def __init__(self, driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, driver, monkeypatch):
         super().__init__(driver.bot, driver.window, driver.server)
         self._patch = monkeypatch
         self.act("File › Export")
         assert self.dialog.isVisible()
 
     @property
-    def dialog(self) -> ExportDialog:
+    def dialog(self):
         dialog = self.window.findChild(ExportDialog)
         assert isinstance(dialog, ExportDialog)
         return dialog
 
-    def begin(self, title: str, out: Path, chosen: str = "") -> None:
+    def begin(self, title, out, chosen=""):
         self.pick(self.dialog.kind, title)
         self._patch.setattr(export_dialog, "new_file", lambda *_, **__: (out, chosen))
         assert self.dialog.export.isEnabled()
@@ -49,7 +43,7 @@ class Bench(Driver):
         # A short export may be over before what it says has arrived.
         self.wait(lambda: self.window.exporting.busy or self.dialog.said.text())
 
-    def export(self, title: str, out: Path, chosen: str = "") -> str:
+    def export(self, title, out, chosen=""):
         """Export, wait until it is over; what is said then."""
         self.begin(title, out, chosen)
         self.wait(lambda: not self.window.exporting.busy)
@@ -59,13 +53,13 @@ class Bench(Driver):
 
 
 @pytest.fixture
-def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(drive, monkeypatch):
     made = Bench(drive(DentSource, frame=6), monkeypatch)
     yield made
     made.let_go()
 
 
-def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> None:
+def test_a_table_of_the_range_on_the_timeline(bench, tmp_path):
     state = bench.state
     state.choose_range((3, 8))
     state.choose(kappa=2.0)
@@ -93,7 +87,7 @@ def test_a_table_of_the_range_on_the_timeline(bench: Bench, tmp_path: Path) -> N
     assert len((tmp_path / "all.csv").read_text().splitlines()) == FRAMES + 1
 
 
-def test_poses_that_were_found_are_in_the_table(bench: Bench, tmp_path: Path) -> None:
+def test_poses_that_were_found_are_in_the_table(bench, tmp_path):
     window = bench.window
     window.pose.session.choose("cylinder")
     bench.wait(lambda: window.pose.session.obj is not None)
@@ -117,7 +111,7 @@ SERIES = {
 }
 
 
-def test_series_are_folders_and_plots_files(bench: Bench, tmp_path: Path) -> None:
+def test_series_are_folders_and_plots_files(bench, tmp_path):
     first, last = 3, 6
     bench.state.choose_range((first, last))
     for title, suffix in SERIES.items():
@@ -137,13 +131,13 @@ def test_series_are_folders_and_plots_files(bench: Bench, tmp_path: Path) -> Non
     assert not QImage(str(tmp_path / "plots.png")).isNull()
 
 
-def pictures(path: Path) -> list[np.ndarray]:
+def pictures(path):
     reader = imageio_ffmpeg.read_frames(str(path))
     width, height = next(reader)["size"]
     return [np.frombuffer(p, np.uint8).reshape(height, width, 3) for p in reader]
 
 
-def test_a_video_of_the_view_shows_each_frame_of_the_range(bench: Bench, tmp_path: Path) -> None:
+def test_a_video_of_the_view_shows_each_frame_of_the_range(bench, tmp_path):
     driver = bench
     driver.state.choose(picture_size=(480, 360), speed=0.5)
     driver.state.choose_range((2, 10))
@@ -160,12 +154,10 @@ def test_a_video_of_the_view_shows_each_frame_of_the_range(bench: Bench, tmp_pat
     assert driver.result.frame.index == 6
 
 
-def test_a_video_says_which_frame_it_shows_unless_told_not_to(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_video_says_which_frame_it_shows_unless_told_not_to(bench, monkeypatch, tmp_path):
     driver, drawn = bench, list[list[str]]()
 
-    def watched(*args: Any) -> np.ndarray:
+    def watched(*args):
         drawn.append([text for text in texts(driver) if text.startswith("frame")])
         return still(*args)
 
@@ -184,15 +176,13 @@ def test_a_video_says_which_frame_it_shows_unless_told_not_to(
     assert not bench.dialog.captioned.isVisible()
 
 
-def test_a_video_shows_what_a_paused_window_shows(
-    drive: Drive, sensor: Sensor, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tmp_path):
     """Each frame settled, as a pipeline that has seen nothing else finds it."""
     drawn = list[tuple[int, float]]()
     bench = Bench(drive(frame=110), monkeypatch)
     driver = bench
 
-    def watched(*args: Any) -> np.ndarray:
+    def watched(*args):
         result = driver.result
         drawn.append((result.frame.index, result.patch.area_m2))
         return still(*args)
@@ -211,7 +201,7 @@ def test_a_video_shows_what_a_paused_window_shows(
         assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
 
 
-def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None:
+def test_a_cancelled_export_leaves_nothing(bench, tmp_path):
     driver, dialog = bench, bench.dialog
     driver.state.choose(picture_size=(1600, 1200))
     for title, out in (
@@ -227,9 +217,7 @@ def test_a_cancelled_export_leaves_nothing(bench: Bench, tmp_path: Path) -> None
     assert not list(tmp_path.iterdir()) and driver.state.frame == 9
 
 
-def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(drive, monkeypatch, tmp_path):
     bench = Bench(drive(lambda sensor: DentSource(sensor, broken_from=3)), monkeypatch)
     bench.state.choose(picture_size=(320, 240))
     assert "frame 3 cannot be read" in bench.export("Table", tmp_path / "a.csv")
@@ -240,13 +228,13 @@ def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_live_source_is_recorded_first(open_bench: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_source_is_recorded_first(open_bench, monkeypatch):
     bench = Bench(connected(open_bench), monkeypatch)
     assert "record it (Ctrl+R)" in bench.dialog.about.text()
     assert not bench.dialog.export.isEnabled()
 
 
-def test_nothing_is_exported_while_nothing_is_open(bench: Bench) -> None:
+def test_nothing_is_exported_while_nothing_is_open(bench):
     dialog = bench.dialog
     bench.state.choose_range((3, 8))
     assert not clipped(dialog)
@@ -258,7 +246,7 @@ def test_nothing_is_exported_while_nothing_is_open(bench: Bench) -> None:
     assert dialog.frames.currentText() == "all 0 frames"
 
 
-def test_a_later_success_replaces_what_failed_before(bench: Bench, tmp_path: Path) -> None:
+def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     window, state = bench.window, bench.state
     (tmp_path / "there.csv").write_text("precious")
     state.choose_range((3, 4))

@@ -1,20 +1,16 @@
 """Imports from the window: by clicks and keys, read back from the recording."""
 
-from __future__ import annotations
-
 import json
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from PySide6.QtWidgets import QFileDialog
-from window_driver import Drive, Driver
+from window_driver import Driver
 
-from bubbleviz.recordings import FrameSource, ImageFolder, Recording
-from bubbleviz_ui.importing.import_dialog import RATE, TABLE, FileField, ImportDialog
+from bubbleviz.recordings import ImageFolder, Recording
+from bubbleviz_ui.importing.import_dialog import RATE, TABLE, ImportDialog
 from tests.recordings.bagmaker import BagMaker, fill
 
 SMALL = (1024, 700)
@@ -23,33 +19,33 @@ SMALL = (1024, 700)
 class Bench(Driver):
     """The window with its import dialog open, and what a person does with it."""
 
-    def __init__(self, driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, driver, monkeypatch):
         super().__init__(driver.bot, driver.window, driver.server)
         self._patch = monkeypatch
         self.act("File › Import")
         assert self.dialog.isVisible()
 
     @property
-    def dialog(self) -> ImportDialog:
+    def dialog(self):
         dialog = self.window.findChild(ImportDialog)
         assert isinstance(dialog, ImportDialog)
         return dialog
 
-    def choose_folder(self, path: Path) -> None:
+    def choose_folder(self, path):
         self._patch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: str(path))
         self.click(self.dialog.folder)
 
-    def choose_file(self, field: FileField, path: Path) -> None:
+    def choose_file(self, field, path):
         self._patch.setattr(QFileDialog, "getOpenFileName", lambda *_, **__: (str(path), ""))
         self.click(field.browse)
 
-    def choose_times(self, title: str) -> None:
+    def choose_times(self, title):
         self.pick(self.dialog.images.timing, title)
 
-    def begin(self) -> None:
+    def begin(self):
         self.click(self.dialog.begin)
 
-    def run(self) -> str:
+    def run(self):
         """Import, wait until it is over; what is said then."""
         self.begin()
         self.wait(lambda: self.dialog.begin.isEnabled())
@@ -61,7 +57,7 @@ class Bench(Driver):
 
 
 @pytest.fixture
-def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Bench]:
+def bench(drive, monkeypatch, tmp_path):
     made = Bench(drive(frame=3), monkeypatch)
     made.window.live_controller.choose_folder(tmp_path)  # where recordings go
     yield made
@@ -69,7 +65,7 @@ def bench(drive: Drive, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iter
 
 
 @pytest.fixture
-def images(press: FrameSource, tmp_path: Path) -> Path:
+def images(press, tmp_path):
     """The press as a folder of 16-bit images of 0.1 mm, with its camera."""
     folder = tmp_path / "images"
     folder.mkdir()
@@ -85,9 +81,7 @@ def images(press: FrameSource, tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_folder_becomes_a_recording_that_opens(
-    bench: Bench, images: Path, press: FrameSource
-) -> None:
+def test_a_folder_becomes_a_recording_that_opens(bench, images, press):
     dialog, driver = bench.dialog, bench
     bench.choose_folder(images)
     (images.parent / "gas.csv").write_text("time_s,pa\n0,103000\n1,104000\n")
@@ -110,7 +104,7 @@ def test_a_folder_becomes_a_recording_that_opens(
     assert not dialog.isVisible()
 
 
-def test_only_what_applies_is_shown(bench: Bench, images: Path, tmp_path: Path) -> None:
+def test_only_what_applies_is_shown(bench, images, tmp_path):
     dialog = bench.dialog
     fields = dialog.images
     assert not fields.unit.isVisible() and not dialog.begin.isEnabled()
@@ -130,9 +124,7 @@ def test_only_what_applies_is_shown(bench: Bench, images: Path, tmp_path: Path) 
         np.testing.assert_array_equal(after[5].depth_m, before[5].depth_m)
 
 
-def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(
-    bench: Bench, images: Path
-) -> None:
+def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, images):
     before = sorted(images.parent.rglob("*"))
     bench.choose_folder(images)
     assert "give a rate, or their times" in bench.run()
@@ -149,7 +141,7 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(
     assert "exists already" in bench.run()
 
 
-def test_typing_a_name_that_is_not_there(bench: Bench, tmp_path: Path) -> None:
+def test_typing_a_name_that_is_not_there(bench, tmp_path):
     bench.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
     assert bench.dialog.out.text() == str(tmp_path / "such.mcap")
     assert "/no/such.bag" in bench.run()
@@ -157,13 +149,11 @@ def test_typing_a_name_that_is_not_there(bench: Bench, tmp_path: Path) -> None:
     assert "folder /no does not exist" in bench.run()
 
 
-def test_a_cancelled_import_leaves_nothing(
-    bench: Bench, images: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cancelled_import_leaves_nothing(bench, images, monkeypatch):
     reading, go_on = threading.Event(), threading.Event()
     read = ImageFolder.__getitem__
 
-    def slow(folder: ImageFolder, index: int) -> object:
+    def slow(folder, index):
         reading.set()
         go_on.wait()
         return read(folder, index)

@@ -1,12 +1,9 @@
 """Colour of a live source in the window: sent to who looks at it, and what is said meanwhile."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 from fakes import SpeckledSource, record, small_sensor
-from live_bench import Bench, Open
 
 from bubbleviz.calibration import COLLECTED, LAG
 from bubbleviz.live import RawMessage
@@ -18,7 +15,7 @@ COLOUR = "/bubble/color/image_raw"
 RUBBER = small_sensor("rubber dome", prestretch=1.2)
 
 
-def connected(live: Bench, frames: object, options: str) -> list[RawMessage]:
+def connected(live, frames, options):
     """Frames played as a live source; the messages that arrive from then on."""
     path, name = record(live.folder / "played.mcap", frames), live.folder / "dome.toml"
     name.write_text(sensor_to_toml(RUBBER), encoding="utf-8")
@@ -28,22 +25,22 @@ def connected(live: Bench, frames: object, options: str) -> list[RawMessage]:
     return heard
 
 
-def colours(heard: list[RawMessage]) -> int:
+def colours(heard):
     return sum(message.topic == COLOUR for message in heard)
 
 
-def show_images(live: Bench, *names: str) -> None:
+def show_images(live, *names):
     live.state.choose(images=frozenset(names))
     live.show("images")
     live.wait(lambda: live.window.images.cells.keys() >= set(names))
 
 
-def words(live: Bench, name: str) -> str:
+def words(live, name):
     """What is written above an image, less its line breaks and spaces."""
     return str(live.window.images.cells[name].text).replace("<br>", "").replace(" ", "")
 
 
-def test_colour_is_sent_while_it_is_looked_at(open_bench: Open) -> None:
+def test_colour_is_sent_while_it_is_looked_at(open_bench):
     """The image, then the scene Shear, both opened after the first frames; then neither."""
     pytest.importorskip("cv2")
     live = open_bench()
@@ -67,7 +64,7 @@ def test_colour_is_sent_while_it_is_looked_at(open_bench: Open) -> None:
     live.wait(lambda: live.result.flow is not None)
 
 
-def test_what_is_said_until_colour_comes_is_true(open_bench: Open) -> None:
+def test_what_is_said_until_colour_comes_is_true(open_bench):
     """The first colour image of the recording is a quarter of an hour away."""
     live, source, late_s = open_bench(), SpeckledSource(RUBBER), 900.0
     first = replace(source[0], find_colour=None)
@@ -83,7 +80,7 @@ def test_what_is_said_until_colour_comes_is_true(open_bench: Open) -> None:
     live.wait(lambda: live.window.shear.reference.text() == f"Depth alone: {said}")
 
 
-def test_a_source_without_colour_is_not_waited_for(open_bench: Open) -> None:
+def test_a_source_without_colour_is_not_waited_for(open_bench):
     live = open_bench()
     frames = (replace(frame, find_colour=None) for frame in SpeckledSource(RUBBER))
     connected(live, frames, "loop=1")

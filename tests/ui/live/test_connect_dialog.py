@@ -1,11 +1,6 @@
 """The dialog that connects: what it offers, what it writes, and what it says is missing."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
-import pytest
-from live_bench import Bench, Open, record_dents, robot, sensor_file
+from live_bench import record_dents, robot, sensor_file
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
 
@@ -23,18 +18,18 @@ from bubbleviz_ui.live.connect_dialog import (
 from tests.recordings.bagmaker import BagMaker, fill
 
 
-def opened(bench: Bench, sensor: str | None = None) -> ConnectDialog:
+def opened(bench, sensor=None):
     chosen = sensor or sensor_file(bench.folder)
     dialog = ConnectDialog(bench.window, bench.live_controller, chosen)
     dialog.open()
     return dialog
 
 
-def choose_kind(dialog: ConnectDialog, kind: str) -> None:
+def choose_kind(dialog, kind):
     dialog.kind.setCurrentIndex(dialog.kind.findData(kind))
 
 
-def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench: Open) -> None:
+def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench):
     bench, port = open_bench(), free_port()
     dialog, place = opened(bench), f"tcp/127.0.0.1:{port}"
     dialog.place.setEditText("tcp/robot.invalid:9")
@@ -53,9 +48,7 @@ def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench: Open)
     assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
 
 
-def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
-    open_bench: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(open_bench, monkeypatch):
     bench = open_bench()
     path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
@@ -79,9 +72,7 @@ def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(
     assert bench.run.preset.sensors[0].sensor == file
 
 
-def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
-    open_bench: Open, certificates: Path
-) -> None:
+def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(open_bench, certificates):
     bench = open_bench()
     ca, other, cert, key = (
         str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
@@ -103,8 +94,8 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(
 
 
 def test_the_source_of_each_kind_is_written_and_what_is_missing_said(
-    open_bench: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    open_bench, tmp_path, monkeypatch
+):
     bench = open_bench()
     bench.window.show_connect()
     dialog = bench.window.findChild(ConnectDialog)

@@ -1,30 +1,26 @@
 """The zero of the gas pressure of a live sensor: learned, kept, moved and doubted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
-from live_bench import Bench, Open, connected, sensor_file
+from live_bench import connected, sensor_file
 from PySide6.QtCore import Qt
 from window_driver import CTRL, SHIFT
 
 
-def counts(live: Bench) -> str:
+def counts(live):
     live.window.live.show_now()
     return str(live.window.live.counts.toolTip())
 
 
-def with_gauge(live: Bench, gauge_pa: float) -> None:
+def with_gauge(live, gauge_pa):
     """Open a sensor file of another gauge pressure, and go on with it."""
     live.window.open_file(Path(sensor_file(live.folder, "other", gauge_pressure_pa=gauge_pa)))
     live.wait(lambda: live.pipeline.model.sensor.pneumatics.gauge_pressure_pa == gauge_pa)
     live.follow(5)
 
 
-def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(
-    open_bench: Open,
-) -> None:
+def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(open_bench):
     live = connected(open_bench)
     zero = live.learn_zero(shift_pa=250.0)
     assert "gas zero +250 Pa" in counts(live)
@@ -45,8 +41,8 @@ def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(
 
 @pytest.mark.parametrize(("gauge_pa", "warned"), [(5585.5, False), (10585.5, True)])
 def test_a_sensor_file_that_the_gas_pressure_at_rest_contradicts_is_warned_of(
-    open_bench: Open, gauge_pa: float, warned: bool
-) -> None:
+    open_bench, gauge_pa, warned
+):
     live = connected(open_bench)
     live.learn_zero(103_910.0)
     with_gauge(live, gauge_pa)

@@ -1,11 +1,8 @@
 """Sources that cannot be reached, end, break and come back, in the real window."""
 
-from __future__ import annotations
-
 import os
-from pathlib import Path
 
-from live_bench import IMAGE, Open, connected, contents, record_dents, robot, sensor_file
+from live_bench import IMAGE, connected, contents, record_dents, robot, sensor_file
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
@@ -17,7 +14,7 @@ SHORT, FULL = 1, 3
 """How often a robot is killed."""
 
 
-def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench: Open) -> None:
+def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench):
     live, port = connected(open_bench), free_port()
     name, control = sensor_file(live.folder), live.live_controller
     for source, words in (
@@ -38,7 +35,7 @@ def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench:
     assert control.connection is None
 
 
-def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path: Path) -> None:
+def test_after_the_end_one_goes_on_with_what_there_is(open_bench, tmp_path):
     bench = open_bench()
     name = sensor_file(bench.folder)
     path = record_dents(tmp_path / "rec.mcap", presses=1)
@@ -56,7 +53,7 @@ def test_after_the_end_one_goes_on_with_what_there_is(open_bench: Open, tmp_path
     bench.wait(lambda: bench.shown == 0)
 
 
-def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None:
+def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench):
     """Once or three times; `python -m benchmarks.window restarts` does it twenty times."""
     bench = open_bench()
     port, name = free_port(), sensor_file(bench.folder)
@@ -81,7 +78,7 @@ def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench: Open) -> None
     assert STALE_AFTER_S + LOOK_MS / 1000.0 < 1.0
 
 
-def test_the_solver_is_held_back_by_what_its_results_waited() -> None:
+def test_the_solver_is_held_back_by_what_its_results_waited():
     """As in a window that takes 50 ms for a picture while the solver takes 15."""
     delay = RequestDelay()
     for _ in range(40):
@@ -92,7 +89,7 @@ def test_the_solver_is_held_back_by_what_its_results_waited() -> None:
     assert delay.hold_s == 0.0
 
 
-def test_garbage_is_counted_shown_and_survived(open_bench: Open) -> None:
+def test_garbage_is_counted_shown_and_survived(open_bench):
     bench = open_bench()
     port = free_port()
     with robot(port, 0, "bad"):

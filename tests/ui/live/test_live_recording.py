@@ -1,7 +1,5 @@
 """What a live window writes and sends: recordings, markers, results."""
 
-from __future__ import annotations
-
 import re
 import resource
 import signal
@@ -10,10 +8,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pytest
-from live_bench import IMAGE, STRING, Open, connected, contents
+from live_bench import IMAGE, STRING, connected, contents
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFileDialog, QWidget
+from PySide6.QtWidgets import QFileDialog
 from rosbags.highlevel import AnyReader
 from window_driver import SHIFT
 
@@ -22,7 +19,7 @@ from bubbleviz.live import SessionOptions, TopicNames, ZenohSource
 from bubbleviz.recordings import Recording
 
 
-def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
+def test_the_recording_has_all_with_markers_and_notes(open_bench):
     live = connected(open_bench)
     controls = live.window.live.record
     controls.pre_roll.setValue(3.0)
@@ -51,9 +48,7 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench: Open) -> None:
         assert {c.msgtype for c in reader.connections} == set(found)
 
 
-def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(
-    open_bench: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(open_bench, monkeypatch):
     live = connected(open_bench)
     live.window.live.record.button.click()
     live.wait(lambda: live.status().messages > 5)
@@ -62,7 +57,7 @@ def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(
     assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
     begun = list[str]()  # where a dialog that opens a recording begins
 
-    def asked(parent: QWidget, title: str, folder: str, kinds: str) -> tuple[str, str]:
+    def asked(parent, title, folder, kinds):
         begun.append(folder)
         return "", ""
 
@@ -80,7 +75,7 @@ def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(
     assert len(contents(path)[IMAGE]) > 1
 
 
-def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> None:
+def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench):
     live = connected(open_bench)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     former = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -100,10 +95,10 @@ def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench: Open) -> No
         assert len(recording) > 5
 
 
-def test_results_go_out_only_when_asked_for(open_bench: Open) -> None:
+def test_results_go_out_only_when_asked_for(open_bench):
     live, port = connected(open_bench), free_port()
 
-    def listens() -> bool:
+    def listens():
         with socket.socket() as client:
             return client.connect_ex(("127.0.0.1", port)) == 0
 

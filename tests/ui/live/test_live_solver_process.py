@@ -1,23 +1,19 @@
 """Frames of two cameras are solved in a process each, as long as there is one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import active_children
 
 import numpy as np
 import pytest
-from live_bench import SYNTHETIC, Bench, Open, robot, sensor_file, two
+from live_bench import SYNTHETIC, robot, sensor_file, two
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.calibration import PressureZero
 from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved, Waited
 from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.live.connection import single
@@ -26,7 +22,7 @@ from bubbleviz_ui.model.demand import Demand
 
 
 @contextmanager
-def cameras(open_bench: Open) -> Iterator[Bench]:
+def cameras(open_bench):
     """A window on a robot in a process of its own, whose frames two sensors have solved."""
     bench, port = open_bench(), free_port()
     with robot(port):
@@ -38,16 +34,16 @@ def cameras(open_bench: Open) -> Iterator[Bench]:
         yield bench
 
 
-def in_use() -> int:
+def in_use():
     """Number of processes in which frames are solved."""
     return sum(thread.name == "solver watch" for thread in threading.enumerate())
 
 
-def none_left() -> bool:
+def none_left():
     return not active_children() and not in_use()
 
 
-def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor: Sensor) -> None:
+def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
     newest = NewestRequest(1, Demand(frozenset({"cloud"})))
     server, stream = Server(), open_stream("synthetic:?rate=100&frames=2", sensor)
     frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
@@ -64,7 +60,7 @@ def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor: Sensor) ->
     server.close()
 
 
-def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
+def test_its_answer_is_that_of_a_pipeline_here(sensor):
     """Each frame with its gas pressure zeroed first."""
     demand = Demand(frozenset({"patch"}))
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
@@ -97,7 +93,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor: Sensor) -> None:
     assert none_left()
 
 
-def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench: Open) -> None:
+def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench):
     with cameras(open_bench) as bench:
         before = bench.shown
         for child in active_children():
@@ -110,7 +106,7 @@ def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench: Op
 
 
 @pytest.mark.parametrize("end", ["disconnected", "frozen and disconnected", "another", "closed"])
-def test_it_ends_with_the_source_and_the_window(open_bench: Open, end: str) -> None:
+def test_it_ends_with_the_source_and_the_window(open_bench, end):
     with cameras(open_bench) as bench:
         if end == "closed":
             bench.window.close()
@@ -122,7 +118,7 @@ def test_it_ends_with_the_source_and_the_window(open_bench: Open, end: str) -> N
         bench.wait(none_left)
 
 
-def test_a_camera_alone_and_a_simulation_have_none(open_bench: Open) -> None:
+def test_a_camera_alone_and_a_simulation_have_none(open_bench):
     bench, port = open_bench(), free_port()
     with robot(port):
         bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))

@@ -1,12 +1,9 @@
 """The window on live sources: real streams through the real controller, by clicks and keys."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np
-import pytest
-from live_bench import SYNTHETIC, Bench, Open, connected, record_dents, robot, sensor_file
+from live_bench import SYNTHETIC, connected, record_dents, robot, sensor_file
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtWidgets import QAbstractButton
 from window_driver import CTRL, SHIFT, texts
@@ -18,7 +15,7 @@ from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.messages import UserMessage
 
 
-def test_frames_are_followed_frozen_and_followed_again(open_bench: Open) -> None:
+def test_frames_are_followed_frozen_and_followed_again(open_bench):
     live = connected(open_bench)
     bar, frozen = live.window.live, "Playback › Freeze a live source"
     live.wait(lambda: bar.state.text().endswith("Hz"))
@@ -52,7 +49,7 @@ def test_frames_are_followed_frozen_and_followed_again(open_bench: Open) -> None
     assert "connect again" in box.said.text()
 
 
-def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench: Open) -> None:
+def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench):
     live = open_bench()
     bar, seen, opened = live.window.live, list[str](), list[str]()
     note = lambda *_: seen.append(bar.state.text() + live.window.windowTitle())  # noqa: E731
@@ -70,7 +67,7 @@ def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench: Open) -
     assert " (simulated) " in live.window.windowTitle()
 
 
-def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
+def test_one_word_says_what_one_looks_at(open_bench):
     """In the bar and in the title, for each kind of source and whatever becomes of it."""
     bench = open_bench()
     word, title, bar = bench.window.live.state, bench.window.windowTitle, bench.window.live
@@ -99,7 +96,7 @@ def test_one_word_says_what_one_looks_at(open_bench: Open) -> None:
     assert bar.leave.isVisible() and bar.record.isVisible()
 
 
-def test_all_of_the_window_stays_on_a_small_screen(open_bench: Open) -> None:
+def test_all_of_the_window_stays_on_a_small_screen(open_bench):
     """1024×700 less the frame, with every panel open, a note being written, and all bars."""
     live = connected(open_bench)
     window, size = live.window, (1016, 660)
@@ -130,8 +127,8 @@ def test_all_of_the_window_stays_on_a_small_screen(open_bench: Open) -> None:
 
 
 def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
-    open_bench: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    open_bench, monkeypatch
+):
     monkeypatch.setattr(live_frames, "KEPT_S", 0.05)
     live = connected(open_bench)
     live.follow(5)
@@ -155,7 +152,7 @@ def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
         live.key(Qt.Key.Key_F)
 
 
-def one_frame_everywhere(live: Bench) -> bool:
+def one_frame_everywhere(live):
     """Whether 3-D view, panels and status bar show the same frame."""
     status, force = live.window.status.labels, live.window.kappa.force.text()
     readout = texts(live)[0]
@@ -168,7 +165,7 @@ def one_frame_everywhere(live: Bench) -> bool:
     )
 
 
-def test_a_frozen_view_and_a_source_that_ended_show_one_frame_everywhere(open_bench: Open) -> None:
+def test_a_frozen_view_and_a_source_that_ended_show_one_frame_everywhere(open_bench):
     live = connected(open_bench)
     live.show("threshold")
     for _ in range(3):
@@ -183,7 +180,7 @@ def test_a_frozen_view_and_a_source_that_ended_show_one_frame_everywhere(open_be
     live.wait(lambda: texts(live)[0].startswith("contact") and one_frame_everywhere(live))
 
 
-def test_what_was_not_looked_at_is_no_outage(open_bench: Open) -> None:
+def test_what_was_not_looked_at_is_no_outage(open_bench):
     live = connected(open_bench)
     live.follow(5)
     live.window.playback.freeze.click()

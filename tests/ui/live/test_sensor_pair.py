@@ -1,28 +1,24 @@
 """Two sensors in one view: both solved and drawn, the panels follow the chosen one."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fakes import DentSource, record
-from live_bench import IMAGE, Bench, Open, contents, robot_sensor, sensor_file, two
+from live_bench import IMAGE, contents, robot_sensor, sensor_file, two
 from PySide6.QtCore import Qt
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import props
 
-from bubbleviz.recordings import Frame
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layer import Surface
 
 
-def paired(open_bench: Open) -> Bench:
+def paired(open_bench):
     """A window on two sensors, both of which have shown something."""
     bench = open_bench()
     bench.connect(two(bench.folder))
@@ -30,7 +26,7 @@ def paired(open_bench: Open) -> Bench:
     return bench
 
 
-def connect_played(bench: Bench, frames: Iterable[Frame]) -> None:
+def connect_played(bench, frames):
     """Connect two sensors, of which the other plays these frames; the membranes alone are drawn."""
     preset, played = two(bench.folder), record(bench.folder / "other.mcap", frames)
     second = preset.sensors[1].model_copy(update={"source": f"replay:{played}?loop=true"})
@@ -38,12 +34,12 @@ def connect_played(bench: Bench, frames: Iterable[Frame]) -> None:
     bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], second)}))
 
 
-def other(bench: Bench) -> int:
+def other(bench):
     """Number of the frame that the other sensor shows."""
     return bench.window.pair.second.result.frame.index
 
 
-def world_camera(bench: Bench) -> np.ndarray:
+def world_camera(bench):
     """Place, focus and up of the view's camera in the world, (3, 3)."""
     T = bench.run.preset.sensors[bench.live_controller.chosen].T_W_B
     camera = bench.window.view.camera
@@ -51,18 +47,18 @@ def world_camera(bench: Bench) -> np.ndarray:
     return np.vstack([points, T[:3, :3] @ camera.up])
 
 
-def drawing(bench: Bench) -> vtkAssembly:
+def drawing(bench):
     """What the other sensor has in the view."""
     (found,) = (prop for prop in props(bench) if isinstance(prop, vtkAssembly))
     return found
 
 
-def drawn(bench: Bench) -> np.ndarray:
+def drawn(bench):
     """Its ends, (3, 2)."""
     return np.array(drawing(bench).GetBounds()).reshape(3, 2)
 
 
-def of_the_other(bench: Bench) -> int:
+def of_the_other(bench):
     """Pixels in the colour of the other sensor's rim."""
     colour = bench.run.preset.sensors[1].colour
     own = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
@@ -70,9 +66,7 @@ def of_the_other(bench: Bench) -> int:
     return int(np.count_nonzero(away < 12))
 
 
-def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(
-    open_bench: Open,
-) -> None:
+def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(open_bench):
     bench = paired(open_bench)
     assert sum(t.name == "solver" for t in threading.enumerate()) == 2
     before = other(bench)
@@ -94,7 +88,7 @@ def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(
     assert of_the_other(bench) == 0
 
 
-def test_both_are_whole_in_a_low_view(open_bench: Open) -> None:
+def test_both_are_whole_in_a_low_view(open_bench):
     bench = paired(open_bench)
     bench.window.resize(1400, 640)
     bench.window.use_scene(load_scene("review"))
@@ -110,7 +104,7 @@ def test_both_are_whole_in_a_low_view(open_bench: Open) -> None:
         assert np.abs(view.projected(points)[:, 1]).max() < 1.0
 
 
-def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:
+def test_the_panels_turn_to_the_other_sensor_and_back(open_bench):
     bench = paired(open_bench)
     bench.follow(5)
     first, worker = bench.state.history, bench.window.controller.worker
@@ -138,7 +132,7 @@ def test_the_panels_turn_to_the_other_sensor_and_back(open_bench: Open) -> None:
 
 
 @pytest.mark.long
-def test_time_is_shared(open_bench: Open) -> None:
+def test_time_is_shared(open_bench):
     bench = paired(open_bench)
     bench.follow(8)
     bench.state.seek(bench.state.frame - 5)
@@ -153,7 +147,7 @@ def test_time_is_shared(open_bench: Open) -> None:
     bench.wait(lambda: other(bench) > newest + 2)
 
 
-def test_both_stop_at_one_moment(open_bench: Open) -> None:
+def test_both_stop_at_one_moment(open_bench):
     """Whatever was asked for before and comes after."""
     bench = paired(open_bench)
     frames = bench.run.frames[1]
@@ -168,7 +162,7 @@ def test_both_stop_at_one_moment(open_bench: Open) -> None:
 
 
 @pytest.mark.long
-def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: Open) -> None:
+def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench):
     bench = paired(open_bench)
     bench.record()
     bench.follow(4)
@@ -191,7 +185,7 @@ def test_one_recording_has_both_and_one_sensor_again_costs_nothing(open_bench: O
     np.testing.assert_allclose(bench.window.view.camera.focal_point, middle, atol=1e-3)
 
 
-def ends_kpa(bench: Bench) -> tuple[float, float, float]:
+def ends_kpa(bench):
     """Upper end of the pressure scale: what the bar states, and by which both are coloured."""
     (bar,) = (
         prop
@@ -208,7 +202,7 @@ def ends_kpa(bench: Bench) -> tuple[float, float, float]:
     return bar.GetLookupTable().GetRange()[1], own.GetScalarRange()[1], membrane.GetScalarRange()[1]
 
 
-def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) -> None:
+def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench):
     """In each picture, the first ones too, also while one is pressed harder than the other.
 
     And right after the chosen one has another sensor file, while the other stands still.
@@ -216,7 +210,7 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
     bench, seen, pressed = open_bench(), list[tuple[float, float, float]](), list[float]()
     pair = bench.window.pair
 
-    def look() -> None:
+    def look():
         if pair.drawing is not None and drawing(bench).GetVisibility():
             seen.append(ends_kpa(bench))
             estimate = pair.second.result.estimate
@@ -242,7 +236,7 @@ def test_both_are_coloured_on_the_scale_that_the_bar_states(open_bench: Open) ->
     assert all(peak <= ends[0] for peak, ends in zip(pressed, seen, strict=True))
 
 
-def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench: Open) -> None:
+def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench):
     """Its membrane has the colour of that, and its button the word and the reason."""
     bench = open_bench()
     # no membrane of this sensor is half as far again

@@ -1,12 +1,9 @@
 """The table of what runs, against the pipeline's own counts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 from PySide6.QtWidgets import QApplication
-from window_driver import Drive
 
 from bubbleviz.pipeline import stages
 from bubbleviz_ui.model.choices import Choices
@@ -16,7 +13,7 @@ from bubbleviz_ui.panels.status_bar import NOBODY, CostsPopup
 from bubbleviz_ui.view3d.scene import CLASSES
 
 
-def rows(popup: CostsPopup) -> dict[str, list[str]]:
+def rows(popup):
     """Texts of each line by stage."""
     return {
         stage: [popup.table.item(row, column).text() for column in range(1, 5)]
@@ -41,9 +38,7 @@ NOTHING = Choices(layers=frozenset(), panels=frozenset())
         ({"layers": frozenset({"membrane"})}, None),  # the colour of a hidden cloud is for nothing
     ],
 )
-def test_what_runs_is_what_somebody_asks_for(
-    changes: dict[str, object], wanted: set[str] | None
-) -> None:
+def test_what_runs_is_what_somebody_asks_for(changes, wanted):
     choices = replace(NOTHING, **changes)
     asked = who_asks(choices)
     assert set(asked) == stages(products(choices)) and "residual" not in products(choices)
@@ -54,11 +49,11 @@ def test_what_runs_is_what_somebody_asks_for(
         assert not without & {stage for stage, names in asked.items() if names == [name]}
 
 
-def test_a_layer_is_asked_for_by_its_name_in_the_registry() -> None:
+def test_a_layer_is_asked_for_by_its_name_in_the_registry():
     assert [made.name for made in CLASSES] == list(LAYERS)
 
 
-def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive: Drive) -> None:
+def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive):
     driver = drive(frame=3)
     for frame in (4, 5, 6):
         driver.seek(frame)

@@ -1,13 +1,8 @@
 """Scene presets: what they hide is not computed, and bad ones are refused by name."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 from click.testing import CliRunner
 from fakes import DentSource
-from window_driver import Drive
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
@@ -31,13 +26,13 @@ RUNS = {
 """Stages each scene runs."""
 
 
-def test_every_shipped_scene_is_known_here() -> None:
+def test_every_shipped_scene_is_known_here():
     assert preset_names("scenes") == sorted(RUNS)
     said = " ".join(CliRunner().invoke(main, ["open", "--help"]).stdout.split())
     assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
 
 
-def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive: Drive) -> None:
+def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive):
     driver = drive(DentSource, frame=6)
     boxes = driver.window.layers.boxes
     for name in sorted(RUNS):
@@ -57,9 +52,7 @@ def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive: Dri
         assert ran == RUNS[name], name
 
 
-def test_a_scene_has_its_point_of_view_keeps_kappa_and_speed_and_starts_with_what_it_needs(
-    drive: Drive,
-) -> None:
+def test_a_scene_has_its_point_of_view_keeps_kappa_and_speed_and_starts_with_what_it_needs(drive):
     driver = drive(DentSource, frame=6)
     before = tuple(driver.window.view.camera.position)
     driver.window.use_scene(load_scene("cloud"))
@@ -68,7 +61,7 @@ def test_a_scene_has_its_point_of_view_keeps_kappa_and_speed_and_starts_with_wha
     assert products(Choices(**load_scene("cloud").choices())) == {"cloud"}
 
 
-def test_an_unknown_scene_is_refused_by_name() -> None:
+def test_an_unknown_scene_is_refused_by_name():
     with pytest.raises(InputError, match=r'"nope".*cloud, dual_nut, pose, press, residual'):
         load_scene("nope")
 
@@ -84,7 +77,7 @@ def test_an_unknown_scene_is_refused_by_name() -> None:
         ('title = "x"\nlayers = []\n[view]\nzoom = nan', r"view\.zoom"),
     ],
 )
-def test_a_bad_scene_file_is_refused_with_its_key(tmp_path: Path, text: str, words: str) -> None:
+def test_a_bad_scene_file_is_refused_with_its_key(tmp_path, text, words):
     path = tmp_path / "bad.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=words) as refused:

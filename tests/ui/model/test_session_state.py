@@ -1,7 +1,5 @@
 """The session model tells what changed, and only that."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 
 
-def heard(state: SessionState) -> list[tuple[Any, ...]]:
+def heard(state):
     """What the signals tell from now on, each by its name."""
     told: list[tuple[Any, ...]] = []
     state.source_changed.connect(lambda facts: told.append(("source", facts)))
@@ -21,7 +19,7 @@ def heard(state: SessionState) -> list[tuple[Any, ...]]:
     return told
 
 
-def test_the_cursor_stays_inside_and_stepping_pauses() -> None:
+def test_the_cursor_stays_inside_and_stepping_pauses():
     state = SessionState()
     state.seek(3)  # nothing moves before a source is open
     state.set_playing(True)
@@ -41,7 +39,7 @@ def test_the_cursor_stays_inside_and_stepping_pauses() -> None:
     assert state.frame == 0
 
 
-def test_only_choices_that_differ_are_told_and_they_outlive_a_source() -> None:
+def test_only_choices_that_differ_are_told_and_they_outlive_a_source():
     state = SessionState()
     events = heard(state)
     state.choose(speed=2.0, loop=True)
@@ -54,6 +52,6 @@ def test_only_choices_that_differ_are_told_and_they_outlive_a_source() -> None:
     assert events[2:] == [("source", facts), ("playing", True)]
 
 
-def test_rate_of_a_source() -> None:
+def test_rate_of_a_source():
     assert SourceFacts("", "", np.arange(11) / 20.0).rate_hz == pytest.approx(20.0)
     assert np.isnan(SourceFacts("", "", np.zeros(1)).rate_hz)

@@ -1,17 +1,14 @@
 """Undo and redo of the window's settings, by the keys a person would press."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider
-from window_driver import Drive, Driver, idle
+from window_driver import idle
 
 from bubbleviz.files import presets_folder
 from bubbleviz.inverse import EstimatorOptions
@@ -64,7 +61,7 @@ CHANGES = {
 }
 
 
-def test_every_choice_is_undone_and_done_again(drive: Drive) -> None:
+def test_every_choice_is_undone_and_done_again(drive):
     assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Choices)}
     driver = drive(frame=3)
     seen = [driver.state.choices]
@@ -81,7 +78,7 @@ def test_every_choice_is_undone_and_done_again(drive: Drive) -> None:
     driver.state.choose(theme="system")
 
 
-def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive: Drive) -> None:
+def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     driver = drive(frame=3)
     layers = driver.window.layers
     for name in ("wireframe", "rim"):
@@ -112,14 +109,14 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive: D
     assert driver.state.choices.kappa != 2.5
 
 
-def opened(driver: Driver) -> set[str]:
+def opened(driver):
     """Panels that are open, as seen: docks by their titles in the View menu, ticked or not."""
     menu = next(a.menu() for a in driver.window.menuBar().actions() if a.text() == "&View")
     menu.aboutToShow.emit()
     return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
 
 
-def test_opening_and_closing_of_panels_is_undone(drive: Drive) -> None:
+def test_opening_and_closing_of_panels_is_undone(drive):
     driver = drive(frame=3)
     window = driver.window
     names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
@@ -143,7 +140,7 @@ def test_opening_and_closing_of_panels_is_undone(drive: Drive) -> None:
     assert window.undo_stack.index() == len(names)
 
 
-def test_a_scene_and_the_cross_of_a_dock_are_steps_and_a_tab_in_front_is_none(drive: Drive) -> None:
+def test_a_scene_and_the_cross_of_a_dock_are_steps_and_a_tab_in_front_is_none(drive):
     driver = drive(frame=3)
     window, stack = driver.window, driver.window.undo_stack
     window.use_scene(load_scene("residual"))
@@ -172,12 +169,12 @@ def test_a_scene_and_the_cross_of_a_dock_are_steps_and_a_tab_in_front_is_none(dr
 
 
 @pytest.mark.long
-def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
+def test_every_control_shows_what_undo_brings_back(drive):
     driver = drive(frame=3)
     window, state = driver.window, driver.state
     window.panels["tools"].show()
 
-    def shown() -> list[object]:
+    def shown():
         playback, layers, tools, kappa = window.playback, window.layers, window.tools, window.kappa
         return [
             kappa.solver.currentText(), kappa.automatic.isChecked(), kappa.box.value(),
@@ -196,7 +193,7 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
             [action.isChecked() for action in window.images.boxes.values()],
         ]  # fmt: skip
 
-    def settled() -> list[object]:
+    def settled():
         """Once the solver is built anew and the object is read; the pose panel writes at times."""
         driver.wait(lambda: not window.pose.session.busy and idle(window.pose))
         driver.wait(lambda: window.controller.settled and idle(window.pose))
@@ -213,7 +210,7 @@ def test_every_control_shows_what_undo_brings_back(drive: Drive) -> None:
         assert settled() == before, name
 
 
-def test_keys_range_and_markers_are_undone(drive: Drive) -> None:
+def test_keys_range_and_markers_are_undone(drive):
     driver = drive(frame=3)
     shortcuts = driver.window.shortcuts
     shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
@@ -236,7 +233,7 @@ def test_keys_range_and_markers_are_undone(drive: Drive) -> None:
     assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
 
 
-def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Path) -> None:
+def test_an_object_dropped_on_the_window_is_one_step(drive, tmp_path):
     driver = drive(frame=6)
     driver.window.use_scene(load_scene("calibrate"))
     driver.settle()
@@ -259,9 +256,7 @@ def test_an_object_dropped_on_the_window_is_one_step(drive: Drive, tmp_path: Pat
     driver.wait(lambda: driver.window.pose.session.obj is not None)
 
 
-def test_compared_settings_are_undone_in_their_boxes(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_compared_settings_are_undone_in_their_boxes(drive, monkeypatch):
     driver = drive(frame=6)
     driver.show("compare")
     panel = driver.window.compare
@@ -288,7 +283,7 @@ def test_compared_settings_are_undone_in_their_boxes(
     assert column.nodes.value() == 0
 
 
-def test_boxes_of_the_calibration_are_undone(drive: Drive) -> None:
+def test_boxes_of_the_calibration_are_undone(drive):
     driver = drive()
     window, frames = driver.window, driver.window.gamma0.frames.collect
     picture, stack = window.gamma0.pixels.picture, window.undo_stack

@@ -1,13 +1,11 @@
 """Numbers come with their unit, whatever they are."""
 
-from __future__ import annotations
-
 import math
 import re
 
 import pytest
 from PySide6.QtWidgets import QApplication, QMenu
-from window_driver import CONTACT, Drive, Driver, clipped, texts
+from window_driver import CONTACT, clipped, texts
 
 from bubbleviz_ui.model.units import SYSTEMS, Units
 from bubbleviz_ui.view3d.colours import rounded_up
@@ -34,14 +32,14 @@ from bubbleviz_ui.view3d.colours import rounded_up
         (Units().gas_pressure.between(2500.0, 2700.0), "2500 … 2700 Pa"),
     ],
 )
-def test_text(text: str, expected: str) -> None:
+def test_text(text, expected):
     assert text == expected
 
 
 @pytest.mark.parametrize(
     ("value", "end"), [(0.9, 1.0), (1.0, 1.0), (1.01, 1.5), (8.1, 10.0), (646.0, 800.0)]
 )
-def test_scales_end_at_round_numbers(value: float, end: float) -> None:
+def test_scales_end_at_round_numbers(value, end):
     assert rounded_up(value) == pytest.approx(end)
 
 
@@ -58,7 +56,7 @@ def test_scales_end_at_round_numbers(value: float, end: float) -> None:
         ("duration", "s", 9.4, "0.0094 s"),
     ],
 )
-def test_other_units(quantity: str, symbol: str, si: float, text: str) -> None:
+def test_other_units(quantity, symbol, si, text):
     units = Units()
     kind = next(k for k, s in SYSTEMS.items() if symbol in s and quantity in s[symbol])
     units.use({kind: symbol})
@@ -66,14 +64,14 @@ def test_other_units(quantity: str, symbol: str, si: float, text: str) -> None:
     assert unit.text(si) == text and unit.to_si(unit.of(si)) == pytest.approx(si)
 
 
-def choose(driver: Driver, *symbols: str) -> None:
+def choose(driver, *symbols):
     """Trigger entries of the menu of units."""
     menu = driver.window.findChild(QMenu, "menu_units")
     for symbol in symbols:
         next(a for a in menu.actions() if a.text() == symbol).trigger()
 
 
-def test_every_label_follows_the_units(drive: Drive) -> None:
+def test_every_label_follows_the_units(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
     window.resize(1280, 800)

@@ -1,35 +1,32 @@
 """Two settings side by side, in numbers and outlines, and one of them used in the whole window."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
-from live_bench import Open, connected
-from window_driver import CONTACT, Drive, Driver, texts
+from live_bench import connected
+from window_driver import CONTACT, texts
 
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz.result import Result
 from bubbleviz_ui.model.choices import Setting
 from bubbleviz_ui.shell import theme
 
 PRESSED = 8
 
 
-def outlines(driver: Driver) -> list[int]:
+def outlines(driver):
     """How many pixels of the 3-D view have the colour of A's outline, and of B's."""
     return driver.count(*theme.COMPARED)
 
 
-def text(driver: Driver, row: str, *, of_b: bool = False) -> str:
+def text(driver, row, *, of_b=False):
     panel = driver.window.compare
     return (panel.b if of_b else panel.a).values[row].text()
 
 
-def wait_until_as_shown(driver: Driver) -> None:
+def wait_until_as_shown(driver):
     """Wait until A, the window's own setting, is measured to be what the window shows."""
 
-    def as_shown() -> bool:
+    def as_shown():
         result, units = driver.result, driver.state.units
         force = units.force.text(float(np.linalg.norm(result.patch.force_n)))
         shown = (f"{result.frame.index}", force, units.area.text(result.patch.area_m2))
@@ -39,7 +36,7 @@ def wait_until_as_shown(driver: Driver) -> None:
     driver.wait(as_shown)
 
 
-def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> None:
+def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
     a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=4.0)
@@ -62,7 +59,7 @@ def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> 
     assert min(outlines(driver)) > 20
     stale: list[bool] = []
 
-    def look(result: Result) -> None:
+    def look(result):
         if text(driver, "frame") not in ("–", f"{result.frame.index}"):
             stale.append(outlines(driver) != [0, 0])
 
@@ -87,7 +84,7 @@ def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive: Drive) -> 
     assert outlines(driver) == [0, 0]
 
 
-def test_the_window_s_own_setting_measures_what_the_window_shows(drive: Drive) -> None:
+def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
     driver = drive(frame=CONTACT)
     driver.show("compare")
     driver.state.choose(compared=(Setting(), Setting(solver="linear", nodes=100)))
@@ -113,7 +110,7 @@ def test_the_window_s_own_setting_measures_what_the_window_shows(drive: Drive) -
     assert all(text == f"{index}" for text, index in named)
 
 
-def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(open_bench: Open) -> None:
+def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(open_bench):
     live = connected(open_bench)
     live.learn_zero(shift_pa=250.0)
     live.show("compare")
@@ -124,12 +121,12 @@ def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(open_bench: Open)
     wait_until_as_shown(live)
 
 
-def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive: Drive) -> None:
+def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive):
     driver = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=6)
     window, panel = driver.window, driver.window.compare
     driver.show("compare")
 
-    def tangential() -> str:
+    def tangential():
         """As the whole window shows it."""
         (said,) = [text for text in texts(driver) if "tangential" in text]
         shown = said.split("tangential ")[1].split("   ")[0]
@@ -162,7 +159,7 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive:
     assert window.status.labels["force"].toolTip().endswith("by depth alone: 0.00 N")
 
 
-def test_a_setting_is_used_everywhere_and_undone(drive: Drive) -> None:
+def test_a_setting_is_used_everywhere_and_undone(drive):
     driver = drive(DentSource, frame=PRESSED)
     window, panel, state = driver.window, driver.window.compare, driver.state
     driver.show("compare")

@@ -1,7 +1,5 @@
 """The wheel scrolls panels; it changes a setting only where the operator put the focus."""
 
-from __future__ import annotations
-
 from PySide6.QtCore import QPoint, QPointF
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
@@ -10,29 +8,27 @@ from PySide6.QtWidgets import (
     QComboBox,
     QScrollArea,
     QSlider,
-    QWidget,
 )
-from window_driver import Drive
 
 
-def turn_wheel(widget: QWidget, notches: int) -> None:
+def turn_wheel(widget, notches):
     window = widget.window()
     place = QPointF(widget.mapTo(window, widget.rect().center()))
     QTest.wheelEvent(window.windowHandle(), place, QPoint(0, notches * 120))
     QApplication.processEvents()
 
 
-def value(widget: QWidget) -> float:
+def value(widget):
     return widget.currentIndex() if isinstance(widget, QComboBox) else widget.value()  # type: ignore[attr-defined]
 
 
-def in_sight(panel: QWidget) -> list[QWidget]:
+def in_sight(panel):
     found = [w for kind in (QAbstractSpinBox, QSlider, QComboBox) for w in panel.findChildren(kind)]
     seen = lambda w: w.visibleRegion().contains(w.rect().center())  # noqa: E731
     return [widget for widget in found if widget.isEnabled() and seen(widget)]
 
 
-def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive: Drive) -> None:
+def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
     driver = drive(frame=5)
     driver.state.choose(kappa=3.0)
     for name in ("layers", "kappa", "pose", "compare"):
@@ -59,7 +55,7 @@ def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive: D
     assert bar.value() > 0
 
 
-def test_the_wheel_changes_the_number_with_the_focus(drive: Drive) -> None:
+def test_the_wheel_changes_the_number_with_the_focus(drive):
     driver = drive(frame=5)
     box = driver.window.kappa.box
     driver.window.kappa.automatic.setChecked(False)

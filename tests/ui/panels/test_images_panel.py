@@ -1,7 +1,5 @@
 """Images by mouse: the place under it in the image, in 3-D and in numbers; hidden ones not made."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,8 +8,6 @@ from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtWidgets import QApplication
 from window_driver import (
     CONTACT,
-    Drive,
-    Driver,
     canvas,
     clipped,
     hover,
@@ -22,14 +18,14 @@ from window_driver import (
 )
 
 from bubbleviz_ui.engine import sensor_client
-from bubbleviz_ui.panels.images_panel import ImagesPanel, best_columns
+from bubbleviz_ui.panels.images_panel import best_columns
 from bubbleviz_ui.shell.theme import NODE
 
 AWAY = QPoint(3, 3)
 """A place of the 3-D view where nothing is."""
 
 
-def opened(driver: Driver, *images: str) -> ImagesPanel:
+def opened(driver, *images):
     driver.window.resize(1280, 800)
     driver.state.choose(images=frozenset(images))
     driver.show("images")
@@ -41,19 +37,19 @@ def opened(driver: Driver, *images: str) -> ImagesPanel:
     return driver.window.images
 
 
-def place_of(panel: ImagesPanel, name: str, row: int, column: int) -> QPoint:
+def place_of(panel, name, row, column):
     box = panel.cells[name].box
     scene = box.mapViewToScene(QPointF(column + 0.5, row + 0.5))
     return canvas(panel).mapFromScene(scene)
 
 
-def pointed_at(driver: Driver, place: QPoint) -> None:
+def pointed_at(driver, place):
     """Point at a place of the 3-D view until it is known what is there."""
     hover(driver.window.view, place)
     driver.wait(lambda: (driver.window.hover.place is None) == (place == AWAY))
 
 
-def test_a_pixel_lights_up_its_point_and_its_node(drive: Drive) -> None:
+def test_a_pixel_lights_up_its_point_and_its_node(drive):
     driver = drive(frame=CONTACT)
     panel, result = opened(driver, "depth", "change"), driver.result
     row, column = 24, 44
@@ -87,7 +83,7 @@ def test_a_pixel_lights_up_its_point_and_its_node(drive: Drive) -> None:
     assert not near(driver.pixels(), place, NODE)
 
 
-def test_a_place_in_3d_is_told_there_and_marked_in_the_images(drive: Drive) -> None:
+def test_a_place_in_3d_is_told_there_and_marked_in_the_images(drive):
     driver = drive(frame=CONTACT)
     result, nodes, pipeline = driver.result, driver.nodes(), driver.pipeline
     pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
@@ -116,7 +112,7 @@ def test_a_place_in_3d_is_told_there_and_marked_in_the_images(drive: Drive) -> N
     pointed_at(driver, AWAY)
 
 
-def test_nothing_is_picked_while_playing_unless_images_are_open(drive: Drive) -> None:
+def test_nothing_is_picked_while_playing_unless_images_are_open(drive):
     driver = drive(frame=CONTACT)
     nodes, found = driver.pipeline.mesh.nodes, driver.window.hover
     point = lambda: hover(driver.window.view, in_view(driver, nodes[nodes[:, 2].argmax()]))  # noqa: E731
@@ -135,7 +131,7 @@ def test_nothing_is_picked_while_playing_unless_images_are_open(drive: Drive) ->
     driver.state.set_playing(False)
 
 
-def test_residuals_have_the_colours_of_the_3d_view_in_both_themes(drive: Drive) -> None:
+def test_residuals_have_the_colours_of_the_3d_view_in_both_themes(drive):
     driver = drive(frame=CONTACT)
     cells = opened(driver, "residual", "change", "depth").cells
     cloud, middles = driver.window.scene.layers["cloud"].actor.mapper, set()
@@ -150,7 +146,7 @@ def test_residuals_have_the_colours_of_the_3d_view_in_both_themes(drive: Drive) 
     assert len(middles) == 2
 
 
-def test_only_chosen_images_are_computed(drive: Drive) -> None:
+def test_only_chosen_images_are_computed(drive):
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts
     assert not any(name.startswith("look") for name in counts)
@@ -174,9 +170,7 @@ def test_only_chosen_images_are_computed(drive: Drive) -> None:
     assert (counts["look change"], counts["look residual"], counts["pixel_mask"]) == before
 
 
-def test_while_playing_not_every_frame_is_looked_at_closer(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_while_playing_not_every_frame_is_looked_at_closer(drive, monkeypatch):
     driver = drive()
     opened(driver, "depth", "change")
     counts, controller = driver.pipeline.counts, driver.window.controller
@@ -195,7 +189,7 @@ def test_while_playing_not_every_frame_is_looked_at_closer(
     driver.wait(lambda: np.array_equal(image(), driver.result.frame.depth_m, equal_nan=True))
 
 
-def test_images_show_the_press_and_leave_out_what_is_missing(drive: Drive) -> None:
+def test_images_show_the_press_and_leave_out_what_is_missing(drive):
     driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.images.boxes)
     images, result = driver.inspection.images, driver.result
@@ -227,11 +221,11 @@ def test_images_show_the_press_and_leave_out_what_is_missing(drive: Drive) -> No
     # three images of 340×140 in a row would write over each other
     [(0, 310, 600, 1), (6, 310, 600, 2), (3, 310, 900, 1), (4, 900, 200, 4), (3, 340, 140, 2)],
 )
-def test_images_are_as_large_as_can_be(images: int, width: int, height: int, columns: int) -> None:
+def test_images_are_as_large_as_can_be(images, width, height, columns):
     assert best_columns(images, width, height) == columns
 
 
-def test_images_open_large_enough_beside_the_plots_of_a_small_window(drive: Drive) -> None:
+def test_images_open_large_enough_beside_the_plots_of_a_small_window(drive):
     """As a tab of theirs: the view keeps its width, and each image is more than a thumbnail."""
     driver = drive(frame=5)
     driver.resize(1016, 660)

@@ -1,26 +1,20 @@
 """Threshold and comparison by drags, keys and numbers; against the backend and the truth."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QPoint, QPointF
+from PySide6.QtCore import QPointF
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, LEFT, Drive, Driver, canvas, clipped, hover, texts
+from window_driver import CONTACT, LEFT, canvas, clipped, hover, texts
 
 from bubbleviz.inverse import EstimatorOptions, components
 from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import FrameSource
-from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import truth_of
-from bubbleviz_ui.panels.compare_panel import ComparePanel
-from bubbleviz_ui.panels.kappa_panel import ThresholdPanel
 
 
-def threshold(driver: Driver) -> ThresholdPanel:
+def threshold(driver):
     alone(driver, "threshold")
     driver.wait(lambda: driver.inspection.kappa_curve is not None)
     QApplication.processEvents()
@@ -28,24 +22,24 @@ def threshold(driver: Driver) -> ThresholdPanel:
     return driver.window.threshold
 
 
-def compare(driver: Driver) -> ComparePanel:
+def compare(driver):
     alone(driver, "compare")
     driver.wait(lambda: driver.window.compare.a.values["status"].text() == "ok")
     return driver.window.compare
 
 
-def alone(driver: Driver, name: str) -> None:
+def alone(driver, name):
     driver.window.resize(1280, 800)
     driver.window.panels["layers"].hide()
     driver.show(name)
     driver.window.panels[name].raise_()
 
 
-def column(panel: ThresholdPanel, number: int) -> list[str]:
+def column(panel, number):
     return [panel.table.item(row, number).text() for row in range(panel.table.rowCount())]
 
 
-def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
+def test_the_line_in_the_histogram_is_dragged(drive):
     driver = drive(frame=CONTACT)
     panel, counts = threshold(driver), driver.pipeline.counts
     line, box = panel.histogram.line, panel.histogram.frame.box
@@ -59,11 +53,11 @@ def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
     assert line.isVisible() and line.value() == pytest.approx(math.log10(3.0))
     solved, area = counts["estimate"], driver.result.patch.area_m2
 
-    def place(log_kappa: float) -> QPoint:
+    def place(log_kappa):
         middle = sum(box.viewRange()[1]) / 2
         return canvas(panel).mapFromScene(box.mapViewToScene(QPointF(log_kappa, middle)))
 
-    def dragged(to: float) -> bool:
+    def dragged(to):
         hover(viewport, place(to), LEFT)
         return abs(line.value() - to) < 0.02
 
@@ -79,7 +73,7 @@ def test_the_line_in_the_histogram_is_dragged(drive: Drive) -> None:
     assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.choices.kappa))
 
 
-def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive: Drive) -> None:
+def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive):
     """The automatic threshold has no κ, and the curve says what κ would make of the frame."""
     driver = drive(frame=CONTACT)
     panel, kappa = threshold(driver), driver.window.kappa
@@ -117,7 +111,7 @@ def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive: Drive) 
     assert left and min(part.area_m2 for part in left) >= driver.state.choices.least_area_m2
 
 
-def test_in_a_simulation_the_curve_has_the_iou(drive: Drive, press: FrameSource) -> None:
+def test_in_a_simulation_the_curve_has_the_iou(drive, press):
     driver = drive(frame=CONTACT)
     threshold(driver)
     curve = driver.inspection.kappa_curve
@@ -131,9 +125,7 @@ def test_in_a_simulation_the_curve_has_the_iou(drive: Drive, press: FrameSource)
     assert "IoU ≤" in driver.window.threshold.curve.frame.text
 
 
-def test_two_settings_are_measured_against_the_truth(
-    drive: Drive, sensor: Sensor, press: FrameSource
-) -> None:
+def test_two_settings_are_measured_against_the_truth(drive, sensor, press):
     driver = drive(frame=CONTACT)
     panel = compare(driver)
     panel.b.nodes.setValue(100)
@@ -154,7 +146,7 @@ def test_two_settings_are_measured_against_the_truth(
         assert column.values["nodes"].text() == str(len(pipeline.mesh.nodes))
 
 
-def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive) -> None:
+def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive):
     driver = drive(frame=CONTACT)
     bench, dock = driver.server.session.side_by_side, driver.window.panels["compare"]
     driver.seek(CONTACT + 1)
@@ -184,7 +176,7 @@ def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive: Drive)
     assert not bench.pipelines
 
 
-def test_nothing_is_clipped(drive: Drive) -> None:
+def test_nothing_is_clipped(drive):
     driver = drive(frame=CONTACT, live=True)
     panel = compare(driver)
     QApplication.processEvents()

@@ -1,7 +1,5 @@
 """The plots by clicks; what they show read back; what nobody chose is not computed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -11,27 +9,24 @@ import numpy as np
 import pyqtgraph as pg
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
-from PySide6.QtCore import QEvent, QPoint, QPointF
+from PySide6.QtCore import QEvent, QPointF
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
-from window_driver import CONTACT, Drive, Driver, canvas, copied, hover, painted
+from window_driver import CONTACT, canvas, copied, hover, painted
 
 from bubbleviz.inverse import PatchFinder
-from bubbleviz.recordings import Frame, FrameSource, find_gaps
-from bubbleviz.sensor import Sensor
+from bubbleviz.recordings import find_gaps
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.engine.solver_server import CachedSource
 from bubbleviz_ui.model.frame_history import thinned
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.panels.plot_host import PlotFrame
-from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.time_plot import Band
 
 PATCH = frozenset({"estimate", "patch"})
 
 
-def opened(driver: Driver, *plots: str) -> PlotsPanel:
+def opened(driver, *plots):
     """The panel with these plots, shown and laid out."""
     driver.state.choose(plots=frozenset(plots))
     driver.window.resize(1280, 800)
@@ -42,25 +37,25 @@ def opened(driver: Driver, *plots: str) -> PlotsPanel:
     return driver.window.plots
 
 
-def place(panel: PlotsPanel, name: str, time_s: float) -> QPoint:
+def place(panel, name, time_s):
     """Where a time lies in a plot, in the graphics widget."""
     box = panel.plots[name].box
     low, high = box.viewRange()[1]
     return canvas(panel).mapFromScene(box.mapViewToScene(QPointF(time_s, 0.5 * (low + high))))
 
 
-def plain(panel: PlotsPanel, name: str) -> str:
+def plain(panel, name):
     return re.sub(r"<[^>]*>", "", panel.plots[name].frame.text)
 
 
-def curve(driver: Driver, plot: str, name: str, known: int) -> tuple[np.ndarray, np.ndarray]:
+def curve(driver, plot, name, known):
     """Times and values of a curve, once so many values are known."""
     shown = driver.window.plots.plots[plot]
     driver.wait(lambda: np.count_nonzero(np.isfinite(shown.data[name][1])) == known)
     return shown.data[name]
 
 
-def test_all_frames_are_analysed_in_the_background(drive: Drive, sensor: Sensor) -> None:
+def test_all_frames_are_analysed_in_the_background(drive, sensor):
     whole = default_press(sensor)
     fewer = CachedSource(SyntheticSource(sensor, whole.obj, whole.poses[::5], whole.noise))
     driver = drive(lambda _: fewer)
@@ -94,21 +89,21 @@ class Repeated:
 
     name = "repeated"
 
-    def __init__(self, source: FrameSource, frames: int) -> None:
+    def __init__(self, source, frames):
         self._source, self._frames = source, frames
         self.times_s = np.arange(frames) / 30.0
 
-    def __len__(self) -> int:
+    def __len__(self):
         return self._frames
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         return replace(self._source[index % len(self._source)], index=index)
 
-    def close(self) -> None:
+    def close(self):
         pass
 
 
-def test_analysis_is_cancelled_and_seeking_stays_possible(drive: Drive, press: FrameSource) -> None:
+def test_analysis_is_cancelled_and_seeking_stays_possible(drive, press):
     driver = drive(lambda _: Repeated(press, 5000))
     panel, missing = opened(driver, "force"), lambda: len(driver.state.history.missing(PATCH))
     driver.click(panel.analyse)
@@ -125,7 +120,7 @@ def test_analysis_is_cancelled_and_seeking_stays_possible(drive: Drive, press: F
     assert after - 2 <= missing()
 
 
-def test_curves_and_bands_break_where_frames_are_missing(drive: Drive) -> None:
+def test_curves_and_bands_break_where_frames_are_missing(drive):
     driver = drive(GappySource)
     panel = opened(driver, "force", "residual")
     driver.click(panel.analyse)
@@ -141,19 +136,19 @@ def test_curves_and_bands_break_where_frames_are_missing(drive: Drive) -> None:
 class FlickeringSource(DentSource):
     """Has no depth before and after its eighth frame."""
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index):
         frame = super().__getitem__(index)
         return replace(frame, depth_m=frame.depth_m * np.nan) if index in (6, 8) else frame
 
 
-def test_a_good_frame_between_two_without_a_number_is_a_dot(drive: Drive) -> None:
+def test_a_good_frame_between_two_without_a_number_is_a_dot(drive):
     driver = drive(FlickeringSource)
     panel = opened(driver, "residual")
     driver.click(panel.analyse)
     times, values = curve(driver, "residual", "residual_m", FRAMES - 2)
     box = panel.plots["residual"].box
 
-    def drawn() -> bool:
+    def drawn():
         at = canvas(panel).mapFromScene(box.mapViewToScene(QPointF(times[7], values[7])))
         red, _, blue = painted(canvas(panel))[at.y(), at.x()].astype(int)
         return blue > red + 60
@@ -161,7 +156,7 @@ def test_a_good_frame_between_two_without_a_number_is_a_dot(drive: Drive) -> Non
     driver.wait(drawn)  # the axes follow the curve once it is there
 
 
-def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp: QApplication) -> None:
+def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp):
     facts = cast(SourceFacts, SimpleNamespace(times_s=np.arange(10.0), gaps=()))
     values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, np.nan, 6.0, 7.0, np.nan, 9.0])
     box = pg.ViewBox(enableMenu=False)  # owns what is in it
@@ -172,7 +167,7 @@ def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp: QApplication) -> 
     assert filled == [0.25, 0.75, 1.25, 1.75, 6.25, 6.75]
 
 
-def test_the_numbers_follow_a_click_and_the_mouse(drive: Drive) -> None:
+def test_the_numbers_follow_a_click_and_the_mouse(drive):
     driver = drive(DentSource)
     panel, frame = opened(driver, "force", "residual"), FIRST_CONTACT + 4
     times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
@@ -200,7 +195,7 @@ def test_the_numbers_follow_a_click_and_the_mouse(drive: Drive) -> None:
         assert (painted(canvas(panel))[3, -3].mean() > 127) == light
 
 
-def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
+def test_only_chosen_plots_ask_for_what_they_need(drive):
     driver = drive(frame=CONTACT)
     driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
     driver.window.panels["kappa"].hide()
@@ -223,7 +218,7 @@ def test_only_chosen_plots_ask_for_what_they_need(drive: Drive) -> None:
     assert (counts["look kappa_curve"], counts["estimate"]) == looked
 
 
-def test_measured_and_estimated_gas_pressure(drive: Drive) -> None:
+def test_measured_and_estimated_gas_pressure(drive):
     driver = drive(frame=CONTACT)
     panel, history = opened(driver, "gas"), driver.state.history.values
     rest_pa = driver.window.controller.sensor.pneumatics.reference_pressure_pa
@@ -240,7 +235,7 @@ def test_measured_and_estimated_gas_pressure(drive: Drive) -> None:
     assert law > 1.0 and gas.text() == f"p_v {law:+.0f} Pa"
 
 
-def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive: Drive) -> None:
+def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive):
     driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
@@ -258,7 +253,7 @@ def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive:
         assert y[k] == pytest.approx(1e6 * area)
 
 
-def test_thin_curves_keep_every_peak_and_break_at_gaps() -> None:
+def test_thin_curves_keep_every_peak_and_break_at_gaps():
     frame = np.arange(36_000)
     times, values = frame / 30.0, np.full(36_000, np.nan)
     values[1000:30_000] = 1.0
@@ -282,12 +277,12 @@ def test_thin_curves_keep_every_peak_and_break_at_gaps() -> None:
         assert np.isfinite(thinned(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
-def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive: Drive) -> None:
+def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive):
     driver = drive(DentSource)
     panel = opened(driver, "force", "gas", "residual")
     table, force = panel.statistics, driver.state.history.of("force_n")
 
-    def rows() -> list[list[str]]:
+    def rows():
         """The table as it is copied."""
         driver.click(table.copy)
         return [line.split("\t") for line in copied().splitlines()]
@@ -325,7 +320,7 @@ def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive: D
     driver.wait(lambda: not table.isVisible())
 
 
-def test_plots_open_with_room_for_two_rows_in_a_small_window(drive: Drive) -> None:
+def test_plots_open_with_room_for_two_rows_in_a_small_window(drive):
     """Of those that are chosen at first, two are side by side there; more rows are scrolled to."""
     driver = drive(frame=5)
     driver.resize(1016, 660)
@@ -343,7 +338,7 @@ def test_plots_open_with_room_for_two_rows_in_a_small_window(drive: Drive) -> No
 
 @pytest.mark.parametrize("width", [110, 150, 310, 900])
 @pytest.mark.parametrize("span_s", [0.4, 2.9, 44.0, 700.0])
-def test_times_below_a_plot_do_not_touch(qtbot: QtBot, width: int, span_s: float) -> None:
+def test_times_below_a_plot_do_not_touch(qtbot, width, span_s):
     frame = PlotFrame("seconds")
     (axis,) = (a for a in frame.item.items if getattr(a, "orientation", "") == "bottom")
     step, _ = axis.tickSpacing(0.0, span_s, width)[0]

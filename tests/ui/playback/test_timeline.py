@@ -1,7 +1,5 @@
 """The timeline by clicks, drags and keys, its pixels read back; what playback makes of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -10,8 +8,7 @@ import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QInputDialog
-from pytestqt.qtbot import QtBot
-from window_driver import CTRL, LEFT, SHIFT, Drive, Driver, painted
+from window_driver import CTRL, LEFT, SHIFT, painted
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.recordings import Gap, TimeAxis
@@ -26,16 +23,16 @@ from bubbleviz_ui.view3d.colours import rgb
 BELOW, ABOVE = RULER + 8, RULER // 2
 
 
-def at(timeline: Timeline, frame: int, y: int = BELOW) -> QPoint:
+def at(timeline, frame, y=BELOW):
     return QPoint(round(timeline.x_of(frame)), y)
 
 
-def drag(driver: Driver, first: int, last: int, y: int) -> None:
+def drag(driver, first, last, y):
     timeline = driver.window.playback.timeline
     driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
 
 
-def test_click_and_drag_seek(drive: Drive) -> None:
+def test_click_and_drag_seek(drive):
     driver = drive(DentSource)
     timeline = driver.window.playback.timeline
     driver.click(timeline, at(timeline, 7))
@@ -46,7 +43,7 @@ def test_click_and_drag_seek(drive: Drive) -> None:
     assert driver.window.playback.readout.text().startswith(f"frame 2 of {FRAMES}")
 
 
-def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
+def test_contact_is_shaded_as_far_as_it_was_seen(drive):
     driver = drive(DentSource)
     assert not driver.window.playback.freeze.isVisible()  # it is for live sources only
     driver.key(Qt.Key.Key_F)
@@ -57,7 +54,7 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
     seen = painted(timeline)
     row = RULER + 2
 
-    def colour(frame: int) -> tuple[int, ...]:
+    def colour(frame):
         return tuple(int(c) for c in seen[row, round(timeline.x_of(frame)) + 4])
 
     assert colour(1) == rgb(theme.DARK.free)
@@ -69,7 +66,7 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive: Drive) -> None:
     assert driver.state.history.contact[2] == UNKNOWN
 
 
-def test_gaps_and_markers_are_seen(drive: Drive) -> None:
+def test_gaps_and_markers_are_seen(drive):
     driver = drive(GappySource)
     timeline = driver.window.playback.timeline
     assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
@@ -102,7 +99,7 @@ def test_gaps_and_markers_are_seen(drive: Drive) -> None:
         assert driver.state.frame == frame
 
 
-def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot: QtBot) -> None:
+def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot):
     """What the solver left out is none, however long it was busy."""
     state, busy = SessionState(), 0.8
     times = np.arange(20) / 30.0 + busy * (np.arange(20) > 9)
@@ -120,13 +117,13 @@ def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot: QtBot) 
     assert np.ptp(red) > 400 and "missing after it" in timeline.words(19)
 
 
-def test_a_replay_that_begins_again_is_laid_out_lap_after_lap() -> None:
+def test_a_replay_that_begins_again_is_laid_out_lap_after_lap():
     axis = TimeAxis(np.tile(np.arange(5) / 10.0, 3))
     np.testing.assert_allclose(axis.places, np.linspace(0.0, 1.0, 15))
     assert list(axis.nearest(axis.places)) == list(range(15))
 
 
-def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive: Drive) -> None:
+def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive):
     driver = drive(frame=30)  # 30 Hz
     for which, modifier, frame in (
         (Qt.Key.Key_Right, SHIFT, 33),
@@ -152,7 +149,7 @@ def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive: Drive)
     assert not driver.state.choices.loop and not panel.loop.isChecked()
 
 
-def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
+def test_a_dragged_range_is_played_again_and_again(drive):
     driver = drive(DentSource)
     timeline = driver.window.playback.timeline
     drag(driver, 3, 6, ABOVE)
@@ -182,7 +179,7 @@ def test_a_dragged_range_is_played_again_and_again(drive: Drive) -> None:
     assert driver.state.play_range == (3, 6) and driver.state.choices.loop
 
 
-def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
+def test_every_frame_waits_for_the_slowest(drive):
     slow = partial(DentSource, slow_s=0.04)  # as ten frames are to take at the fastest speed
     driver = drive(slow)
     solved: list[int] = []
@@ -195,7 +192,7 @@ def test_every_frame_waits_for_the_slowest(drive: Drive) -> None:
     assert driver.window.controller.dropped == 0
 
 
-def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive: Drive) -> None:
+def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive):
     driver = drive(partial(DentSource, slow_s=0.1))
     state, shown = driver.state, driver.window.controller
     state.set_playing(True)
@@ -208,7 +205,7 @@ def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive: 
     assert state.playhead == state.frame == shown.result.frame.index
 
 
-def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
+def test_a_live_source_goes_on_while_the_view_is_frozen(drive):
     driver = drive(playing=True, live=True)
     panel, title = driver.window.playback, driver.window.windowTitle
     driver.wait(lambda: driver.state.frame > 2)
@@ -229,7 +226,7 @@ def test_a_live_source_goes_on_while_the_view_is_frozen(drive: Drive) -> None:
     driver.state.set_playing(False)
 
 
-def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
+def test_36000_frames_are_a_few_pixels(qtbot):
     frames = 36_000
     state = SessionState()
     state.open(SourceFacts("long", "dome", np.arange(frames) / 30.0), playing=False)
@@ -244,7 +241,7 @@ def test_36000_frames_are_a_few_pixels(qtbot: object) -> None:
     assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)
 
 
-def test_one_contact_frame_is_never_lost_among_thousands() -> None:
+def test_one_contact_frame_is_never_lost_among_thousands():
     contact = np.full(36_000, FREE, np.int8)
     contact[12_345] = CONTACT
     frame = np.arange(36_000)
@@ -254,7 +251,7 @@ def test_one_contact_frame_is_never_lost_among_thousands() -> None:
     assert list(columns(np.array([0, 1], np.int8), TimeAxis(np.arange(2.0)), 4)) == [0, 0, 1, 1]
 
 
-def test_what_is_missing_depends_on_what_is_asked() -> None:
+def test_what_is_missing_depends_on_what_is_asked():
     history = History(4)
     history.take(0, Numbers(), patch=True)
     history.take(1, Numbers(status="ok"), patch=True)
@@ -270,7 +267,7 @@ def test_what_is_missing_depends_on_what_is_asked() -> None:
 
 
 @pytest.fixture
-def clock() -> PlayClock:
+def clock():
     made = PlayClock(np.arange(10) / 10.0 + 5.0)
     made.start(2, wall_s=100.0, speed=1.0)
     return made
@@ -288,14 +285,12 @@ def clock() -> PlayClock:
         (102.85, True, (0, 27, False)),  # several turns at once
     ],
 )
-def test_frames_come_due_in_time(
-    clock: PlayClock, now_s: float, loop: bool, due: tuple[int, int, bool]
-) -> None:
+def test_frames_come_due_in_time(clock, now_s, loop, due):
     assert clock.due(now_s, loop=loop) == due
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 2.0, 8.0])
-def test_speed_a_single_frame_and_uneven_times(speed: float) -> None:
+def test_speed_a_single_frame_and_uneven_times(speed):
     for times, wait_s, frame in (
         (np.arange(10) / 10.0, 0.5, 5),
         (np.zeros(1), 0.5, 0),
@@ -306,7 +301,7 @@ def test_speed_a_single_frame_and_uneven_times(speed: float) -> None:
         assert clock.due(wait_s / speed, loop=False)[0] == frame
 
 
-def test_the_clock_makes_up_for_small_delays_only() -> None:
+def test_the_clock_makes_up_for_small_delays_only():
     clock = PlayClock(np.arange(10) / 10.0)
     clock.start(0, 0.0, 1.0)
     assert clock.following(0.05, loop=False) == (0, False)
@@ -319,9 +314,7 @@ def test_the_clock_makes_up_for_small_delays_only() -> None:
     assert clock.following(6.2, loop=True) == (0, False)
 
 
-def test_contacts_the_largest_force_and_a_frame_by_number_are_one_key_away(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_contacts_the_largest_force_and_a_frame_by_number_are_one_key_away(drive, monkeypatch):
     driver = drive(DentSource, frame=0)
     driver.key(Qt.Key.Key_PageDown, CTRL)
     assert driver.state.frame == 0 and "No such contact" in driver.window.notice.label.text()

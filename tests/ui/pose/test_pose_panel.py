@@ -1,10 +1,7 @@
 """The pose panel in the real window: clicks, keys, drags, and what is seen."""
 
-from __future__ import annotations
-
 import csv
 import shutil
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,14 +13,13 @@ from scipy.spatial.transform import Rotation
 from window_driver import CTRL, LEFT, SHIFT, Driver, axes_corner, idle, in_view, texts
 
 from bubbleviz.files import presets_folder
-from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import NOTHING
 from bubbleviz_ui.pose import pose_panel
-from bubbleviz_ui.pose.pose_panel import Curves, PosePanel
+from bubbleviz_ui.pose.pose_panel import Curves
 from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, OBJECT_PATCH
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.object_layers import FitLayer
@@ -35,7 +31,7 @@ FLAT = "found; 3 of 6 directions not determined"
 
 
 @pytest.fixture(scope="module")
-def source() -> SyntheticSource:
+def source():
     """A press on the preset's dome, seen by half the pixels a side."""
     T = np.eye(4)
     T[:3, 3] = TRUE
@@ -54,38 +50,38 @@ def source() -> SyntheticSource:
 class Bench(Driver):
     """The window with its pose panel open, and what a person does with it."""
 
-    def __init__(self, driver: Driver) -> None:
+    def __init__(self, driver):
         super().__init__(driver.bot, driver.window, driver.server)
         self.window.use_scene(load_scene("pose"))
         self.settle()
 
     @property
-    def panel(self) -> PosePanel:
+    def panel(self):
         return self.window.pose
 
-    def choose_object(self, name: str) -> None:
+    def choose_object(self, name):
         box = self.panel.object
         self.pick(box, box.itemText(box.findData(name)))
         box.activated.emit(box.currentIndex())
         obj = lambda: self.panel.session.obj  # noqa: E731
         self.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
 
-    def fit(self) -> None:
+    def fit(self):
         self.click(self.panel.once)
         self.wait(lambda: not self.panel.session.busy)
         self.wait(lambda: self.text("state") != "fitting…")
         self.settle()
 
-    def text(self, name: str) -> str:
+    def text(self, name):
         return self.panel.values[name].text()
 
-    def drawn(self) -> str:
+    def drawn(self):
         """Colour the object is drawn in."""
         layer = self.window.scene.object
         assert layer.place is not None
         return str(layer.actor.prop.color.hex_rgb)
 
-    def green(self) -> int:
+    def green(self):
         """Pixels in the colour of a found object."""
         pixels = self.window.view.pixels()
         red, green, blue = (pixels[..., k].astype(int) for k in range(3))
@@ -94,13 +90,13 @@ class Bench(Driver):
 
 
 @pytest.fixture
-def bench(drive: Callable[..., Driver], source: SyntheticSource) -> Iterator[Bench]:
+def bench(drive, source):
     made = Bench(drive(lambda _: source, sensor=source.sensor))
     yield made
     made.let_go()
 
 
-def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench: Bench) -> None:
+def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench):
     assert bench.green() == 0
     assert not bench.panel.once.isEnabled()
     bench.choose_object("frustum")
@@ -128,7 +124,7 @@ def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench: Benc
     assert np.array_equal(bench.window.scene.object.place, pose.stage_one.T_B_O)
 
 
-def test_the_pose_is_read_selected_and_copied(bench: Bench) -> None:
+def test_the_pose_is_read_selected_and_copied(bench):
     """In numbers of the units that are chosen; the object keeps a frame of its own."""
     panel = bench.panel
     assert bench.text("place") == bench.text("turn") == "–" and not panel.copy.isEnabled()
@@ -165,7 +161,7 @@ def test_the_pose_is_read_selected_and_copied(bench: Bench) -> None:
     assert panel.session.pose is None or panel.session.pose.stage_two is None
 
 
-def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
+def test_a_typed_start_is_used_and_reset_forgets(bench):
     bench.choose_object("frustum")
     panel = bench.panel
     for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
@@ -185,7 +181,7 @@ def test_a_typed_start_is_used_and_reset_forgets(bench: Bench) -> None:
     bench.wait(lambda: bench.text("state") == "not fitted yet")
 
 
-def test_poses_that_were_forgotten_are_brought_back(bench: Bench) -> None:
+def test_poses_that_were_forgotten_are_brought_back(bench):
     bench.choose_object("frustum")
     bench.click(bench.panel.track)
     session, stack = bench.panel.session, bench.window.undo_stack
@@ -211,9 +207,7 @@ def test_poses_that_were_forgotten_are_brought_back(bench: Bench) -> None:
     assert not session.rows and not bench.panel.track.isChecked()
 
 
-def test_tracking_runs_only_when_asked_and_exports(
-    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tracking_runs_only_when_asked_and_exports(bench, tmp_path, monkeypatch):
     bench.choose_object("frustum")
     counts = bench.pipeline.counts
     bench.seek(1)
@@ -244,7 +238,7 @@ def test_tracking_runs_only_when_asked_and_exports(
     assert counts["pose"] == ran
 
 
-def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(bench: Bench) -> None:
+def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(bench):
     """Both outlines in their colours and both areas in words; neither work nor outline before."""
     driver, window = bench, bench.window
     driver.state.choose(layers=frozenset({"membrane", "contour", "readout"}))
@@ -277,14 +271,14 @@ def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(benc
     driver.wait(lambda: bench.panel.patch.text() == "Patch by object")
 
 
-def outlined(driver: Driver) -> tuple[bool, bool]:
+def outlined(driver):
     """Whether the outlines of the patch and of that by the object are seen."""
     pixels = driver.pixels()[:, 60:]
     white, green = (np.all(pixels == rgb(colour), axis=2).sum() for colour in (LINE, OBJECT_PATCH))
     return bool(white > 40), bool(green > 40)
 
 
-def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench: Bench) -> None:
+def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench):
     bench.choose_object("two_spheres")  # the frustum is pressed
     bench.fit()
     assert bench.text("state") == "not found yet"  # and has no last pose
@@ -310,9 +304,7 @@ def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench: Benc
             assert low <= 0.0 and low + high == pytest.approx(largest)  # from 0, no further
 
 
-def test_curves_have_no_line_across_what_is_lost_or_was_left_out(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypatch):
     lose(monkeypatch, 1)
     bench.choose_object("frustum")
     bench.click(bench.panel.track)
@@ -339,11 +331,11 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(
         assert curve.line.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
 
 
-def lose(monkeypatch: pytest.MonkeyPatch, lost: int) -> None:
+def lose(monkeypatch, lost):
     """Have a frame without depth."""
     seen = SyntheticSource.__getitem__
 
-    def blinded(source: SyntheticSource, index: int) -> Frame:
+    def blinded(source, index):
         frame = seen(source, index)
         blank = np.full_like(frame.depth_m, np.nan)
         return replace(frame, depth_m=blank) if index == lost else frame
@@ -351,7 +343,7 @@ def lose(monkeypatch: pytest.MonkeyPatch, lost: int) -> None:
     monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
 
 
-def test_a_dropped_file_is_the_object(bench: Bench, tmp_path: Path) -> None:
+def test_a_dropped_file_is_the_object(bench, tmp_path):
     path = tmp_path / "mine.ply"
     shutil.copy(presets_folder("objects") / "cylinder.ply", path)
     bench.drop(path, on=bench.panel)
@@ -365,7 +357,7 @@ def test_a_dropped_file_is_the_object(bench: Bench, tmp_path: Path) -> None:
     assert not bench.panel.once.isEnabled()
 
 
-def test_the_object_is_moved_in_the_view(bench: Bench) -> None:
+def test_the_object_is_moved_in_the_view(bench):
     bench.choose_object("frustum")
     bench.click(bench.panel.move_it)
     bench.settle()

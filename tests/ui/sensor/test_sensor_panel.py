@@ -1,24 +1,18 @@
 """Which sensor is in use, a copy with other values, and a file that changes meanwhile."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
-from window_driver import Drive, Driver, typed
+from window_driver import Driver, typed
 
-from bubbleviz.sensor import Calibration, Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import Calibration, load_sensor, sensor_to_toml
 from bubbleviz_ui.sensor import sensor_panel
-from bubbleviz_ui.sensor.sensor_panel import SensorPanel
 
 GAUGE, TENSION = "pneumatics.gauge_pressure_pa", "pneumatics.tension_n_per_m"
 
 
 @pytest.fixture
-def left(tmp_path: Path) -> Path:
+def left(tmp_path):
     """Sensor file of an identified sensor."""
     sensor = small_sensor("left finger")
     size = sensor.camera.height, sensor.camera.width
@@ -45,31 +39,31 @@ def left(tmp_path: Path) -> Path:
 
 
 class Bench(Driver):
-    def __init__(self, driver: Driver) -> None:
+    def __init__(self, driver):
         super().__init__(driver.bot, driver.window, driver.server)
 
     @property
-    def panel(self) -> SensorPanel:
+    def panel(self):
         return self.window.sensor
 
     @property
-    def sensor(self) -> Sensor:
+    def sensor(self):
         sensor = self.window.controller.sensor
         assert sensor is not None
         return sensor
 
-    def write(self, key: str, text: str) -> None:
+    def write(self, key, text):
         box = self.panel.rows[key].box
         box.selectAll()
         self.bot.keyClicks(box, text)
 
-    def save(self, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def save(self, path, monkeypatch):
         monkeypatch.setattr(sensor_panel, "new_file", lambda *_, **__: (path, ""))
         self.click(self.panel.save)
 
 
 @pytest.fixture
-def bench(drive: Drive, left: Path) -> Iterator[Bench]:
+def bench(drive, left):
     made = Bench(drive(DentSource, sensor=load_sensor(left), frame=6))
     made.show("sensor")
     made.wait(made.panel.edit.isVisible)
@@ -77,7 +71,7 @@ def bench(drive: Drive, left: Path) -> Iterator[Bench]:
     made.let_go()
 
 
-def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Path) -> None:
+def test_title_status_bar_and_panel_name_sensor_and_file(bench, left):
     window, panel = bench.window, bench.panel
     assert "left finger (left.toml)" in window.windowTitle()
     assert "left finger (left.toml)" in window.status.labels["sensor"].toolTip()
@@ -94,7 +88,7 @@ def test_title_status_bar_and_panel_name_sensor_and_file(bench: Bench, left: Pat
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
 
 
-def test_depth_noise_has_three_digits_and_a_preset_says_so(drive: Drive, left: Path) -> None:
+def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
     sensor = load_sensor(left)
     camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
     driver = drive(DentSource, sensor=sensor.model_copy(update={"camera": camera}))
@@ -111,7 +105,7 @@ def test_depth_noise_has_three_digits_and_a_preset_says_so(drive: Drive, left: P
     assert driver.window.sensor.file.text() == "preset"
 
 
-def test_a_copy_named_without_its_suffix_is_a_toml(bench: Bench, left: Path) -> None:
+def test_a_copy_named_without_its_suffix_is_a_toml(bench, left):
     bench.click(bench.panel.edit)
     assert typed(bench, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
     bench.wait(lambda: bench.sensor.file == "double.toml")
@@ -121,9 +115,7 @@ def test_a_copy_named_without_its_suffix_is_a_toml(bench: Bench, left: Path) -> 
     bench.told("double.toml: exists already")
 
 
-def test_a_copy_with_another_value_is_saved_and_used(
-    bench: Bench, left: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_copy_with_another_value_is_saved_and_used(bench, left, monkeypatch):
     before, copy = left.read_bytes(), left.with_name("right.toml")
     bench.click(bench.panel.edit)
     bench.write(GAUGE, "5.259")
@@ -144,9 +136,7 @@ def test_a_copy_with_another_value_is_saved_and_used(
     assert f"Saved {copy}" in bench.window.notice.label.text()
 
 
-def test_what_cannot_be_saved_is_not_lost(
-    bench: Bench, left: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_saved_is_not_lost(bench, left, monkeypatch):
     before = left.read_bytes()
     bench.click(bench.panel.edit)
     bench.write(TENSION, "101.5")
@@ -160,7 +150,7 @@ def test_what_cannot_be_saved_is_not_lost(
     assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
 
 
-def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench: Bench, left: Path) -> None:
+def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench, left):
     message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
     new = left.with_suffix(".new")
@@ -182,9 +172,7 @@ def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench: Bench, left:
     bench.wait(lambda: bench.panel.difference.isHidden())
 
 
-def test_pixels_that_change_are_told_and_the_panel_fits_a_small_screen(
-    bench: Bench, left: Path
-) -> None:
+def test_pixels_that_change_are_told_and_the_panel_fits_a_small_screen(bench, left):
     pixels, dock = left.with_suffix(".npz"), bench.window.panels["sensor"]
     pixels.write_bytes(pixels.read_bytes())
     bench.told("mesh or pixels have changed on disk")

@@ -1,7 +1,5 @@
 """Sessions: saved, restored, sent to a colleague, and found again after the program was killed."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os
@@ -9,18 +7,15 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import pytest
 from fakes import DentSource, record, small_sensor
 from PySide6.QtCore import QPoint
-from window_driver import Drive, Driver
 
 from bubbleviz.errors import InputError
-from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz_ui.engine.requests import Opened
 from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.model.choices import Choices
@@ -37,7 +32,7 @@ FRAMES = 12
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory, sensor: Sensor) -> Path:
+def files(tmp_path_factory, sensor):
     """A folder with a short recording and the file of its sensor."""
     folder = tmp_path_factory.mktemp("session")
     record(folder / "press.mcap", DentSource(sensor))
@@ -45,7 +40,7 @@ def files(tmp_path_factory: pytest.TempPathFactory, sensor: Sensor) -> Path:
     return folder
 
 
-def open_press(driver: Driver, files: Path, folder: Path | None = None, **at: Any) -> None:
+def open_press(driver, files, folder=None, **at):
     """Open the recording, or a copy of it, in a window."""
     opener, before = recording((folder or files) / "press.mcap"), driver.window.controller.client
     former = before.session
@@ -54,7 +49,7 @@ def open_press(driver: Driver, files: Path, folder: Path | None = None, **at: An
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
 
-def settings(driver: Driver, files: Path) -> None:
+def settings(driver, files):
     """Change something of every kind."""
     open_press(driver, files, frame=7)
     driver.state.choose(
@@ -69,7 +64,7 @@ def settings(driver: Driver, files: Path) -> None:
     driver.settle()
 
 
-def check(driver: Driver) -> None:
+def check(driver):
     """All of `settings` is there again."""
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     state, choices = driver.state, driver.state.choices
@@ -83,7 +78,7 @@ def check(driver: Driver) -> None:
     assert driver.window.controller.sensor.name == "small dome"
 
 
-def test_a_session_is_sent_to_a_colleague(drive: Drive, files: Path, tmp_path: Path) -> None:
+def test_a_session_is_sent_to_a_colleague(drive, files, tmp_path):
     mine = drive()
     settings(mine, files)
     mine.window.session_saver.save_as(files / "look.bubbleviz")
@@ -98,9 +93,7 @@ def test_a_session_is_sent_to_a_colleague(drive: Drive, files: Path, tmp_path: P
     assert other.state.choices.theme == "system"  # theirs stays theirs
 
 
-def test_what_is_missing_is_one_sentence_and_the_rest_is_restored(
-    drive: Drive, files: Path, tmp_path: Path
-) -> None:
+def test_what_is_missing_is_one_sentence_and_the_rest_is_restored(drive, files, tmp_path):
     mine = drive()
     settings(mine, files)
     mine.window.session_saver.save_as(files / "alone.bubbleviz")
@@ -116,7 +109,7 @@ def test_what_is_missing_is_one_sentence_and_the_rest_is_restored(
     assert other.state.frame == 5  # what was open stays
 
 
-def test_a_file_that_is_no_session_is_a_message(drive: Drive, tmp_path: Path) -> None:
+def test_a_file_that_is_no_session_is_a_message(drive, tmp_path):
     driver = drive()
     bad = tmp_path / "bad.bubbleviz"
     for text in ("not json", '{"schema_version": 99}', '{"frame": -1}', "[]", '{"camera": [1]}'):
@@ -126,7 +119,7 @@ def test_a_file_that_is_no_session_is_a_message(drive: Drive, tmp_path: Path) ->
         assert driver.window.message.isVisible() and "bad.bubbleviz" in (driver.said)
 
 
-def test_choices_of_another_version_cost_only_themselves() -> None:
+def test_choices_of_another_version_cost_only_themselves():
     mine = Choices(kappa=2.0, speed=4.0, layers=frozenset({"rim"}), theme="light")
     assert usable_choices(json.loads(json.dumps(plain_choices(mine)))) == mine
     fields_ = plain_choices(mine)
@@ -137,11 +130,11 @@ def test_choices_of_another_version_cost_only_themselves() -> None:
     assert got.theme == "system" and got.kappa is None and got.view_from == Choices().view_from
 
 
-def test_every_choice_is_in_the_file() -> None:
+def test_every_choice_is_in_the_file():
     assert plain_choices(Choices()).keys() == {f.name for f in fields(Choices)}
 
 
-def test_an_unreadable_session_is_put_aside(tmp_path: Path) -> None:
+def test_an_unreadable_session_is_put_aside(tmp_path):
     file = tmp_path / "session.json"
     file.write_text("{")
     with pytest.raises(InputError, match=r"session\.json.*kept as session\.unreadable"):
@@ -150,7 +143,7 @@ def test_an_unreadable_session_is_put_aside(tmp_path: Path) -> None:
     assert (tmp_path / "session.unreadable").read_text() == "{"
 
 
-def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> None:
+def test_recent_files_and_reload(drive, files, tmp_path):
     driver = drive()
     window, copy = driver.window, tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", copy)
@@ -175,14 +168,14 @@ def test_recent_files_and_reload(drive: Drive, files: Path, tmp_path: Path) -> N
     driver.told("press.mcap")
 
 
-def test_recording_and_sensor_dropped_together(drive: Drive, files: Path) -> None:
+def test_recording_and_sensor_dropped_together(drive, files):
     driver = drive(sensor=small_sensor("other", nodes=150))
     driver.drop(files / "press.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     driver.wait(lambda: driver.window.controller.sensor.name == "small dome")
 
 
-def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive: Drive, tmp_path: Path) -> None:
+def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive, tmp_path):
     driver = drive(frame=3)
     saver, view = driver.window.session_saver, driver.window.view
     assert saver.snapshot().camera is None
@@ -216,7 +209,7 @@ with window_session(load_sensor({sensor!r}), Path({rec!r}), None, None, user_fil
 """
 
 
-def run(files: Path, config: Path, rec: Path) -> subprocess.Popen[str]:
+def run(files, config, rec):
     code = KILLED.format(
         here=str(Path(__file__).parents[1]), rec=str(rec), sensor=str(files / "dome.toml")
     )
@@ -227,12 +220,7 @@ def run(files: Path, config: Path, rec: Path) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def test_after_a_kill_the_next_start_is_where_it_was(
-    qtbot: object,
-    files: Path,
-    tmp_path: Path,
-    eventually: Callable[[Callable[[], object]], None],
-) -> None:
+def test_after_a_kill_the_next_start_is_where_it_was(qtbot, files, tmp_path, eventually):
     rec = tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", rec)
     process = run(files, tmp_path / "config", rec)
@@ -255,7 +243,7 @@ def test_after_a_kill_the_next_start_is_where_it_was(
         assert gone.state.choices.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 
-def test_what_was_open_is_not_kept(qtbot: object, files: Path) -> None:
+def test_what_was_open_is_not_kept(qtbot, files):
     """Each answer holds a camera's rays and a frame: 15 MiB for a RealSense."""
     sensor = load_sensor(files / "dome.toml")
     with window_session(sensor, files / "press.mcap", 3) as session:

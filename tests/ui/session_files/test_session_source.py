@@ -1,10 +1,7 @@
 """What a session remembers beyond a recording: live sources, sensors of no file, the object."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,12 +9,12 @@ import numpy as np
 import pytest
 from fakes import DentSource, record, small_sensor
 from live_bench import sensor_file
-from window_driver import Drive, Driver, run_bubbleviz
+from window_driver import run_bubbleviz
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.files import presets_folder
-from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (
@@ -26,13 +23,13 @@ from bubbleviz_ui.session_files.session_file import (
     read_session,
     read_user_file,
 )
-from bubbleviz_ui.window_session import WindowSession, window_session
+from bubbleviz_ui.window_session import window_session
 
 FRAMES = 12
 
 
 @pytest.fixture
-def files(tmp_path: Path, sensor: Sensor) -> Path:
+def files(tmp_path, sensor):
     """A folder with a short recording, the file of its sensor, and a mesh."""
     folder = tmp_path / "mine"
     folder.mkdir()
@@ -43,7 +40,7 @@ def files(tmp_path: Path, sensor: Sensor) -> Path:
 
 
 @contextmanager
-def start(keep_in: Path | None = None, saved: Path | None = None) -> Iterator[WindowSession]:
+def start(keep_in=None, saved=None):
     """The program as `bubbleviz [open SAVED]` starts it, with a fast built-in press."""
     file = None if keep_in is None else lambda: keep_in
     with window_session(small_sensor(), None, None, None, file, None, saved) as session:
@@ -51,7 +48,7 @@ def start(keep_in: Path | None = None, saved: Path | None = None) -> Iterator[Wi
         yield session
 
 
-def open_press(driver: Driver, files: Path, sensor: Sensor | None = None) -> None:
+def open_press(driver, files, sensor=None):
     chosen = sensor or load_sensor(files / "dome.toml")
     driver.opens("press", recording(files / "press.mcap"), chosen, frame=8, playing=False)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
@@ -60,9 +57,7 @@ def open_press(driver: Driver, files: Path, sensor: Sensor | None = None) -> Non
 # -- the object ---------------------------------------------------------------------------------
 
 
-def test_the_object_its_start_and_tracking_go_to_a_colleague(
-    drive: Drive, files: Path, tmp_path: Path
-) -> None:
+def test_the_object_its_start_and_tracking_go_to_a_colleague(drive, files, tmp_path):
     mine = drive()
     open_press(mine, files)
     mine.window.open_file(files / "stamp.ply")
@@ -86,7 +81,7 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague(
     other.wait(lambda: theirs.object.currentText() == "stamp.ply")
 
 
-def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
+def test_an_object_that_is_gone_is_a_message(drive, files):
     mine = drive()
     open_press(mine, files)
     mine.window.open_file(files / "stamp.ply")
@@ -105,7 +100,7 @@ def test_an_object_that_is_gone_is_a_message(drive: Drive, files: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: Path) -> None:
+def test_a_sensor_of_no_file_is_there_at_the_next_start(files, tmp_path):
     config = tmp_path / "config" / "session.json"
     with start(config) as session:
         session.window.controller.opening.use_sensor(small_sensor("edited", nodes=150))
@@ -124,7 +119,7 @@ def test_a_sensor_of_no_file_is_there_at_the_next_start(files: Path, tmp_path: P
 # -- live sources -------------------------------------------------------------------------------
 
 
-def test_a_live_source_is_connected_again_at_the_next_start(qtbot: object, tmp_path: Path) -> None:
+def test_a_live_source_is_connected_again_at_the_next_start(qtbot, tmp_path):
     config = tmp_path / "session.json"
     live = single("synthetic:?frames=6", sensor_file(tmp_path))
     with start(config) as session:
@@ -141,9 +136,7 @@ def test_a_live_source_is_connected_again_at_the_next_start(qtbot: object, tmp_p
 
 
 @pytest.mark.long
-def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
-    qtbot: object, files: Path, tmp_path: Path
-) -> None:
+def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(qtbot, files, tmp_path):
     config = tmp_path / "session.json"
     rec = files / "press.mcap"
     live = single(f"replay:{rec}?loop=1", str(files / "dome.toml"))
@@ -171,9 +164,7 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(
 
 
 @pytest.mark.long
-def test_a_robot_that_is_not_there_yet_is_waited_for(
-    qtbot: object, files: Path, tmp_path: Path
-) -> None:
+def test_a_robot_that_is_not_there_yet_is_waited_for(qtbot, files, tmp_path):
     config = tmp_path / "session.json"
     robot = single(f"zenoh:tcp/127.0.0.1:{free_port()}", str(files / "dome.toml"))
     config.write_text(UserFile(session=SavedSession(live=robot)).model_dump_json())
@@ -195,9 +186,7 @@ def test_a_robot_that_is_not_there_yet_is_waited_for(
     assert read_user_file(config).session.live is None
 
 
-def test_a_recording_that_is_gone_for_a_while_loses_nothing(
-    qtbot: object, files: Path, tmp_path: Path
-) -> None:
+def test_a_recording_that_is_gone_for_a_while_loses_nothing(qtbot, files, tmp_path):
     config, rec = tmp_path / "session.json", files / "press.mcap"
     with window_session(load_sensor(files / "dome.toml"), rec, 5, None, lambda: config) as session:
         session.state.choose_markers((2, 9))
@@ -214,7 +203,7 @@ def test_a_recording_that_is_gone_for_a_while_loses_nothing(
 
 
 @pytest.mark.long
-def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: Path) -> None:
+def test_the_command_line_opens_a_session(drive, files, tmp_path):
     mine = drive()
     open_press(mine, files)
     mine.state.choose_markers((2,))
@@ -229,7 +218,7 @@ def test_the_command_line_opens_a_session(drive: Drive, files: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("text", [None, "", "[]", '{"schema_version": 9}', '{"live": {"a": 1}}'])
-def test_a_bad_session_file_is_one_sentence(tmp_path: Path, text: str | None) -> None:
+def test_a_bad_session_file_is_one_sentence(tmp_path, text):
     bad = tmp_path / "bad.bubbleviz"
     if text is not None:
         bad.write_text(text)
@@ -238,14 +227,14 @@ def test_a_bad_session_file_is_one_sentence(tmp_path: Path, text: str | None) ->
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_a_session_that_is_not_there_or_has_a_frame_ends_the_command(tmp_path: Path) -> None:
+def test_a_session_that_is_not_there_or_has_a_frame_ends_the_command(tmp_path):
     for words, told in ([], "a.bubbleviz"), (["--frame", "3"], "--frame"):
         done = run_bubbleviz("open", tmp_path / "a.bubbleviz", *words)
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1 and told in done.stderr
 
 
-def test_a_session_does_not_say_where_to_publish(drive: Drive, tmp_path: Path) -> None:
+def test_a_session_does_not_say_where_to_publish(drive, tmp_path):
     """Nor where to record: a file of somebody else must not open this computer to others."""
     mine = drive()
     mine.window.session_saver.save_as(tmp_path / "a.bubbleviz")

@@ -1,21 +1,15 @@
 """Shear in the window: what it is measured against, its numbers, and nothing of it while hidden."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from fakes import DentSource, SpeckledSource, record, small_sensor
-from pytestqt.qtbot import QtBot
-from window_driver import Drive, Driver, copied, drawn_points
+from window_driver import copied, drawn_points
 
 from bubbleviz.calibration import COLLECTED, LAG
 from bubbleviz.diagnostics import ShearEllipse
-from bubbleviz.result import Result, Slip, Traction
-from bubbleviz.sensor import Sensor
+from bubbleviz.result import Slip, Traction
 from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
@@ -28,23 +22,23 @@ NOTHING = Choices(layers=frozenset(), panels=frozenset())
 
 
 @pytest.fixture(scope="module")
-def rubber() -> Sensor:
+def rubber():
     """The small sensor with its prestretch, so that its membrane is known exactly."""
     return small_sensor(prestretch=1.2)
 
 
-def opened(drive: Drive, sensor: Sensor, **changed: Any) -> tuple[Driver, SpeckledSource]:
+def opened(drive, sensor, **changed):
     source = SpeckledSource(sensor, **changed)
     return drive(open_source=lambda _: source, sensor=sensor), source
 
 
-def shown(driver: Driver) -> None:
+def shown(driver):
     driver.show("shear")
     driver.wait(lambda: "shear" in driver.state.choices.panels)
     driver.wait(lambda: bool(driver.inspection.reference))
 
 
-def test_traction_is_asked_for_by_what_shows_it() -> None:
+def test_traction_is_asked_for_by_what_shows_it():
     layers = replace(NOTHING, layers=frozenset({"traction"}))
     assert "traction" in products(layers) and "slip" not in products(layers)
     panel = replace(NOTHING, panels=frozenset({"shear"}))
@@ -58,7 +52,7 @@ def test_traction_is_asked_for_by_what_shows_it() -> None:
         assert Demand.of(choices).covers(other) is same
 
 
-def test_hidden_nothing_of_it_runs_and_its_scene_opens_it(drive: Drive, rubber: Sensor) -> None:
+def test_hidden_nothing_of_it_runs_and_its_scene_opens_it(drive, rubber):
     driver, source = opened(drive, rubber)
     driver.seek(3)
     counts = driver.pipeline.counts
@@ -81,7 +75,7 @@ def test_hidden_nothing_of_it_runs_and_its_scene_opens_it(drive: Drive, rubber: 
     assert copied().startswith("frame 5, 0.167 s\nstatus: ")
 
 
-def test_frames_that_pass_without_contact_are_the_reference(drive: Drive, rubber: Sensor) -> None:
+def test_frames_that_pass_without_contact_are_the_reference(drive, rubber):
     pytest.importorskip("cv2")
     driver, _ = opened(drive, rubber)
     shown(driver)
@@ -102,7 +96,7 @@ def test_frames_that_pass_without_contact_are_the_reference(drive: Drive, rubber
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
 
 
-def test_an_image_of_another_size_leaves_its_frame_to_depth(drive: Drive, rubber: Sensor) -> None:
+def test_an_image_of_another_size_leaves_its_frame_to_depth(drive, rubber):
     """Among those that are collected it begins them anew."""
     pytest.importorskip("cv2")
     driver, _ = opened(drive, rubber, halved=frozenset({0, COLLECTED + 1}))
@@ -118,9 +112,7 @@ def test_an_image_of_another_size_leaves_its_frame_to_depth(drive: Drive, rubber
     assert not len(result.flow.pixel) and "40×30 pixels, the contact-free" in result.flow.problem
 
 
-def test_why_depth_is_left_alone_is_said(
-    drive: Drive, rubber: Sensor, sensor: Sensor, tmp_path: Path
-) -> None:
+def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     pytest.importorskip("cv2")
     driver, _ = opened(drive, rubber, info=False)
     shown(driver)
@@ -146,9 +138,7 @@ def test_why_depth_is_left_alone_is_said(
     assert driver.pipeline.counts["traction"] == 0 and not panel.copy.isEnabled()
 
 
-def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(
-    drive: Drive, rubber: Sensor
-) -> None:
+def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(drive, rubber):
     pytest.importorskip("cv2")
     driver, source = opened(drive, rubber)
     driver.state.choose(images=frozenset({"flow"}))
@@ -178,9 +168,7 @@ def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(
     assert (driver.pipeline.counts["flow"], source.decoded) == before
 
 
-def test_the_bound_is_off_until_it_is_ticked_and_can_be_undone(
-    drive: Drive, sensor: Sensor, qtbot: QtBot
-) -> None:
+def test_the_bound_is_off_until_it_is_ticked_and_can_be_undone(drive, sensor, qtbot):
     driver, _ = opened(drive, sensor)
     panel, window = driver.window.shear, driver.window
     assert driver.state.choices.friction is None and not panel.friction.isEnabled()
@@ -194,7 +182,7 @@ def test_the_bound_is_off_until_it_is_ticked_and_can_be_undone(
     assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "fast"
 
 
-def dragged(driver: Driver, status: str = "ok") -> Result:
+def dragged(driver, status="ok"):
     """The result that is shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
     result = driver.result
     mesh = driver.pipeline.mesh
@@ -211,7 +199,7 @@ def dragged(driver: Driver, status: str = "ok") -> Result:
     return replace(result, traction=traction, slip=slip)
 
 
-def test_arrows_stand_where_traction_is_on_one_scale(drive: Drive, sensor: Sensor) -> None:
+def test_arrows_stand_where_traction_is_on_one_scale(drive, sensor):
     driver, _ = opened(drive, sensor)
     choices = replace(driver.state.choices, layers=frozenset({"membrane", "traction"}))
     layer = driver.window.scene.layers["traction"]
@@ -229,7 +217,7 @@ def test_arrows_stand_where_traction_is_on_one_scale(drive: Drive, sensor: Senso
     assert not any(actor.GetVisibility() for actor in layer.actors)
 
 
-def test_numbers_have_their_interval_and_their_doubts(drive: Drive, sensor: Sensor) -> None:
+def test_numbers_have_their_interval_and_their_doubts(drive, sensor):
     driver, _ = opened(drive, sensor)
     words = shear_words(dragged(driver), Units())
     assert words["normal"] == "3.00 ± 0.20 N" and words["tangential"] == "1.50 ± 0.20 N"
@@ -241,7 +229,7 @@ def test_numbers_have_their_interval_and_their_doubts(drive: Drive, sensor: Sens
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
 
 
-def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot: QtBot) -> None:
+def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     plot = ShearPlot()
     qtbot.addWidget(plot)
     plot.show()

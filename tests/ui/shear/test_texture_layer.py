@@ -1,47 +1,41 @@
 """The colour image in Images and on the membrane, by pixels; hidden it is not decoded."""
 
-from __future__ import annotations
-
 import numpy as np
 from fakes import FIRST_CONTACT, FRAMES, ColouredSource
 from PySide6.QtWidgets import QApplication
-from window_driver import Drive, Driver, in_view, texts
-
-from bubbleviz.sensor import Sensor
+from window_driver import in_view, texts
 
 DENTED = FIRST_CONTACT + 4
 
 
-def opened(drive: Drive, sensor: Sensor, frame: int = 2) -> tuple[Driver, ColouredSource]:
+def opened(drive, sensor, frame=2):
     source = ColouredSource(sensor)
     driver = drive(open_source=lambda _: source, frame=frame)
     driver.choose(layers=frozenset({"membrane"}))
     return driver, source
 
 
-def colour_at(driver: Driver, node: int) -> np.ndarray:
+def colour_at(driver, node):
     """Red, green and blue of the view at a node."""
     result = driver.result
     at = in_view(driver, driver.pipeline.mesh.deformed(result.estimate.motion_m)[node])
     return driver.pixels()[at.y(), at.x()].astype(int)
 
 
-def is_red(rgb: np.ndarray) -> bool:
+def is_red(rgb):
     return bool(rgb[0] > 60 and rgb[0] > 3 * rgb[1])
 
 
-def is_green(rgb: np.ndarray) -> bool:
+def is_green(rgb):
     return bool(rgb[1] > 60 and rgb[1] > 3 * rgb[0])
 
 
-def node_at(driver: Driver, x: float, y: float) -> int:
+def node_at(driver, x, y):
     nodes = driver.pipeline.mesh.nodes
     return int(np.linalg.norm(nodes[:, :2] - (x, y), axis=1).argmin())
 
 
-def test_the_membrane_has_the_colours_of_the_image_where_the_camera_sees_them(
-    drive: Drive, sensor: Sensor
-) -> None:
+def test_the_membrane_has_the_colours_of_the_image_where_the_camera_sees_them(drive, sensor):
     driver, _ = opened(drive, sensor)
     left, right = node_at(driver, -0.02, -0.01), node_at(driver, 0.02, -0.01)
     assert not is_red(colour_at(driver, left))
@@ -55,7 +49,7 @@ def test_the_membrane_has_the_colours_of_the_image_where_the_camera_sees_them(
     assert not is_red(colour_at(driver, left))
 
 
-def test_pressure_has_its_own_colours_where_something_touches(drive: Drive, sensor: Sensor) -> None:
+def test_pressure_has_its_own_colours_where_something_touches(drive, sensor):
     driver, _ = opened(drive, sensor, DENTED)
     pressed = int(driver.result.estimate.contact_pressure_pa.argmax())
     alone = colour_at(driver, pressed)
@@ -67,7 +61,7 @@ def test_pressure_has_its_own_colours_where_something_touches(drive: Drive, sens
     assert is_green(colour_at(driver, pressed))
 
 
-def test_a_frame_without_a_colour_image_says_so(drive: Drive, sensor: Sensor) -> None:
+def test_a_frame_without_a_colour_image_says_so(drive, sensor):
     driver, _ = opened(drive, sensor, 0)
     driver.state.choose(layers=frozenset({"texture"}), images=frozenset({"colour"}))
     driver.show("images")
@@ -82,7 +76,7 @@ def test_a_frame_without_a_colour_image_says_so(drive: Drive, sensor: Sensor) ->
     assert "the colour image cannot be decoded" in texts(driver)
 
 
-def test_the_image_is_shown_as_it_is(drive: Drive, sensor: Sensor) -> None:
+def test_the_image_is_shown_as_it_is(drive, sensor):
     driver, _ = opened(drive, sensor)
     driver.state.choose(images=frozenset({"colour", "depth"}))
     driver.show("images")
@@ -97,7 +91,7 @@ def test_the_image_is_shown_as_it_is(drive: Drive, sensor: Sensor) -> None:
     assert cell.pixel.getData()[0][0] == 40.5  # one camera: a place of depth is one of colour
 
 
-def test_hidden_it_is_not_decoded(drive: Drive, sensor: Sensor) -> None:
+def test_hidden_it_is_not_decoded(drive, sensor):
     driver, source = opened(drive, sensor)
     driver.state.choose(images=frozenset({"depth", "colour"}))
     driver.seek(3)

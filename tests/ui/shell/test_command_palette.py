@@ -1,26 +1,22 @@
 """The command palette, by the keyboard alone, and its search."""
 
-from __future__ import annotations
-
 from itertools import combinations, pairwise
 
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QApplication
-from window_driver import CTRL, SHIFT, Drive, Driver
+from window_driver import CTRL, SHIFT
 
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.shortcuts import ranked, score
 
 
-def opened(
-    driver: Driver, key: Qt.Key = Qt.Key.Key_K, held: Qt.KeyboardModifier = CTRL
-) -> CommandPalette:
+def opened(driver, key=Qt.Key.Key_K, held=CTRL):
     driver.key(key, held)
     return driver.window.findChildren(CommandPalette)[-1]
 
 
-def done(driver: Driver, letters: str) -> str:
+def done(driver, letters):
     """Type letters and press Enter; the name of what was done, with its keys."""
     palette = opened(driver)
     driver.bot.keyClicks(palette.search, letters)
@@ -31,7 +27,7 @@ def done(driver: Driver, letters: str) -> str:
     return name
 
 
-def test_letters_and_enter_do_it_arrows_choose_and_escape_leaves(drive: Drive) -> None:
+def test_letters_and_enter_do_it_arrows_choose_and_escape_leaves(drive):
     driver = drive(frame=3)
     assert done(driver, "lastfr").split() == ["Playback", "›", "Last", "frame", "End"]
     assert driver.state.frame == driver.state.facts.frames - 1
@@ -54,7 +50,7 @@ def test_letters_and_enter_do_it_arrows_choose_and_escape_leaves(drive: Drive) -
     assert driver.window.isVisible() and not driver.window.findChildren(CommandPalette)
 
 
-def test_own_words_come_before_the_path_and_what_fits_nothing_does_nothing(drive: Drive) -> None:
+def test_own_words_come_before_the_path_and_what_fits_nothing_does_nothing(drive):
     driver = drive(frame=3)
     title, palette = driver.window.windowTitle(), opened(driver)
     found = lambda: [palette.list.item(row).text() for row in range(palette.list.count())]  # noqa: E731
@@ -83,14 +79,14 @@ def test_own_words_come_before_the_path_and_what_fits_nothing_does_nothing(drive
     assert driver.window.windowTitle() == title
 
 
-def test_search_finds_the_best_place_of_many() -> None:
+def test_search_finds_the_best_place_of_many():
     """Against all ways to place the letters, tried one by one."""
     names = ["Playback › Play / pause", "Playback › Last frame", "View › Plots", "File › Quit"]
     assert ranked("pp", names)[0] == "Playback › Play / pause"
     assert ranked("plots", names) == ["View › Plots"]
     assert ranked("", names) == names
 
-    def brute(query: str, text: str) -> float | None:
+    def brute(query, text):
         best = None
         for places in combinations(range(len(text)), len(query)):
             if all(text[p] == letter for p, letter in zip(places, query, strict=True)):

@@ -1,24 +1,16 @@
 """Files by the dialogs, typed as a person would: nothing is replaced unasked."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
-import pytest
 from fakes import DentSource, record
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
-from PySide6.QtWidgets import QApplication, QFileDialog, QWidget
-from window_driver import Drive, typed
+from PySide6.QtWidgets import QApplication, QFileDialog
+from window_driver import typed
 
 from bubbleviz.files import SESSION_SUFFIX
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
 
 
-def test_nothing_is_replaced_unasked_and_names_get_their_suffix(
-    drive: Drive, tmp_path: Path
-) -> None:
+def test_nothing_is_replaced_unasked_and_names_get_their_suffix(drive, tmp_path):
     driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
     actions = driver.window.shortcuts.actions
     precious.write_text("precious")
@@ -37,10 +29,8 @@ def test_nothing_is_replaced_unasked_and_names_get_their_suffix(
         assert not driver.window.message.isVisible()
 
 
-def test_space_plays_what_was_opened_by_the_dialog(
-    drive: Drive, sensor: Sensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def asked(parent: QWidget, title: str, folder: str, kinds: str) -> tuple[str, str]:
+def test_space_plays_what_was_opened_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
+    def asked(parent, title, folder, kinds):
         dialog = QFileDialog(parent, title, folder, kinds)
         chosen = dialog.selectedFiles() if dialog.exec() else [""]
         dialog.deleteLater()
@@ -65,14 +55,12 @@ def test_space_plays_what_was_opened_by_the_dialog(
     assert QApplication.focusWidget() is loop
 
 
-def test_a_dialog_comes_back_to_the_last_folder_of_its_kind(
-    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dialog_comes_back_to_the_last_folder_of_its_kind(drive, tmp_path, monkeypatch):
     driver = drive()
     asked: list[tuple[str, str]] = []
     answers = {"Open recording": "records/a.mcap", "Open sensor": "sensors/b.toml"}
 
-    def chosen(_: object, title: str, folder: str, *__: object) -> tuple[str, str]:
+    def chosen(_, title, folder, *__):
         asked.append((title, folder))
         return str(tmp_path / answers[title]), ""
 

@@ -1,19 +1,14 @@
 """Menus: check marks follow what they turn on and off; Close closes what is open."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 from fakes import DentSource
-from live_bench import Bench, contents, sensor_file
+from live_bench import contents, sensor_file
 from PySide6.QtCore import Qt
-from window_driver import CTRL, Drive, Driver, texts
+from window_driver import CTRL, texts
 
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.live.connection import single
 
 
-def test_check_marks_follow_the_state(drive: Drive) -> None:
+def test_check_marks_follow_the_state(drive):
     driver = drive(frame=3)
     state, tools = driver.state, driver.window.tools
     for name, choice in (("Playback › Loop", "loop"), ("Playback › Every frame", "every_frame")):
@@ -51,7 +46,7 @@ def test_check_marks_follow_the_state(drive: Drive) -> None:
         assert not driver.ticked(name), name
 
 
-def close(driver: Driver) -> None:
+def close(driver):
     """Press Ctrl+W and wait until the sensor is alone."""
     driver.key(Qt.Key.Key_W, CTRL)
     assert driver.window.busy.label.text() == "Closing …"
@@ -59,9 +54,7 @@ def close(driver: Driver) -> None:
     driver.settle()
 
 
-def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(
-    drive: Drive, sensor: Sensor
-) -> None:
+def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(drive, sensor):
     source = DentSource(sensor)
     driver = drive(lambda _: source, frame=11)
     assert len(driver.warm_pixels()) > 100 and not source.closed
@@ -86,9 +79,7 @@ def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(
     assert len(driver.warm_pixels()) > 100
 
 
-def test_a_live_source_is_closed_and_what_was_being_recorded_is_whole(
-    open_bench: Callable[[], Bench],
-) -> None:
+def test_a_live_source_is_closed_and_what_was_being_recorded_is_whole(open_bench):
     live = open_bench()
     live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
     live.record()

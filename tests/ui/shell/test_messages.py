@@ -1,8 +1,5 @@
 """What went well is told quietly, what went wrong until it was read; waiting has a way out."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from pathlib import Path
 from threading import Event
 
@@ -11,9 +8,8 @@ from fakes import DentSource
 from PySide6.QtCore import QObject, QUrl, Slot
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication
-from window_driver import Drive, copied
+from window_driver import copied
 
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.session_files.session_file import read_user_file
 from bubbleviz_ui.shell import message_bars
@@ -23,26 +19,24 @@ from bubbleviz_ui.shell.text_dialogs import MessagesDialog
 class Desktop(QObject):
     """Opens files in place of the desktop."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.opened: list[Path] = []
 
     @Slot(QUrl)
-    def open(self, url: QUrl) -> None:
+    def open(self, url):
         self.opened.append(Path(url.toLocalFile()))
 
 
 @pytest.fixture
-def desktop() -> Iterator[Desktop]:
+def desktop():
     made = Desktop()
     QDesktopServices.setUrlHandler("file", made, "open")
     yield made
     QDesktopServices.unsetUrlHandler("file")
 
 
-def test_a_file_that_was_written_is_opened_from_its_notice(
-    drive: Drive, desktop: Desktop, tmp_path: Path
-) -> None:
+def test_a_file_that_was_written_is_opened_from_its_notice(drive, desktop, tmp_path):
     driver = drive(frame=5)
     window, notice, path = driver.window, driver.window.notice, tmp_path / "shot.png"
     window.save_screenshot(path)
@@ -63,9 +57,7 @@ def test_a_file_that_was_written_is_opened_from_its_notice(
     assert driver.state.choices.kappa is None
 
 
-def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(
-    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(message_bars, "NOTICE_MS", 500)
     driver = drive()
     window = driver.window
@@ -78,7 +70,7 @@ def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(
     assert not window.message.isVisible()
 
 
-def test_messages_are_told_apart_listed_and_copied_and_none_covers_an_error(drive: Drive) -> None:
+def test_messages_are_told_apart_listed_and_copied_and_none_covers_an_error(drive):
     driver = drive()
     window, message = driver.window, driver.window.message
     for theme in ("dark", "light"):
@@ -114,7 +106,7 @@ def test_messages_are_told_apart_listed_and_copied_and_none_covers_an_error(driv
     assert not message.isVisible()
 
 
-def test_a_notice_moves_nothing(drive: Drive, tmp_path: Path) -> None:
+def test_a_notice_moves_nothing(drive, tmp_path):
     """It is beside the menus, and the middle of a long path is left out."""
     driver = drive()
     bar, notice = driver.window.menuBar(), driver.window.notice
@@ -135,24 +127,22 @@ def test_a_notice_moves_nothing(drive: Drive, tmp_path: Path) -> None:
 class SlowOpener:
     """Opens when it is let."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.go, self.begun = Event(), Event()
         self.source: DentSource | None = None
 
-    def __call__(self, sensor: Sensor) -> DentSource:
+    def __call__(self, sensor):
         self.begun.set()
         assert self.go.wait(20)
         self.source = DentSource(sensor)
         return self.source
 
-    def let_go(self) -> bool:
+    def let_go(self):
         """Whether it was closed after it opened for nothing."""
         return self.source is not None and self.source.closed
 
 
-def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(
-    drive: Drive, sensor: Sensor
-) -> None:
+def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(drive, sensor):
     driver = drive(frame=5)
     window, title = driver.window, driver.window.windowTitle()
     left, replaced, last = SlowOpener(), SlowOpener(), SlowOpener()
@@ -183,7 +173,7 @@ def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(
     assert not window.busy.isVisible() and not last.let_go()
 
 
-def test_the_hint_is_shown_until_it_is_read(drive: Drive, tmp_path: Path) -> None:
+def test_the_hint_is_shown_until_it_is_read(drive, tmp_path):
     driver = drive(frame=5)
     saver, hint, file = driver.window.session_saver, driver.window.hint, tmp_path / "session.json"
     assert not hint.isVisible()

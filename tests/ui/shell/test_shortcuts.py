@@ -1,19 +1,16 @@
 """Keys listed, changed, refused and saved."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence
-from window_driver import Drive
 
 from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
 
 PLAY, LOOP = "Playback › Play / pause", "Playback › Loop"
 
 
-def test_keys_are_listed_changed_refused_and_reset(drive: Drive) -> None:
+def test_keys_are_listed_changed_refused_and_reset(drive):
     driver = drive()
     shortcuts = driver.window.shortcuts
     keys = Counter(k.toString() for a in shortcuts.actions.values() for k in a.shortcuts())
@@ -56,7 +53,7 @@ def test_keys_are_listed_changed_refused_and_reset(drive: Drive) -> None:
     dialog.close()
 
 
-def test_keys_go_with_the_session(drive: Drive) -> None:
+def test_keys_go_with_the_session(drive):
     one, other = drive(), drive()
     one.window.shortcuts.set_keys(LOOP, QKeySequence())
     one.window.shortcuts.set_keys(PLAY, QKeySequence("L"))

@@ -1,28 +1,21 @@
 """What a recording has in it, and the documentation, in the window."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 from fakes import DentSource
 from PySide6.QtCore import QUrl
 from small_press import write_press
-from window_driver import Drive, copied
+from window_driver import copied
 
 from bubbleviz.api.frames import info
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
 
 
-def test_information_is_that_of_the_command_and_names_the_sensor(
-    drive: Drive, sensor: Sensor, tmp_path: Path
-) -> None:
+def test_information_is_that_of_the_command_and_names_the_sensor(drive, sensor, tmp_path):
     path = tmp_path / "press.mcap"
     write_press(path, sensor)
     driver = drive(open_source=recording(path))
 
-    def opened() -> InformationDialog:
+    def opened():
         driver.act("File › Information")
         dialog = driver.window.findChildren(InformationDialog)[-1]
         driver.wait(lambda: bool(dialog.text.toPlainText()))
@@ -40,7 +33,7 @@ def test_information_is_that_of_the_command_and_names_the_sensor(
     dialog.close()
 
 
-def test_documentation_is_read_in_the_window(drive: Drive) -> None:
+def test_documentation_is_read_in_the_window(drive):
     driver = drive()
     driver.act("Help › Documentation")
     (dialog,) = driver.window.findChildren(PagesDialog)

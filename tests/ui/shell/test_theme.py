@@ -1,17 +1,15 @@
 """Dark and light: chosen in the menu, read back from pixels; and no text that does not fit."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QRect, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QLineEdit, QMenu, QWidget
-from window_driver import CONTACT, Drive, Driver, clipped, painted, run_python
+from window_driver import CONTACT, clipped, painted, run_python
 
 from bubbleviz_ui.live.live_bar import BADGES
 from bubbleviz_ui.shell import theme
@@ -20,16 +18,16 @@ from bubbleviz_ui.view3d.colours import rgb
 HERE = Path(__file__).parents[1]
 
 
-def choose(driver: Driver, title: str) -> None:
+def choose(driver, title):
     """Trigger an action of the theme menu."""
     menu = driver.window.findChild(QWidget, "menu_theme")
     next(a for a in menu.actions() if title in a.text()).trigger()
 
 
-def contrast(one: QColor, other: QColor) -> float:
+def contrast(one, other):
     """Contrast ratio as WCAG 2 defines it, 1 … 21."""
 
-    def luminance(colour: QColor) -> float:
+    def luminance(colour):
         parts = [colour.redF(), colour.greenF(), colour.blueF()]
         r, g, b = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
         return 0.2126 * r + 0.7152 * g + 0.0722 * b
@@ -38,7 +36,7 @@ def contrast(one: QColor, other: QColor) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive: Drive) -> None:
+def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
     parts = (window.status, window.menuBar(), window.layers, window.kappa, window.playback)
@@ -59,7 +57,7 @@ def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive: Drive) ->
         assert len(driver.warm_pixels()) > 200  # pressure has its colours on both
 
 
-def test_following_the_system(drive: Drive) -> None:
+def test_following_the_system(drive):
     driver = drive()
     changed = QApplication.styleHints().colorSchemeChanged  # a desktop emits it; Xvfb is none
     changed.emit(Qt.ColorScheme.Light)
@@ -72,7 +70,7 @@ def test_following_the_system(drive: Drive) -> None:
 
 
 @pytest.mark.parametrize("colours", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
-def test_text_can_be_read(colours: theme.Colours) -> None:
+def test_text_can_be_read(colours):
     for ground in (colours.window, colours.panel, colours.field, colours.view, colours.button):
         assert contrast(QColor(colours.text), QColor(ground)) > 7.0
         assert contrast(QColor(colours.dim), QColor(ground)) > 4.5
@@ -87,7 +85,7 @@ def test_text_can_be_read(colours: theme.Colours) -> None:
             assert contrast(theme.palette(colours).color(link), QColor(ground)) > 4.5
 
 
-def selected(item: np.ndarray) -> float:
+def selected(item):
     """Contrast between the ground of what is selected and its text, the pixel furthest from it."""
     flat = item.reshape(-1, 3)
     found, counts = np.unique(flat, axis=0, return_counts=True)
@@ -96,14 +94,14 @@ def selected(item: np.ndarray) -> float:
     return contrast(QColor(*map(int, ground)), QColor(*map(int, text)))
 
 
-def within(widget: QWidget, place: QRect) -> np.ndarray:
+def within(widget, place):
     """Pixels of a part of a widget, its frame and check mark aside."""
     left, top = place.left() + 28, place.top() + 3
     return painted(widget)[top : place.bottom() - 2, left : place.right() - 28]
 
 
 @pytest.mark.parametrize("title", ["Dark", "Light"])
-def test_what_is_selected_can_be_read(drive: Drive, title: str) -> None:
+def test_what_is_selected_can_be_read(drive, title):
     driver = drive(frame=3)
     choose(driver, title)
     menu = next(a.menu() for a in driver.window.menuBar().actions() if "File" in a.text())
@@ -126,7 +124,7 @@ def test_what_is_selected_can_be_read(drive: Drive, title: str) -> None:
 
 
 @pytest.mark.parametrize("title", ["Dark", "Light"])
-def test_what_is_disabled_can_be_read_and_looks_it(drive: Drive, title: str) -> None:
+def test_what_is_disabled_can_be_read_and_looks_it(drive, title):
     """Controls of every kind that the window has, and what a menu does not offer now."""
     driver = drive(frame=3)
     choose(driver, title)
@@ -149,7 +147,7 @@ def test_what_is_disabled_can_be_read_and_looks_it(drive: Drive, title: str) -> 
     menu.close()
 
 
-def test_colours_are_nowhere_else() -> None:
+def test_colours_are_nowhere_else():
     for path in (HERE.parents[1] / "ui").rglob("*.py"):
         if path.name != "theme.py":
             found = re.findall(r"[\"'>:]#[0-9a-fA-F]{3,8}\b", path.read_text(encoding="utf-8"))
@@ -187,7 +185,7 @@ with screen_for_pictures(3200, 2000), window_session(small_sensor(), None, 75) a
 
 
 @pytest.mark.long
-def test_nothing_is_clipped_at_200_percent() -> None:
+def test_nothing_is_clipped_at_200_percent():
     done = run_python(FITS, QT_SCALE_FACTOR="2")
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
@@ -196,7 +194,7 @@ def test_nothing_is_clipped_at_200_percent() -> None:
 
 
 @pytest.mark.parametrize("name", ["dark", "light"])
-def test_the_window_fits_into_1280_by_800(drive: Drive, name: str) -> None:
+def test_the_window_fits_into_1280_by_800(drive, name):
     driver = drive(frame=CONTACT, live=True)
     driver.state.choose(theme=name)
     driver.window.resize(1280, 800)

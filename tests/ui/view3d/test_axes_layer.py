@@ -1,19 +1,17 @@
 """Axes, scale bar and colour bars: what they say is so, and they cover nothing."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
 from PySide6.QtWidgets import QApplication
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-from window_driver import Drive, Driver, axes_corner, in_view, props, texts
+from window_driver import axes_corner, in_view, props, texts
 
 from bubbleviz_ui.view3d.text import LOWEST, TEXT, WIDTH
 
 
-def seen_of_axes(driver: Driver) -> np.ndarray:
+def seen_of_axes(driver):
     """Pixels (height, width) that the layer changes."""
     pictures = []
     for layers in ({"rim"}, {"rim", "axes"}):
@@ -22,13 +20,13 @@ def seen_of_axes(driver: Driver) -> np.ndarray:
     return np.abs(pictures[1] - pictures[0]).max(axis=2) > 40
 
 
-def said_m(driver: Driver) -> float:
+def said_m(driver):
     """Length that the scale bar says."""
     (said,) = (text for text in texts(driver) if re.fullmatch(r"[\d.]+ mm", text))
     return 1e-3 * float(said.split()[0])
 
 
-def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive: Drive) -> None:
+def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive):
     """Of a large view and of a small one, from far away and near to."""
     driver = drive()
     window, lengths = driver.window, set[float]()
@@ -51,7 +49,7 @@ def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive: Drive) -> No
     assert len(lengths) == 3
 
 
-def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive: Drive) -> None:
+def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive):
     """Each row of text is apart from the next: no number touches another, or a title."""
     driver = drive()
     driver.state.choose(layers=frozenset({"membrane", "cloud"}))
@@ -71,7 +69,7 @@ def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive: Drive) -> 
     assert window.view.height() == LOWEST
 
 
-def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:
+def test_the_membrane_is_beside_the_colour_bars(drive):
     """Also after the window, and so the view, has another size."""
     driver = drive()
     window = driver.window
@@ -85,7 +83,7 @@ def test_the_membrane_is_beside_the_colour_bars(drive: Drive) -> None:
         assert min(across) >= -1 and max(across) <= 0.98 * window.view.width() - WIDTH + 1, size
 
 
-def test_scales_end_at_round_numbers_in_every_unit(drive: Drive) -> None:
+def test_scales_end_at_round_numbers_in_every_unit(drive):
     driver = drive(frame=11)
     bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
     driver.state.choose(layers=frozenset({"membrane", "cloud"}))

@@ -1,7 +1,5 @@
 """What is on the screen, read from the screen, is what the view shows at any time."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -9,9 +7,9 @@ import pytest
 from PySide6.QtCore import QPoint, QRect, QSize, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QWidget
-from window_driver import Drive, Driver, as_pixels
+from window_driver import as_pixels
 
-from bubbleviz_ui.view3d.render_view import FAST, SMOOTH, RenderQuality
+from bubbleviz_ui.view3d.render_view import FAST, SMOOTH
 
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""
@@ -19,12 +17,12 @@ NAMES = FAST.name, SMOOTH.name
 QUALITIES = pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
 
 
-def on_screen(driver: Driver) -> np.ndarray:
+def on_screen(driver):
     """The view's part of the screen, (height, width, 3)."""
     return seen_of(driver.window.view)
 
 
-def seen_of(widget: QWidget) -> np.ndarray:
+def seen_of(widget):
     """A widget's part of the screen, (height, width, 3)."""
     at, size = widget.mapToGlobal(QPoint(0, 0)), widget.size()
     picture = QApplication.primaryScreen().grabWindow(
@@ -33,18 +31,18 @@ def seen_of(widget: QWidget) -> np.ndarray:
     return as_pixels(picture.toImage())
 
 
-def share_that_differs(a: np.ndarray, b: np.ndarray) -> float:
+def share_that_differs(a, b):
     """Of the pixels of two pictures; 1 where they have another size."""
     if a.shape != b.shape:
         return 1.0
     return float((np.abs(a.astype(int) - b).max(axis=2) > DIFFERENT).mean())
 
 
-def assert_shown(driver: Driver, before: np.ndarray) -> None:
+def assert_shown(driver, before):
     """The screen, once it is another than before and at rest, shows what the view would draw."""
     seen = [before]
 
-    def rests() -> bool:
+    def rests():
         seen.append(on_screen(driver))  # not the view's pixels: asking for them could mend it
         return np.array_equal(seen[-1], seen[-2]) and share_that_differs(seen[-1], before) > 1e-3
 
@@ -53,7 +51,7 @@ def assert_shown(driver: Driver, before: np.ndarray) -> None:
 
 
 @QUALITIES
-def test_every_frame_reaches_the_screen(drive: Drive, quality: RenderQuality) -> None:
+def test_every_frame_reaches_the_screen(drive, quality):
     """By the view's own swap, and by Qt's."""
     driver = drive(quality=quality)
     assert (driver.window.view.windowHandle() is not None) is quality.own_swap
@@ -65,13 +63,11 @@ def test_every_frame_reaches_the_screen(drive: Drive, quality: RenderQuality) ->
 
 
 @pytest.mark.parametrize("quality", [FAST, pytest.param(SMOOTH, marks=pytest.mark.long)], ids=NAMES)
-def test_the_picture_is_the_present_one_whatever_happens_to_the_window(
-    drive: Drive, quality: RenderQuality
-) -> None:
+def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive, quality):
     driver = drive(quality=quality)
     window = driver.window
 
-    def before() -> np.ndarray:
+    def before():
         driver.seek(3)
         return on_screen(driver)
 
@@ -108,7 +104,7 @@ def test_the_picture_is_the_present_one_whatever_happens_to_the_window(
     assert_shown(driver, old)
 
 
-def test_no_older_picture_comes_back_where_qt_paints_the_window(drive: Drive) -> None:
+def test_no_older_picture_comes_back_where_qt_paints_the_window(drive):
     """Qt's own last picture of the view is older than what was swapped since."""
     driver = drive()
     window, swapped = driver.window, list[int]()
@@ -124,9 +120,7 @@ def test_no_older_picture_comes_back_where_qt_paints_the_window(drive: Drive) ->
 
 
 @QUALITIES
-def test_what_covered_the_panels_leaves_nothing_behind(
-    drive: Drive, quality: RenderQuality
-) -> None:
+def test_what_covered_the_panels_leaves_nothing_behind(drive, quality):
     driver = drive(quality=quality)
     driver.seek(3)
     kinds = (Qt.WindowType.Popup, Qt.WindowType.ToolTip, Qt.WindowType.Dialog)
@@ -142,11 +136,11 @@ def test_what_covered_the_panels_leaves_nothing_behind(
         driver.wait(lambda panel=panel, before=before: same(seen_of(panel), before))
 
 
-def same(a: np.ndarray, b: np.ndarray) -> bool:
+def same(a, b):
     return share_that_differs(a, b) < 1e-3
 
 
-def test_panels_are_painted_without_the_view(drive: Drive) -> None:
+def test_panels_are_painted_without_the_view(drive):
     driver = drive()
     swapped: list[int] = []
     driver.window.view.frameSwapped.connect(lambda: swapped.append(1))
@@ -155,7 +149,7 @@ def test_panels_are_painted_without_the_view(drive: Drive) -> None:
     assert not swapped  # Qt has not put the window together anew
 
 
-def test_the_mouse_reaches_the_view_through_its_own_window(drive: Drive) -> None:
+def test_the_mouse_reaches_the_view_through_its_own_window(drive):
     driver = drive()
     view, seen = driver.window.view, list[tuple[str, float, float]]()
     view.clicked.connect(lambda x, y: seen.append(("clicked", x, y)))

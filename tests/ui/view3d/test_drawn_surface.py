@@ -1,7 +1,5 @@
 """Lines on the displayed surface."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ RADIUS_M, SUNK_M = 0.004, 0.003
 """Of a circle smaller than the mesh resolves, and how far the whole membrane is moved down."""
 
 
-def from_center(points: np.ndarray) -> np.ndarray:
+def from_center(points):
     return np.hypot(points[:, 0] - 0.011, points[:, 1] - 0.004)
 
 

@@ -1,10 +1,7 @@
 """How the view is drawn follows what draws it, and is seen in its pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from window_driver import Drive
 
 from bubbleviz.errors import InputError
 from bubbleviz_ui.shell import theme
@@ -13,7 +10,6 @@ from bubbleviz_ui.view3d.render_view import (
     FAST,
     SMOOTH,
     VARIABLE,
-    RenderQuality,
     quality_for,
     quality_here,
 )
@@ -42,7 +38,7 @@ GPUS = (
 
 
 @pytest.mark.parametrize("renderer", [*SOFTWARE, *GPUS])
-def test_software_is_fast_and_a_gpu_smooth_unless_somebody_wants_the_other(renderer: str) -> None:
+def test_software_is_fast_and_a_gpu_smooth_unless_somebody_wants_the_other(renderer):
     usual, other = (FAST, SMOOTH) if renderer in SOFTWARE else (SMOOTH, FAST)
     found, wanted = quality_for(renderer), quality_for(renderer, other.name)
     for quality, kind in ((found, usual), (wanted, other)):
@@ -51,7 +47,7 @@ def test_software_is_fast_and_a_gpu_smooth_unless_somebody_wants_the_other(rende
     assert renderer in found.text and renderer in wanted.text
 
 
-def test_the_driver_is_asked_and_the_variable_chooses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_is_asked_and_the_variable_chooses(monkeypatch):
     application()
     monkeypatch.delenv(VARIABLE, raising=False)
     found = quality_here()
@@ -65,7 +61,7 @@ def test_the_driver_is_asked_and_the_variable_chooses(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)
-def test_edges_and_points_are_smooth_or_fast(drive: Drive, quality: RenderQuality) -> None:
+def test_edges_and_points_are_smooth_or_fast(drive, quality):
     driver = drive(quality=quality)
     window, smooth = driver.window, quality is SMOOTH
     driver.choose(layers=frozenset({"rim"}))
@@ -87,13 +83,13 @@ def test_edges_and_points_are_smooth_or_fast(drive: Drive, quality: RenderQualit
     assert (len(np.unique(colours, axis=0)) > 5) is smooth  # a ball has light and shade
 
 
-def share_of_shades(picture: np.ndarray, line: str, ground: str) -> float:
+def share_of_shades(picture, line, ground):
     """Pixels that are neither line nor ground, over those that are not ground."""
     on, off = ((picture == rgb(colour)).all(axis=2) for colour in (line, ground))
     return float((~on & ~off).sum() / (~off).sum())
 
 
-def test_the_membrane_is_lit_as_by_vtk(drive: Drive) -> None:
+def test_the_membrane_is_lit_as_by_vtk(drive):
     driver = drive()
     driver.choose(layers=frozenset({"membrane"}))
     ours = driver.pixels().astype(int)
@@ -106,9 +102,7 @@ def test_the_membrane_is_lit_as_by_vtk(drive: Drive) -> None:
 
 
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)
-def test_playing_shows_fewer_points_with_software_rendering(
-    drive: Drive, quality: RenderQuality
-) -> None:
+def test_playing_shows_fewer_points_with_software_rendering(drive, quality):
     driver = drive(quality=quality)
     driver.choose(layers=frozenset({"cloud"}), cloud_colour="plain", cloud_points=200)
     still = len(driver.result.cloud_m)

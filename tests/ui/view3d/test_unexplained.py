@@ -1,19 +1,14 @@
 """Pressure without evidence of contact is hatched and named, wherever one looks at it."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
 from PySide6.QtCore import QPoint
-from window_driver import Drive, Driver, hover, in_view, texts
+from window_driver import hover, in_view, texts
 
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.result import Result
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
 
@@ -25,11 +20,11 @@ TOLD = "pressure without evidence of contact, not in the force"
 
 
 @pytest.fixture
-def driver(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driver]:
+def driver(drive, monkeypatch):
     """A window on a dent, where every estimate of contact has pressure on the other side."""
     process = Pipeline.process
 
-    def leaving_pressure(pipeline: Pipeline, *frame: Any, **options: Any) -> Result:
+    def leaving_pressure(pipeline, *frame, **options):
         result = process(pipeline, *frame, **options)
         estimate = result.estimate
         if estimate is None or estimate.status != "ok":
@@ -45,18 +40,18 @@ def driver(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driver]:
     made.let_go()
 
 
-def strokes(driver: Driver) -> np.ndarray:
+def strokes(driver):
     """Column and row of the pixels of the hatching, (k, 2)."""
     return np.argwhere(np.all(driver.pixels() == rgb(theme.UNTRUSTED), axis=2))[:, ::-1]
 
 
-def middle(driver: Driver) -> QPoint:
+def middle(driver):
     """Where the middle of that pressure is drawn."""
     nodes = driver.nodes()
     return in_view(driver, nodes[np.argmin(np.linalg.norm(nodes[:, :2] - ASIDE_M, axis=1))])
 
 
-def test_it_is_hatched_where_it_is_and_not_in_the_colours_of_contact(driver: Driver) -> None:
+def test_it_is_hatched_where_it_is_and_not_in_the_colours_of_contact(driver):
     drawn, place = strokes(driver), middle(driver).toTuple()
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     assert (low < place).all() and (place < high).all()
@@ -77,9 +72,7 @@ def test_it_is_hatched_where_it_is_and_not_in_the_colours_of_contact(driver: Dri
     assert not len(strokes(driver))
 
 
-def test_the_readout_says_what_it_means_and_who_points_there_reads_how_much_it_is(
-    driver: Driver,
-) -> None:
+def test_the_readout_says_what_it_means_and_who_points_there_reads_how_much_it_is(driver):
     says = lambda words: any(words in text for text in texts(driver))  # noqa: E731
     assert says(f"hatched: {TOLD}")
     assert TOLD in driver.window.layers.boxes["membrane"].toolTip()

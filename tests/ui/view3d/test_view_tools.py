@@ -1,9 +1,5 @@
 """The 3-D tools by clicks: what is looked at, measured, cut, exaggerated and saved."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
@@ -11,8 +7,6 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
 from window_driver import (
     CONTACT,
-    Drive,
-    Driver,
     drawn_points,
     hover,
     idle,
@@ -23,10 +17,9 @@ from window_driver import (
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.tools import still
-from bubbleviz_ui.view3d.view_tools_panel import ViewTools
 
 
-def opened(driver: Driver) -> ViewTools:
+def opened(driver):
     driver.window.resize(1280, 800)
     driver.show("tools")
     driver.window.panels["tools"].raise_()
@@ -36,7 +29,7 @@ def opened(driver: Driver) -> ViewTools:
     return driver.window.tools
 
 
-def test_views_look_along_the_axes_and_as_the_camera(drive: Drive) -> None:
+def test_views_look_along_the_axes_and_as_the_camera(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     for name, direction in {"top": (0, 0, -1), "side": (-1, 0, 0), "front": (0, 1, 0)}.items():
@@ -58,7 +51,7 @@ def test_views_look_along_the_axes_and_as_the_camera(drive: Drive) -> None:
     assert camera.view_angle == pytest.approx(30.0 / driver.state.choices.zoom)
 
 
-def test_distance_between_two_clicks(drive: Drive) -> None:
+def test_distance_between_two_clicks(drive):
     driver = drive(frame=3)
     tools = opened(driver)
     driver.window.scene.look("top")
@@ -83,12 +76,12 @@ def test_distance_between_two_clicks(drive: Drive) -> None:
     assert driver.count(GREEN)[0] == 0
 
 
-def hottest(driver: Driver) -> np.ndarray:
+def hottest(driver):
     """The node with the highest pressure."""
     return driver.nodes()[int(np.argmax(driver.result.estimate.contact_pressure_pa))]
 
 
-def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
+def test_a_picked_place_stays_and_follows_the_frames(drive):
     driver = drive(frame=CONTACT)
     tools, view, middle = opened(driver), driver.window.view, driver.window.view.rect().center()
     driver.click(tools.tools["probe"])
@@ -108,7 +101,7 @@ def test_a_picked_place_stays_and_follows_the_frames(drive: Drive) -> None:
     assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
 
 
-def test_places_and_distances_are_written_without_the_panel_until_escape(drive: Drive) -> None:
+def test_places_and_distances_are_written_without_the_panel_until_escape(drive):
     driver = drive(frame=CONTACT)
     view = driver.window.view
     driver.window.panels["tools"].hide()
@@ -116,7 +109,7 @@ def test_places_and_distances_are_written_without_the_panel_until_escape(drive: 
     driver.click(view, in_view(driver, hottest(driver)))
     found = driver.window.tools.picked.place
 
-    def written() -> list[str]:
+    def written():
         return [text for text in texts(driver) if f"node {found.node}" in text]
 
     assert found is not None and f"p_c {1e-3 * found.pressure_pa:.2f} kPa" in written()[0]
@@ -132,7 +125,7 @@ def test_places_and_distances_are_written_without_the_panel_until_escape(drive: 
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
     true_m = float(np.linalg.norm(ends[1] - ends[0]))
 
-    def measured(unit: str, true: float) -> bool:
+    def measured(unit, true):
         """Whether the length stands in the view, beside that of the scale bar."""
         found = [text.split() for text in texts(driver)]
         lengths = [float(words[0]) for words in found if words[1:] == [unit]]
@@ -148,7 +141,7 @@ def test_places_and_distances_are_written_without_the_panel_until_escape(drive: 
     assert not measured("m", true_m)
 
 
-def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
+def test_a_section_cuts_the_scene_open(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     driver.window.scene.look("top")
@@ -157,7 +150,7 @@ def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
     background = view.pixels()[5, 5]
     left, right = (in_view(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
 
-    def drawn(place: QPoint) -> bool:
+    def drawn(place):
         return bool(np.any(view.pixels()[place.y(), place.x()] != background))
 
     assert drawn(left) and drawn(right)
@@ -179,7 +172,7 @@ def test_a_section_cuts_the_scene_open(drive: Drive) -> None:
     assert driver.count(ORANGE)[0] == 0
 
 
-def test_what_is_cut_away_is_not_pointed_at(drive: Drive) -> None:
+def test_what_is_cut_away_is_not_pointed_at(drive):
     """Neither the membrane nor measured points, which stay where they are and are not drawn."""
     driver = drive(frame=CONTACT)
     tools = opened(driver)
@@ -199,7 +192,7 @@ def test_what_is_cut_away_is_not_pointed_at(drive: Drive) -> None:
         assert len({point[0] > 0.0 for point in there[:: len(there) // 6]}) == 2
 
 
-def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive) -> None:
+def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     estimate, mesh = driver.result.estimate, driver.pipeline.mesh
@@ -223,9 +216,7 @@ def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive: Drive)
     assert near(driver.pixels(), place, NODE)
 
 
-def test_vectors_are_as_long_as_the_pressure_is_high_and_maps_change_the_colours(
-    drive: Drive,
-) -> None:
+def test_vectors_are_as_long_as_the_pressure_is_high_and_maps_change_the_colours(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     assert len(driver.warm_pixels()) > 100
@@ -242,7 +233,7 @@ def test_vectors_are_as_long_as_the_pressure_is_high_and_maps_change_the_colours
     assert driver.count(ORANGE)[0] > 20
 
 
-def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
+def test_a_picture_of_any_size_is_saved(drive, tmp_path):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     before = driver.pixels()
@@ -264,7 +255,7 @@ def test_a_picture_of_any_size_is_saved(drive: Drive, tmp_path: Path) -> None:
     assert "cannot be written" in driver.said
 
 
-def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
+def test_what_the_mouse_points_at_is_in_no_picture(drive):
     driver = drive(frame=CONTACT)
     opened(driver)
     driver.state.choose_panel("images", True)  # the place is marked, too
@@ -283,7 +274,7 @@ def test_what_the_mouse_points_at_is_in_no_picture(drive: Drive) -> None:
     assert np.any(still(view, 640, 400) != before)  # what was asked for by a click stays
 
 
-def test_the_turntable_turns_until_it_is_told(drive: Drive) -> None:
+def test_the_turntable_turns_until_it_is_told(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     start = np.array(camera.position)
@@ -297,7 +288,7 @@ def test_the_turntable_turns_until_it_is_told(drive: Drive) -> None:
     assert tuple(camera.position) == stopped
 
 
-def test_docks_become_tabs_and_the_window_keeps_its_size(drive: Drive) -> None:
+def test_docks_become_tabs_and_the_window_keeps_its_size(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
     window.resize(1280, 800)
@@ -315,7 +306,7 @@ def test_docks_become_tabs_and_the_window_keeps_its_size(drive: Drive) -> None:
     assert [bar.tabText(0) for bar in shown] == ["Contact patch"]
 
 
-def test_no_text_of_the_tools_is_clipped(drive: Drive) -> None:
+def test_no_text_of_the_tools_is_clipped(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     tools.use_tool("probe")
