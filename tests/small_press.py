@@ -29,7 +29,7 @@ def small_source(sensor, heights=HEIGHTS, seed=0):
     """The presses as a source, with the truth behind them."""
     poses = [parse_pose(f"0.005 0 {height} 0 0 0 1") for height in heights]
     noise = DepthNoise(relative=0.002)
-    return SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, noise, seed=seed)  # type: ignore[arg-type]
+    return SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, noise, seed=seed)
 
 
 def write_press(path, sensor, heights=HEIGHTS, seed=0):

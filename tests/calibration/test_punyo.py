@@ -114,7 +114,6 @@ def test_preset_is_whole_and_small():
     mesh = build_mesh(sensor)
     assert np.degrees(mesh.angles.min()) > 25.0
     np.testing.assert_allclose(mesh.nodes[mesh.rim, 2], 0.0, atol=1e-9)
-    assert sensor.calibration is not None
     path = sensor.resolve(sensor.calibration.pixels_file)
     pixels = PixelModel.load(path)
     assert pixels.mask.shape == (480, 640)

@@ -100,8 +100,7 @@ def test_moving_camera(twin, kind):
         "little": np.linspace(-4.5e-4, 4.5e-4, 12),
     }[kind]
     refused(
-        replace(twin, depth=twin.depth[:12] + shift[:, None, None].astype(np.float32)),
-        "dome moves",
+        replace(twin, depth=twin.depth[:12] + shift[:, None, None].astype(np.float32)), "dome moves"
     )
 
 

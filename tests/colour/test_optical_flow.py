@@ -8,16 +8,7 @@ import pytest
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.shear import OpticalFlow
-from tests.colour.speckle import (
-    HEIGHT,
-    WIDTH,
-    at_rest,
-    camera,
-    clean_image,
-    dragged,
-    grid,
-    twisted,
-)
+from tests.colour.speckle import HEIGHT, WIDTH, at_rest, camera, clean_image, dragged, grid, twisted
 
 pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
 
@@ -119,7 +110,7 @@ def test_bad_input_is_said_in_one_sentence(rest, monkeypatch):
     with pytest.raises(InputError, match="sizes differ"):
         OpticalFlow.of([*rest, rest[0][1:]])
     with pytest.raises(InputError, match="use fast, balanced, fine"):
-        OpticalFlow.of(rest, "best")  # type: ignore[arg-type]
+        OpticalFlow.of(rest, "best")
     with pytest.raises(InputError, match="320×239 pixels, the contact-free ones have 320×240"):
         OpticalFlow.of(rest).measure(rest[0][1:])
     monkeypatch.setitem(sys.modules, "cv2", None)

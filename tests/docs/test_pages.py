@@ -150,7 +150,6 @@ def test_commands_that_open_the_window(command, folder, simulated):
     """What would stay open writes a picture and ends; measurements are cut short."""
     shutil.copytree(simulated, folder, dirs_exist_ok=True)
     ours = program_of(command)
-    assert ours is not None
     words = ["press.mcap" if word == "REC" else word for word in ours[1]]
     words = [SHORT.get(before, word) for before, word in zip(["", *words], words, strict=False)]
     if words[:1] == ["open"] and not {"--screenshot", "--session"} & {*words}:

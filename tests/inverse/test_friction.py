@@ -8,14 +8,7 @@ from bubbleviz.inverse import EstimatorOptions, friction_loads
 from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from tests.oracles.stuck_press import Motion
-from tests.rubber_renders import (
-    GAUGE_PA,
-    at_rest,
-    camera_of,
-    dome_sensor,
-    render,
-    rubber_truth,
-)
+from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
 from tests.shear.drag import Eyes, press, sensor, stuck
 
 PRODUCTS = frozenset({"estimate"})

@@ -62,10 +62,7 @@ def noise_rms(pipeline, sighting, frame):
 
 @pytest.mark.parametrize(
     ("objects", "nodes", "truth_nodes"),
-    [
-        (("sphere",), 700, 2_500),
-        pytest.param(GRID_OBJECTS, None, 12_500, marks=pytest.mark.long),
-    ],
+    [(("sphere",), 700, 2_500), pytest.param(GRID_OBJECTS, None, 12_500, marks=pytest.mark.long)],
 )
 def test_the_shipped_strength_is_neither_too_weak_nor_too_strong(objects, nodes, truth_nodes):
     sensor = with_nodes(load_sensor("pico_flexx_75mm"), nodes)

@@ -1,12 +1,7 @@
 """What tests do with messages: make frames of them, record, play and publish them."""
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.live import (
-    Recorder,
-    SessionOptions,
-    ZenohPublisher,
-    open_session,
-)
+from bubbleviz.live import Recorder, SessionOptions, ZenohPublisher, open_session
 
 
 def frames_of(assembler, *messages):

@@ -3,19 +3,7 @@
 import numpy as np
 import pytest
 from streams import frames_of, recorded
-from wire import (
-    NOW,
-    PERIOD,
-    PRESSURE,
-    SECOND,
-    WRENCH,
-    arrived,
-    depth,
-    gas,
-    grey,
-    pressure,
-    wrench,
-)
+from wire import NOW, PERIOD, PRESSURE, SECOND, WRENCH, arrived, depth, gas, grey, pressure, wrench
 
 from bubbleviz.live import FrameAssembler, RawMessage
 from bubbleviz.recordings import Recording

@@ -15,18 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
-from wire import (
-    HEIGHT,
-    IMAGE,
-    NOW,
-    PERIOD,
-    WIDTH,
-    camera_info,
-    depth,
-    gas,
-    image,
-    number_of,
-)
+from wire import HEIGHT, IMAGE, NOW, PERIOD, WIDTH, camera_info, depth, gas, image, number_of
 
 from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
@@ -57,8 +46,6 @@ def test_mcap_and_rosbags_read_every_message_with_its_schema(tmp_path, name):
     with file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
         assert summary.statistics.message_count == 151
         found = [m.data for s, _, m in reader.iter_messages() if s is not None and s.name == IMAGE]
         assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
@@ -201,7 +188,6 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path, name
     path = tmp_path / name
     code = STREAM.format(tests=str(Path(__file__).parent), path=str(path))
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     for _ in range(random.Random(seed).randint(250, 450)):  # more than a second
         process.stdout.readline()
     os.kill(process.pid, signal.SIGKILL)

@@ -49,7 +49,6 @@ def pipeline(small_sensor):
 def pressed(small_sensor, pipeline):
     frame = press(small_sensor)[22]
     result = pipeline.process(replace(frame, stamp_ns=1_790_000_000_123_456_789), PRODUCTS)
-    assert result.estimate is not None
     assert result.estimate.status == "ok"
     return result
 
@@ -226,8 +225,6 @@ def test_weather_is_not_contact(small_sensor):
             for _ in range(140):
                 source.send()
                 result = watcher.step(60.0)
-                assert result is not None
-                assert result.estimate is not None
                 if zero is None or zero.offset_pa is not None:
                     statuses.append(result.estimate.status)
         worst[zeroed] = {s: statuses.count(s) for s in set(statuses)}

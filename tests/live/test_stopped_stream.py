@@ -52,10 +52,7 @@ def test_estimating_a_stream_that_stops_ends_with_one_error(gaps, sensor):
 
 
 def test_frames_of_a_stream_and_poses_end_so_too(gaps, sensor):
-    for made in (
-        lambda stream: stream,
-        lambda stream: bv.track(stream, "cylinder", timeout_s=0.6),
-    ):
+    for made in (lambda stream: stream, lambda stream: bv.track(stream, "cylinder", timeout_s=0.6)):
         with (
             bv.connect(f"replay:{gaps}", sensor) as stream,
             pytest.raises(StreamStoppedError, match=r"no depth image for [01]\.\d s"),

@@ -12,9 +12,7 @@ STATIC = 1
 CLOCK_MS, PERIOD_MS = 1_234_567.25, 1e3 / 30.0
 """Of the camera, which counts from when it was switched on."""
 SENSOR = "/device_0/sensor_0"
-OWN_TYPES = {
-    "realsense_msgs/msg/StreamInfo": "uint32 fps\nstring encoding\nbool is_recommended\n",
-}
+OWN_TYPES = {"realsense_msgs/msg/StreamInfo": "uint32 fps\nstring encoding\nbool is_recommended\n"}
 
 
 def depth_units(k):

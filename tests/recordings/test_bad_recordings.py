@@ -193,7 +193,6 @@ def rewrite(path, **options):
         writer.start("ros2", "another recorder")
         channels: dict[str, int] = {}
         for schema, channel, message in messages:
-            assert schema is not None
             if channel.topic not in channels:
                 kind = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[channel.topic] = writer.register_channel(channel.topic, "cdr", kind)

@@ -55,12 +55,7 @@ def test_facts_of_a_recording(tmp_path):
     )
     assert facts.wrench
     counts = {topic.name: topic.count for topic in facts.topics}
-    assert counts == {
-        "/cam/depth/image": 8,
-        "/cam/depth/camera_info": 6,
-        "/gas": 7,
-        "/wrench": 6,
-    }
+    assert counts == {"/cam/depth/image": 8, "/cam/depth/camera_info": 6, "/gas": 7, "/wrench": 6}
 
 
 def test_json_and_text_say_the_same(press):

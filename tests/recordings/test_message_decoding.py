@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from bubbleviz.recordings import (
-    decode_depth,
-    decode_intrinsics,
-    has_returns,
-    header_stamp_ns,
-)
+from bubbleviz.recordings import decode_depth, decode_intrinsics, has_returns, header_stamp_ns
 
 
 def image(values, encoding, big, padding):
@@ -96,7 +91,6 @@ def camera_info(model, d, fx=400.0):
 )
 def test_distortion_models(model, d, expected, coefficients):
     camera = decode_intrinsics(camera_info(model, d))
-    assert camera is not None
     assert camera.distortion_model == expected
     assert camera.distortion == coefficients
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (400, 410, 320, 240)

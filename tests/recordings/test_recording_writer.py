@@ -72,7 +72,7 @@ def test_any_size(tmp_path, height, width, encoding):
     path = tmp_path / "rec.mcap"
     path.unlink(missing_ok=True)
     sent = frame(0, (height, width))
-    with RecordingWriter(path, encoding=encoding) as writer:  # type: ignore[arg-type]
+    with RecordingWriter(path, encoding=encoding) as writer:
         writer.write(sent)
     with Recording(path) as recording:
         tolerance = 0.0 if encoding == "32FC1" else 0.5001e-3

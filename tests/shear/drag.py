@@ -56,9 +56,7 @@ class Eyes:
 
     def traction(self, frame):
         """Traction of a frame."""
-        found = self.pipeline.process(frame, frozenset({"traction"})).traction
-        assert found is not None
-        return found
+        return self.pipeline.process(frame, frozenset({"traction"})).traction
 
     def rest(self):
         """The next frame, of the membrane at rest."""

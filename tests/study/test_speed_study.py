@@ -116,11 +116,7 @@ def test_growth_of_known_rows():
 
 def test_targets_of_known_rows(measured, tmp_path):
     fast = replace(measured, setup="default", total_ms=6.0, total_p95_ms=12.0)
-    rows = [
-        fast,
-        *rows_of("nodes", (1_000, 20_000), 1.5),
-        *rows_of("pixels", (38_304, 10**6), 0.5),
-    ]
+    rows = [fast, *rows_of("nodes", (1_000, 20_000), 1.5), *rows_of("pixels", (38_304, 10**6), 0.5)]
     assert [aim.met for aim in targets(rows)] == [True] * 4
     slower = [
         replace(fast, total_ms=9.5, total_p95_ms=17.0),

@@ -30,7 +30,7 @@ from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.text import beside_bars
 
 
-def test_shows_where_the_contact_is(drive):
+def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
     driver = drive(frame=CONTACT)
     warm = driver.warm_pixels()
     assert len(warm) > 200
@@ -44,6 +44,31 @@ def test_shows_where_the_contact_is(drive):
     assert np.hypot(column - x, (height - row) - y) < 80
     driver.seek(0)
     assert len(driver.warm_pixels()) == 0  # no contact is neutral
+    # κ thresholds anew without solving
+    driver.seek(CONTACT)
+    panel = driver.window.kappa
+    solved, area = driver.pipeline.counts["estimate"], panel.area.text()
+    driver.click(panel.automatic)
+    panel.slider.setFocus()
+    for _ in range(3):
+        driver.bot.keyClick(panel.slider, Qt.Key.Key_PageUp)
+    kappa = driver.state.choices.kappa
+    assert kappa == pytest.approx(panel.box.value())
+    driver.wait(lambda: panel.area.text() != area)
+    driver.wait(driver.thresholded)
+    patch = driver.result.patch
+    assert panel.threshold.text() == f"{patch.threshold_pa / 1e3:.2f} kPa"
+    assert driver.pipeline.counts["estimate"] == solved
+    # another solver starts anew at the same frame
+    panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
+    panel.solver.setFocus()
+    driver.bot.keyClicks(panel.solver, "fast")
+    assert driver.state.choices.solver == "fast"
+    driver.wait(lambda: driver.pipeline.options.relinearisations == 1)
+    driver.wait(lambda: driver.result is not None)
+    assert driver.state.frame == CONTACT
+    assert len(driver.pipeline.mesh.nodes) != nodes
+    assert driver.result.patch.area_m2 > 0.0
 
 
 class Outlier(DentSource):
@@ -99,40 +124,9 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
         driver.settle()
         assert np.any(driver.pixels() != empty), name
         driver.state.choose(layers=frozenset())
-
-
-def test_kappa_thresholds_anew_without_solving(drive):
-    driver = drive(frame=CONTACT)
-    panel = driver.window.kappa
-    solved, area = driver.pipeline.counts["estimate"], panel.area.text()
-    driver.click(panel.automatic)
-    panel.slider.setFocus()
-    for _ in range(3):
-        driver.bot.keyClick(panel.slider, Qt.Key.Key_PageUp)
-    kappa = driver.state.choices.kappa
-    assert kappa == pytest.approx(panel.box.value())
-    driver.wait(lambda: panel.area.text() != area)
-    driver.wait(driver.thresholded)
-    patch = driver.result.patch
-    assert panel.threshold.text() == f"{patch.threshold_pa / 1e3:.2f} kPa"
-    assert driver.pipeline.counts["estimate"] == solved
-
-
-def test_another_solver_starts_anew_at_the_same_frame(drive):
-    driver = drive(frame=CONTACT)
-    panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
-    panel.solver.setFocus()
-    driver.bot.keyClicks(panel.solver, "fast")
-    assert driver.state.choices.solver == "fast"
-    driver.wait(lambda: driver.pipeline.options.relinearisations == 1)
-    driver.wait(lambda: driver.result is not None)
-    assert driver.state.frame == CONTACT
-    assert len(driver.pipeline.mesh.nodes) != nodes
-    assert driver.result.patch.area_m2 > 0.0
-
-
-def test_points_of_the_patch_follow_kappa_and_have_their_own_colour(drive):
-    driver = drive(frame=CONTACT)
+    # points of the patch follow κ and have their own colour
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    driver.seek(CONTACT)
     driver.state.choose(cloud_colour="patch")
     result = lambda: driver.result  # noqa: E731
     driver.wait(lambda: result().patch.pixel_mask is not None)
@@ -150,7 +144,7 @@ def test_points_of_the_patch_follow_kappa_and_have_their_own_colour(drive):
     assert not np.all(driver.pixels() == patch_colour, axis=2).any()
 
 
-def test_keys_play_step_and_jump(drive):
+def test_keys_play_step_and_jump_and_about_says_what_runs(drive):
     driver = drive()
     last = driver.state.facts.frames - 1
     driver.key(Qt.Key.Key_Right)
@@ -171,23 +165,48 @@ def test_keys_play_step_and_jump(drive):
     box.setFocus()  # as by Tab
     driver.bot.keyClick(box, Qt.Key.Key_Space)
     assert box.isChecked() and not driver.state.playing
+    driver.act("Help › About bubbleviz")
+    (about,) = driver.window.findChildren(QMessageBox)
+    assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
+    assert driver.window.view.quality.text in about.informativeText()
+    about.accept()
 
 
-def test_every_number_has_a_unit_and_is_not_clipped(drive):
+def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
     driver = drive(frame=CONTACT)
     driver.window.show_rates()
     labels = driver.window.status.labels
     for name, unit in {
         "frame": "s", "force": "N", "area": "mm²", "gas": "Pa", "residual": "mm",
-        "camera": "Hz", "solve": "Hz", "render": "fps", "dropped": "frames",
+        "camera": "Hz", "solve": "Hz", "render": "fps",
     }.items():  # fmt: skip
         assert labels[name].text().endswith(f" {unit}"), labels[name].text()
-    assert " ms " in labels["solve"].text()
+    assert " ms " in labels["solve"].text() and " frame" in labels["dropped"].text()
     driver.window.resize(1280, 800)
     QApplication.processEvents()
     assert driver.window.width() == 1280
     for label in labels.values():
         assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
+    # every control has a tooltip, and labels say what they mean
+    silent = []
+    for name, panel in driver.window.panels.items():
+        for widget in panel.findChildren(QWidget):
+            own = not widget.objectName().startswith("qt_") and not isinstance(widget, QScrollBar)
+            if isinstance(widget, CONTROLS) and own and not widget.toolTip():
+                text = widget.text() if isinstance(widget, QAbstractButton) else ""
+                silent.append((name, type(widget).__name__, text))
+    assert not silent
+    texts = said(driver.window) | set(STAGES.values())
+    assert texts >= {
+        "Colour points by", "Maximum pressure", "Maximum residual ±", "Rotate", "Probe",
+        "Turntable", "Remove", "Remove parts below", "Pressure prior", "Ray-cast passes",
+        "Pixel binning", "Gas pressure change p_v",
+    }  # fmt: skip
+    assert driver.window.status.labels["gas"].text().startswith("p_v ")
+    bare = re.compile(r"(?<!section )\b(V-C|VI)\b|^\W*Eq\.")
+    assert not [text for text in texts if bare.search(text)]
+    for name in ("force", "area", "gas", "residual"):
+        assert "Eq." in TIPS[name] or "V-C" in TIPS[name]
 
 
 def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
@@ -211,7 +230,7 @@ def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
     assert first.closed
 
 
-def test_a_file_that_cannot_be_opened_is_a_message(drive, tmp_path):
+def test_a_file_that_cannot_be_opened_is_a_message_until_another_opens(drive, tmp_path, press):
     driver = drive(frame=CONTACT)
     title, message = driver.window.windowTitle(), driver.window.message
     (tmp_path / "broken.mcap").write_bytes(b"not a recording")
@@ -232,10 +251,8 @@ def test_a_file_that_cannot_be_opened_is_a_message(drive, tmp_path):
     driver.opens("buggy", lambda _: int("no"), driver.window.controller.sensor)
     driver.told("ValueError: ")
     driver.seek(CONTACT)
-
-
-def test_errors_of_opening_do_not_outlive_what_is_opened(drive, press, tmp_path):
-    driver, cut = drive(frame=CONTACT), tmp_path / "cut.mcap"
+    # errors of opening do not outlive what is opened
+    cut = tmp_path / "cut.mcap"
     record(cut, (press[k] for k in range(5)))
     os.truncate(cut, cut.stat().st_size - 20)
     message = driver.window.message
@@ -261,7 +278,7 @@ def test_a_bug_in_the_solver_is_a_message_with_details(drive):
     def broken(*_):
         raise ZeroDivisionError("a bug")
 
-    driver.pipeline.process = broken  # type: ignore[method-assign]
+    driver.pipeline.process = broken
     driver.state.seek(1)
     driver.wait(driver.window.message.isVisible)
     driver.click(driver.window.message.copy)
@@ -293,15 +310,6 @@ def test_play_button_plays_and_pauses_and_the_numbers_follow(drive):
     window.close()  # stops everything
 
 
-def test_about_says_what_runs(drive):
-    driver = drive()
-    driver.act("Help › About bubbleviz")
-    (about,) = driver.window.findChildren(QMessageBox)
-    assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
-    assert driver.window.view.quality.text in about.informativeText()
-    about.accept()
-
-
 def test_a_small_screen_holds_the_window_and_the_force(drive):
     driver = drive(DentSource, frame=6)
     labels = driver.window.status.labels
@@ -315,18 +323,7 @@ def test_a_small_screen_holds_the_window_and_the_force(drive):
         assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
     driver.window.resize(1500, 800)
     driver.wait(lambda: labels["dropped"].isVisible())
-
-
-def right_end(driver, text):
-    """Where a text of the 3-D view ends, pixels."""
-    box, renderer = [0.0] * 4, driver.window.view.renderer
-    text.GetBoundingBox(renderer, box)
-    return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]
-
-
-def test_a_large_scale_on_a_small_screen_holds_the_window(drive):
-    """As 1024×700 at 150 %, less the frame."""
-    driver = drive(DentSource, frame=6)
+    # as 1024×700 at 150 %, less the frame
     window = driver.window
     window.resize(850, 427)
     driver.wait(lambda: window.minimumSize().width() <= 675)
@@ -343,6 +340,13 @@ def test_a_large_scale_on_a_small_screen_holds_the_window(drive):
     driver.wait(lambda: window.playback.width() < window.width() - 200)
 
 
+def right_end(driver, text):
+    """Where a text of the 3-D view ends, pixels."""
+    box, renderer = [0.0] * 4, driver.window.view.renderer
+    text.GetBoundingBox(renderer, box)
+    return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]
+
+
 CONTROLS = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox)
 
 
@@ -351,26 +355,3 @@ def said(window):
     shown = [*window.findChildren(QLabel), *window.findChildren(QAbstractButton)]
     texts = {each.text() for each in [*shown, *window.findChildren(QAction)]}
     return texts | {widget.toolTip() for widget in window.findChildren(QWidget)}
-
-
-def test_every_control_has_a_tooltip_and_labels_say_what_they_mean(drive):
-    driver = drive(frame=3)
-    silent = []
-    for name, panel in driver.window.panels.items():
-        for widget in panel.findChildren(QWidget):
-            own = not widget.objectName().startswith("qt_") and not isinstance(widget, QScrollBar)
-            if isinstance(widget, CONTROLS) and own and not widget.toolTip():
-                text = widget.text() if isinstance(widget, QAbstractButton) else ""
-                silent.append((name, type(widget).__name__, text))
-    assert not silent
-    texts = said(driver.window) | set(STAGES.values())
-    assert texts >= {
-        "Colour points by", "Maximum pressure", "Maximum residual ±", "Rotate", "Probe",
-        "Turntable", "Remove", "Remove parts below", "Pressure prior", "Ray-cast passes",
-        "Pixel binning", "Gas pressure change p_v",
-    }  # fmt: skip
-    assert driver.window.status.labels["gas"].text().startswith("p_v ")
-    bare = re.compile(r"(?<!section )\b(V-C|VI)\b|^\W*Eq\.")
-    assert not [text for text in texts if bare.search(text)]
-    for name in ("force", "area", "gas", "residual"):
-        assert "Eq." in TIPS[name] or "V-C" in TIPS[name]

@@ -138,32 +138,6 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     assert bench.answer is replaced and "Out of date" not in panel.verdict.text()
 
 
-def test_thresholds_move_the_mask_alone_and_a_drag_is_undone_at_once(bench):
-    bench.identify()
-    panel, page, before = bench.panel, bench.panel.pixels, bench.draft
-    bench.step(1)
-    assert " effective frames of " in page.numbers.text("frames")
-    assert page.view.image.sum() == before.pixels.mask.sum()
-    page.deviations.box.setValue(1.0)
-    bench.done()
-    after, used = bench.draft, bench.draft.pixels.mask.sum()
-    assert used < before.pixels.mask.sum() and page.view.image.sum() == used
-    assert page.numbers.text("used") == f"{used} of {after.pixels.mask.size} pixels"
-    assert after.surfaces is before.surfaces and after.tension is before.tension
-    page.validity.box.setValue(100.0)
-    bench.done()
-    assert panel.calibration.settings.min_validity == pytest.approx(1.0)
-    slider, settings = page.deviations.slider, panel.calibration.settings
-    slider.setSliderDown(True)
-    for place in (25, 20, 15):
-        slider.setSliderPosition(place)
-    slider.setSliderDown(False)
-    bench.done()
-    assert panel.calibration.settings.deviations == pytest.approx(1.5)
-    bench.undo()
-    assert panel.calibration.settings == settings
-
-
 def test_cancel_leaves_everything_as_it_was(drive):
     bench = Bench(drive(lambda sensor: RestingSource(sensor, slow_s=0.02)))
     panel = bench.panel
@@ -206,7 +180,7 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
 
 
-def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(bench, tmp_path, monkeypatch):
+def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_path, monkeypatch):
     bench.identify()
     panel, report, out = bench.panel, bench.panel.report, tmp_path / "mine.toml"
     bench.step(len(panel.pages) - 1)
@@ -250,6 +224,29 @@ def test_the_report_compares_with_the_sensor_in_use_and_is_saved_once(bench, tmp
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
     bench.click(panel.back)
     assert panel.next.isVisible() and not report.save_as.isVisible()
+    # thresholds move the mask alone, and a drag is undone at once
+    page, before = bench.panel.pixels, bench.draft
+    bench.step(1)
+    assert " effective frames of " in page.numbers.text("frames")
+    assert page.view.image.sum() == before.pixels.mask.sum()
+    page.deviations.box.setValue(1.0)
+    bench.done()
+    after, used = bench.draft, bench.draft.pixels.mask.sum()
+    assert used < before.pixels.mask.sum() and page.view.image.sum() == used
+    assert page.numbers.text("used") == f"{used} of {after.pixels.mask.size} pixels"
+    assert after.surfaces is before.surfaces and after.tension is before.tension
+    page.validity.box.setValue(100.0)
+    bench.done()
+    assert panel.calibration.settings.min_validity == pytest.approx(1.0)
+    slider, settings = page.deviations.slider, panel.calibration.settings
+    slider.setSliderDown(True)
+    for place in (25, 20, 15):
+        slider.setSliderPosition(place)
+    slider.setSliderDown(False)
+    bench.done()
+    assert panel.calibration.settings.deviations == pytest.approx(1.5)
+    bench.undo()
+    assert panel.calibration.settings == settings
 
 
 def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive):

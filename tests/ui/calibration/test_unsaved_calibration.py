@@ -9,7 +9,6 @@ from PySide6.QtCore import Qt
 from resting import never_written
 from window_driver import CTRL
 
-from bubbleviz.calibration import report as save_identification
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.engine.solver_server import recording
@@ -82,7 +81,7 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     refused("Cancel", None)
     refused("Save…", None)
     with monkeypatch.context() as slowly, cancelling(bench):
-        slowly.setattr(save_identification, "save", never_written)
+        slowly.setattr("bubbleviz.calibration.save", never_written)
         refused("Save…", out)
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
     answered(bench, other, "Save…")

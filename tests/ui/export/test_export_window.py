@@ -59,7 +59,7 @@ def bench(drive, monkeypatch):
     made.let_go()
 
 
-def test_a_table_of_the_range_on_the_timeline(bench, tmp_path):
+def test_a_table_of_the_range_on_the_timeline_with_poses_that_were_found(bench, tmp_path):
     state = bench.state
     state.choose_range((3, 8))
     state.choose(kappa=2.0)
@@ -85,9 +85,7 @@ def test_a_table_of_the_range_on_the_timeline(bench, tmp_path):
     bench.dialog.step.setValue(1)
     bench.export("Table", tmp_path / "all.csv")
     assert len((tmp_path / "all.csv").read_text().splitlines()) == FRAMES + 1
-
-
-def test_poses_that_were_found_are_in_the_table(bench, tmp_path):
+    # poses that were found are in it
     window = bench.window
     window.pose.session.choose("cylinder")
     bench.wait(lambda: window.pose.session.obj is not None)
@@ -137,7 +135,7 @@ def pictures(path):
     return [np.frombuffer(p, np.uint8).reshape(height, width, 3) for p in reader]
 
 
-def test_a_video_of_the_view_shows_each_frame_of_the_range(bench, tmp_path):
+def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, monkeypatch):
     driver = bench
     driver.state.choose(picture_size=(480, 360), speed=0.5)
     driver.state.choose_range((2, 10))
@@ -152,10 +150,8 @@ def test_a_video_of_the_view_shows_each_frame_of_the_range(bench, tmp_path):
     assert len(warm(shown[0])) < 20 < len(warm(shown[-1]))  # the dent comes with frame 4
     driver.settle()
     assert driver.result.frame.index == 6
-
-
-def test_a_video_says_which_frame_it_shows_unless_told_not_to(bench, monkeypatch, tmp_path):
-    driver, drawn = bench, list[list[str]]()
+    # each says which frame it shows, unless told not to
+    drawn = []
 
     def watched(*args):
         drawn.append([text for text in texts(driver) if text.startswith("frame")])

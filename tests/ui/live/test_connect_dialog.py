@@ -48,30 +48,6 @@ def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench):
     assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
 
 
-def test_the_dialog_takes_a_sensor_file_or_finds_the_preset_that_fits(open_bench, monkeypatch):
-    bench = open_bench()
-    path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
-    monkeypatch.setattr("bubbleviz.recordings.sensor_matching.preset_names", lambda _: [file])
-    dialog = ConnectDialog(bench.window, bench.live_controller, None)
-    choose_kind(dialog, REPLAY)
-    dialog.place.setEditText(str(path))
-    dialog.sensor.setCurrentIndex(dialog.sensor.findText("pico_flexx_75mm"))
-    dialog.accept()
-    bench.wait(bench.window.message.isVisible)
-    assert bench.said.endswith(
-        "images are 64×48 pixels but the camera of sensor pico_flexx_75mm has 224×171; choose the "
-        "sensor file of this camera"
-    )
-    assert bench.live_controller.run is None and bench.live_controller.connection is None
-    dialog.browse_sensor.click()
-    assert dialog.sensor.currentText() == file
-    dialog.sensor.setCurrentIndex(dialog.sensor.findText("automatic", Qt.MatchFlag.MatchStartsWith))
-    dialog.accept()
-    bench.wait(lambda: bench.live_controller.run is not None)
-    assert bench.run.preset.sensors[0].sensor == file
-
-
 def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(open_bench, certificates):
     bench = open_bench()
     ca, other, cert, key = (
@@ -93,9 +69,7 @@ def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(open_bench, 
             bench.window.live.leave.click()
 
 
-def test_the_source_of_each_kind_is_written_and_what_is_missing_said(
-    open_bench, tmp_path, monkeypatch
-):
+def test_the_source_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatch):
     bench = open_bench()
     bench.window.show_connect()
     dialog = bench.window.findChild(ConnectDialog)
@@ -120,3 +94,24 @@ def test_the_source_of_each_kind_is_written_and_what_is_missing_said(
     assert not dialog.folder.isVisible()
     dialog.reject()
     assert bench.live_controller.connection is None
+    # it takes a sensor file or finds the preset that fits
+    path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
+    monkeypatch.setattr("bubbleviz.recordings.sensor_matching.preset_names", lambda _: [file])
+    dialog = ConnectDialog(bench.window, bench.live_controller, None)
+    choose_kind(dialog, REPLAY)
+    dialog.place.setEditText(str(path))
+    dialog.sensor.setCurrentIndex(dialog.sensor.findText("pico_flexx_75mm"))
+    dialog.accept()
+    bench.wait(bench.window.message.isVisible)
+    assert bench.said.endswith(
+        "images are 64×48 pixels but the camera of sensor pico_flexx_75mm has 224×171; choose the "
+        "sensor file of this camera"
+    )
+    assert bench.live_controller.run is None and bench.live_controller.connection is None
+    dialog.browse_sensor.click()
+    assert dialog.sensor.currentText() == file
+    dialog.sensor.setCurrentIndex(dialog.sensor.findText("automatic", Qt.MatchFlag.MatchStartsWith))
+    dialog.accept()
+    bench.wait(lambda: bench.live_controller.run is not None)
+    assert bench.run.preset.sensors[0].sensor == file

@@ -75,7 +75,7 @@ def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(open_b
     assert len(contents(path)[IMAGE]) > 1
 
 
-def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench):
+def test_a_full_disk_is_said_and_results_go_out_only_when_asked_for(open_bench):
     live = connected(open_bench)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     former = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -93,10 +93,8 @@ def test_a_full_disk_is_said_and_what_was_recorded_stays(open_bench):
     assert 0 < path.stat().st_size <= 600_000
     with Recording(path) as recording:
         assert len(recording) > 5
-
-
-def test_results_go_out_only_when_asked_for(open_bench):
-    live, port = connected(open_bench), free_port()
+    # results go out only when asked for
+    port = free_port()
 
     def listens():
         with socket.socket() as client:

@@ -66,8 +66,21 @@ def of_the_other(bench):
     return int(np.count_nonzero(away < 12))
 
 
-def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(open_bench):
+def test_both_are_solved_drawn_where_they_are_and_whole_in_a_low_view(open_bench):
     bench = paired(open_bench)
+    bench.window.resize(1400, 640)
+    bench.window.use_scene(load_scene("review"))
+    bench.state.choose(layers=frozenset({"rim", "membrane"}))
+    bench.follow(2)
+    bench.painted_anew()
+    view = bench.window.view
+    assert view.width() > 2 * view.height()
+    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
+    angle, radius = np.linspace(0.0, 2.0 * np.pi, 60), robot_sensor().membrane.rim_radius_m
+    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.12)], axis=1)
+    for points in (own, rim):
+        assert np.abs(view.projected(points)[:, 1]).max() < 1.0
+    # solved in threads of their own and drawn where they are
     assert sum(t.name == "solver" for t in threading.enumerate()) == 2
     before = other(bench)
     bench.follow(5)
@@ -88,24 +101,35 @@ def test_both_are_solved_in_threads_of_their_own_and_drawn_where_they_are(open_b
     assert of_the_other(bench) == 0
 
 
-def test_both_are_whole_in_a_low_view(open_bench):
+@pytest.mark.long
+def test_time_is_shared(open_bench):
     bench = paired(open_bench)
-    bench.window.resize(1400, 640)
-    bench.window.use_scene(load_scene("review"))
-    bench.state.choose(layers=frozenset({"rim", "membrane"}))
-    bench.follow(2)
-    bench.painted_anew()
-    view = bench.window.view
-    assert view.width() > 2 * view.height()
-    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
-    angle, radius = np.linspace(0.0, 2.0 * np.pi, 60), robot_sensor().membrane.rim_radius_m
-    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.12)], axis=1)
-    for points in (own, rim):
-        assert np.abs(view.projected(points)[:, 1]).max() < 1.0
+    bench.follow(8)
+    bench.state.seek(bench.state.frame - 5)
+    bench.wait(lambda: bench.shown == bench.state.frame)
+    now = bench.state.facts.times_s[bench.state.frame]
+    frames = bench.run.frames[1]
+    bench.wait(lambda: other(bench) == frames.at(now))
+    shown, newest = other(bench), len(frames)
+    bench.messages_come(8, sensor=1)
+    assert other(bench) == shown and len(frames) <= newest + 1
+    bench.state.freeze(False)
+    bench.wait(lambda: other(bench) > newest + 2)
 
 
-def test_the_panels_turn_to_the_other_sensor_and_back(open_bench):
+def test_both_stop_at_one_moment_and_the_panels_turn_to_the_other_and_back(open_bench):
+    """Whatever was asked for before and comes after."""
     bench = paired(open_bench)
+    frames = bench.run.frames[1]
+    for _ in range(3):
+        bench.follow(3)
+        bench.state.set_playing(False)
+        bench.messages_come(3, sensor=1)
+        bench.wait(lambda: bench.shown == bench.state.frame and bench.window.controller.settled)
+        now = bench.state.facts.times_s[bench.state.frame]
+        bench.wait(lambda now=now: other(bench) == frames.at(now))
+        bench.state.set_playing(True)
+    # the panels turn to the other sensor and back
     bench.follow(5)
     first, worker = bench.state.history, bench.window.controller.worker
     known = len(first)
@@ -129,36 +153,6 @@ def test_the_panels_turn_to_the_other_sensor_and_back(open_bench):
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
     assert sum(t.name == "solver" for t in threading.enumerate()) == 2
-
-
-@pytest.mark.long
-def test_time_is_shared(open_bench):
-    bench = paired(open_bench)
-    bench.follow(8)
-    bench.state.seek(bench.state.frame - 5)
-    bench.wait(lambda: bench.shown == bench.state.frame)
-    now = bench.state.facts.times_s[bench.state.frame]
-    frames = bench.run.frames[1]
-    bench.wait(lambda: other(bench) == frames.at(now))
-    shown, newest = other(bench), len(frames)
-    bench.messages_come(8, sensor=1)
-    assert other(bench) == shown and len(frames) <= newest + 1
-    bench.state.freeze(False)
-    bench.wait(lambda: other(bench) > newest + 2)
-
-
-def test_both_stop_at_one_moment(open_bench):
-    """Whatever was asked for before and comes after."""
-    bench = paired(open_bench)
-    frames = bench.run.frames[1]
-    for _ in range(3):
-        bench.follow(3)
-        bench.state.set_playing(False)
-        bench.messages_come(3, sensor=1)
-        bench.wait(lambda: bench.shown == bench.state.frame and bench.window.controller.settled)
-        now = bench.state.facts.times_s[bench.state.frame]
-        bench.wait(lambda now=now: other(bench) == frames.at(now))
-        bench.state.set_playing(True)
 
 
 @pytest.mark.long

@@ -8,9 +8,7 @@ from PySide6.QtWidgets import QApplication
 from bubbleviz.pipeline import stages
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import STAGES, products, who_asks
-from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.panels.status_bar import NOBODY, CostsPopup
-from bubbleviz_ui.view3d.scene import CLASSES
 
 
 def rows(popup):
@@ -47,10 +45,6 @@ def test_what_runs_is_what_somebody_asks_for(changes, wanted):
         less = {"layers": choices.layers - {name}, "panels": choices.panels - {name}}
         without = stages(products(replace(choices, **less)))
         assert not without & {stage for stage, names in asked.items() if names == [name]}
-
-
-def test_a_layer_is_asked_for_by_its_name_in_the_registry():
-    assert [made.name for made in CLASSES] == list(LAYERS)
 
 
 def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive):

@@ -50,10 +50,6 @@ def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive):
         driver.seek(8)
         ran = set((driver.pipeline.counts - before).elements()) - {"total"}
         assert ran == RUNS[name], name
-
-
-def test_a_scene_has_its_point_of_view_keeps_kappa_and_speed_and_starts_with_what_it_needs(drive):
-    driver = drive(DentSource, frame=6)
     before = tuple(driver.window.view.camera.position)
     driver.window.use_scene(load_scene("cloud"))
     assert tuple(driver.window.view.camera.position) != pytest.approx(before)

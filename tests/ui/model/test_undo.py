@@ -210,30 +210,7 @@ def test_every_control_shows_what_undo_brings_back(drive):
         assert settled() == before, name
 
 
-def test_keys_range_and_markers_are_undone(drive):
-    driver = drive(frame=3)
-    shortcuts = driver.window.shortcuts
-    shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
-    shortcuts.reset_all()
-    driver.undo()
-    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
-    driver.undo()
-    assert shortcuts.keys("View › Reset view") == "R"
-    driver.redo()
-    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
-
-    driver.state.toggle_marker(3)
-    driver.state.choose_range((2, 9))
-    driver.undo()
-    assert driver.state.play_range is None and driver.state.markers == (3,)
-    driver.undo()
-    assert driver.state.markers == ()
-    driver.redo()
-    driver.redo()
-    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
-
-
-def test_an_object_dropped_on_the_window_is_one_step(drive, tmp_path):
+def test_a_dropped_object_and_compared_settings_are_undone(drive, tmp_path, monkeypatch):
     driver = drive(frame=6)
     driver.window.use_scene(load_scene("calibrate"))
     driver.settle()
@@ -254,10 +231,7 @@ def test_an_object_dropped_on_the_window_is_one_step(drive, tmp_path):
     assert driver.window.panels["pose"].isHidden()
     driver.redo()
     driver.wait(lambda: driver.window.pose.session.obj is not None)
-
-
-def test_compared_settings_are_undone_in_their_boxes(drive, monkeypatch):
-    driver = drive(frame=6)
+    # compared settings are undone in their boxes
     driver.show("compare")
     panel = driver.window.compare
     driver.type(panel.b.nodes, "300")
@@ -283,7 +257,7 @@ def test_compared_settings_are_undone_in_their_boxes(drive, monkeypatch):
     assert column.nodes.value() == 0
 
 
-def test_boxes_of_the_calibration_are_undone(drive):
+def test_boxes_of_the_calibration_keys_range_and_markers_are_undone(drive):
     driver = drive()
     window, frames = driver.window, driver.window.gamma0.frames.collect
     picture, stack = window.gamma0.pixels.picture, window.undo_stack
@@ -300,3 +274,23 @@ def test_boxes_of_the_calibration_are_undone(drive):
     for _ in range(3):
         stack.redo()
     assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
+    driver.seek(3)
+    shortcuts = driver.window.shortcuts
+    shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
+    shortcuts.reset_all()
+    driver.undo()
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+    driver.undo()
+    assert shortcuts.keys("View › Reset view") == "R"
+    driver.redo()
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+
+    driver.state.toggle_marker(3)
+    driver.state.choose_range((2, 9))
+    driver.undo()
+    assert driver.state.play_range is None and driver.state.markers == (3,)
+    driver.undo()
+    assert driver.state.markers == ()
+    driver.redo()
+    driver.redo()
+    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)

@@ -8,7 +8,6 @@ from PySide6.QtWidgets import QApplication, QMenu
 from window_driver import CONTACT, clipped, texts
 
 from bubbleviz_ui.model.units import SYSTEMS, Units
-from bubbleviz_ui.view3d.colours import rounded_up
 
 
 @pytest.mark.parametrize(
@@ -34,13 +33,6 @@ from bubbleviz_ui.view3d.colours import rounded_up
 )
 def test_text(text, expected):
     assert text == expected
-
-
-@pytest.mark.parametrize(
-    ("value", "end"), [(0.9, 1.0), (1.0, 1.0), (1.01, 1.5), (8.1, 10.0), (646.0, 800.0)]
-)
-def test_scales_end_at_round_numbers(value, end):
-    assert rounded_up(value) == pytest.approx(end)
 
 
 @pytest.mark.parametrize(

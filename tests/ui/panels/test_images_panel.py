@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtWidgets import QApplication
-from window_driver import (
-    CONTACT,
-    canvas,
-    clipped,
-    hover,
-    idle,
-    in_view,
-    near,
-    texts,
-)
+from window_driver import CONTACT, canvas, clipped, hover, idle, in_view, near, texts
 
 from bubbleviz_ui.engine import sensor_client
 from bubbleviz_ui.panels.images_panel import best_columns
@@ -49,8 +40,34 @@ def pointed_at(driver, place):
     driver.wait(lambda: (driver.window.hover.place is None) == (place == AWAY))
 
 
-def test_a_pixel_lights_up_its_point_and_its_node(drive):
+def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     driver = drive(frame=CONTACT)
+    result, nodes, pipeline = driver.result, driver.nodes(), driver.pipeline
+    pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
+    node = int(pressure.argmax())
+    assert "images" not in driver.state.choices.panels
+    pointed_at(driver, in_view(driver, nodes[node]))
+    found = driver.window.hover.place
+    assert np.linalg.norm(found.node_m - nodes[node]) < pipeline.mesh.edge_length
+    row, column = found.pixel
+    seen = result.cloud_pixels == row * result.frame.depth_m.shape[1] + column
+    (residual,) = result.cloud_residual_m[seen]
+    shown = f" p_c {1e-3 * pressure[found.node]:.2f} kPa \n u {1e3 * moved[found.node]:.2f} mm \n"
+    shown += f" residual {1e3 * residual:.3f} mm \n node {found.node} "
+    assert shown in texts(driver)
+    driver.settle()
+    assert not near(driver.pixels(), in_view(driver, found.node_m), NODE)
+    pointed_at(driver, AWAY)
+    assert shown not in texts(driver)
+
+    panel = opened(driver, "depth")
+    pointed_at(driver, in_view(driver, nodes[node]))
+    column, row = (float(c[0]) for c in panel.cells["depth"].pixel.getData())
+    T = pipeline.camera.T_B_C
+    u, v = pipeline.camera.intrinsics.project((nodes[node] - T[:3, 3]) @ T[:3, :3])
+    assert math.hypot(column - 0.5 - u, row - 0.5 - v) < 3
+    pointed_at(driver, AWAY)
+    # a pixel lights up its point and its node
     panel, result = opened(driver, "depth", "change"), driver.result
     row, column = 24, 44
     before = driver.pixels()
@@ -81,35 +98,43 @@ def test_a_pixel_lights_up_its_point_and_its_node(drive):
     driver.settle()
     assert driver.window.hover.place is None
     assert not near(driver.pixels(), place, NODE)
-
-
-def test_a_place_in_3d_is_told_there_and_marked_in_the_images(drive):
-    driver = drive(frame=CONTACT)
-    result, nodes, pipeline = driver.result, driver.nodes(), driver.pipeline
-    pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
-    node = int(pressure.argmax())
-    assert "images" not in driver.state.choices.panels
-    pointed_at(driver, in_view(driver, nodes[node]))
-    found = driver.window.hover.place
-    assert np.linalg.norm(found.node_m - nodes[node]) < pipeline.mesh.edge_length
-    row, column = found.pixel
-    seen = result.cloud_pixels == row * result.frame.depth_m.shape[1] + column
-    (residual,) = result.cloud_residual_m[seen]
-    shown = f" p_c {1e-3 * pressure[found.node]:.2f} kPa \n u {1e3 * moved[found.node]:.2f} mm \n"
-    shown += f" residual {1e3 * residual:.3f} mm \n node {found.node} "
-    assert shown in texts(driver)
-    driver.settle()
-    assert not near(driver.pixels(), in_view(driver, found.node_m), NODE)
-    pointed_at(driver, AWAY)
-    assert shown not in texts(driver)
-
-    panel = opened(driver, "depth")
-    pointed_at(driver, in_view(driver, nodes[node]))
-    column, row = (float(c[0]) for c in panel.cells["depth"].pixel.getData())
-    T = pipeline.camera.T_B_C
-    u, v = pipeline.camera.intrinsics.project((nodes[node] - T[:3, 3]) @ T[:3, :3])
-    assert math.hypot(column - 0.5 - u, row - 0.5 - v) < 3
-    pointed_at(driver, AWAY)
+    # images show the press and leave out what is missing
+    driver.seek(CONTACT)
+    panel = opened(driver, *driver.window.images.boxes)
+    images, result = driver.inspection.images, driver.result
+    inside = result.patch.pixel_mask
+    assert inside is not None and images["change"][inside].max() < -2e-3
+    assert abs(np.nanmedian(images["change"][~inside])) < 1e-3
+    sigma = driver.window.controller.sensor.camera.noise_relative * 0.15
+    assert np.nanmedian(images["noise"]) == pytest.approx(sigma, rel=0.3)
+    assert np.nanstd(images["residual"]) < 0.4 * np.nanstd(images["change"])
+    missing = np.isnan(result.frame.depth_m)
+    assert missing.any() and not images["used"][missing].any()
+    cell = panel.cells["depth"]
+    cell.item.render()
+    for where, alpha in ((missing, 0), (inside, 255)):
+        row, column = map(int, np.argwhere(where)[0])
+        assert cell.item.qimage.pixelColor(column, row).alpha() == alpha
+    assert cell.text.endswith("mm") and panel.cells["patch"].text.endswith("no")
+    # no text is clipped
+    hover(canvas(panel).viewport(), place_of(panel, "change", 25, 44))
+    QApplication.processEvents()
+    assert not clipped(panel) and all(label.text() for label in panel.lines)
+    for cell in panel.cells.values():
+        assert cell.words.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
+    assert driver.window.width() == 1280
+    # residuals have the colours of the 3-D view in both themes
+    cells = opened(driver, "residual", "change", "depth").cells
+    cloud, middles = driver.window.scene.layers["cloud"].actor.mapper, set()
+    for name in ("dark", "light"):
+        driver.choose(theme=name)
+        colours = cloud.lookup_table.values[:, :3]
+        for picture in ("residual", "change"):
+            np.testing.assert_array_equal(cells[picture].item.lut[:, :3], colours)
+        assert f"rgb({','.join(map(str, colours[0]))})" in cells["residual"].text
+        middles.add(tuple(cells["residual"].item.lut[128, :3]))
+        assert not np.array_equal(cells["depth"].item.lut[:, :3], colours)
+    assert len(middles) == 2
 
 
 def test_nothing_is_picked_while_playing_unless_images_are_open(drive):
@@ -129,21 +154,6 @@ def test_nothing_is_picked_while_playing_unless_images_are_open(drive):
     point()
     driver.wait(lambda: found.place is not None)
     driver.state.set_playing(False)
-
-
-def test_residuals_have_the_colours_of_the_3d_view_in_both_themes(drive):
-    driver = drive(frame=CONTACT)
-    cells = opened(driver, "residual", "change", "depth").cells
-    cloud, middles = driver.window.scene.layers["cloud"].actor.mapper, set()
-    for name in ("dark", "light"):
-        driver.choose(theme=name)
-        colours = cloud.lookup_table.values[:, :3]
-        for picture in ("residual", "change"):
-            np.testing.assert_array_equal(cells[picture].item.lut[:, :3], colours)
-        assert f"rgb({','.join(map(str, colours[0]))})" in cells["residual"].text
-        middles.add(tuple(cells["residual"].item.lut[128, :3]))
-        assert not np.array_equal(cells["depth"].item.lut[:, :3], colours)
-    assert len(middles) == 2
 
 
 def test_only_chosen_images_are_computed(drive):
@@ -187,33 +197,6 @@ def test_while_playing_not_every_frame_is_looked_at_closer(drive, monkeypatch):
     driver.settle()
     image = lambda: controller.inspection.images["depth"]  # noqa: E731
     driver.wait(lambda: np.array_equal(image(), driver.result.frame.depth_m, equal_nan=True))
-
-
-def test_images_show_the_press_and_leave_out_what_is_missing(drive):
-    driver = drive(frame=CONTACT)
-    panel = opened(driver, *driver.window.images.boxes)
-    images, result = driver.inspection.images, driver.result
-    inside = result.patch.pixel_mask
-    assert inside is not None and images["change"][inside].max() < -2e-3
-    assert abs(np.nanmedian(images["change"][~inside])) < 1e-3
-    sigma = driver.window.controller.sensor.camera.noise_relative * 0.15
-    assert np.nanmedian(images["noise"]) == pytest.approx(sigma, rel=0.3)
-    assert np.nanstd(images["residual"]) < 0.4 * np.nanstd(images["change"])
-    missing = np.isnan(result.frame.depth_m)
-    assert missing.any() and not images["used"][missing].any()
-    cell = panel.cells["depth"]
-    cell.item.render()
-    for where, alpha in ((missing, 0), (inside, 255)):
-        row, column = map(int, np.argwhere(where)[0])
-        assert cell.item.qimage.pixelColor(column, row).alpha() == alpha
-    assert cell.text.endswith("mm") and panel.cells["patch"].text.endswith("no")
-    # no text is clipped
-    hover(canvas(panel).viewport(), place_of(panel, "change", 25, 44))
-    QApplication.processEvents()
-    assert not clipped(panel) and all(label.text() for label in panel.lines)
-    for cell in panel.cells.values():
-        assert cell.words.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
-    assert driver.window.width() == 1280
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive):
     assert left and min(part.area_m2 for part in left) >= driver.state.choices.least_area_m2
 
 
-def test_in_a_simulation_the_curve_has_the_iou(drive, press):
+def test_in_a_simulation_the_curve_has_the_iou_and_two_settings_their_errors(drive, press, sensor):
     driver = drive(frame=CONTACT)
     threshold(driver)
     curve = driver.inspection.kappa_curve
@@ -123,10 +123,8 @@ def test_in_a_simulation_the_curve_has_the_iou(drive, press):
     truth, curve = truth_of(press, CONTACT), driver.inspection.kappa_curve
     assert curve.iou[30] == pytest.approx(iou(patch().pixel_mask, truth.patch_mask), abs=0.02)
     assert "IoU ≤" in driver.window.threshold.curve.frame.text
-
-
-def test_two_settings_are_measured_against_the_truth(drive, sensor, press):
-    driver = drive(frame=CONTACT)
+    # two settings are measured against it
+    driver.choose(kappa=None)
     panel = compare(driver)
     panel.b.nodes.setValue(100)
     driver.wait(lambda: panel.b.values["nodes"].text() not in ("–", panel.a.values["nodes"].text()))

@@ -167,34 +167,6 @@ def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp):
     assert filled == [0.25, 0.75, 1.25, 1.75, 6.25, 6.75]
 
 
-def test_the_numbers_follow_a_click_and_the_mouse(drive):
-    driver = drive(DentSource)
-    panel, frame = opened(driver, "force", "residual"), FIRST_CONTACT + 4
-    times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
-    view = canvas(panel).viewport()
-    driver.click(view, place(panel, "residual", times[frame]))
-    assert driver.state.frame == frame
-    driver.settle()
-    for name in ("force", "residual"):
-        assert panel.plots[name].cursor.value() == pytest.approx(times[frame])
-    force = units.force.text(float(np.linalg.norm(driver.result.patch.force_n)))
-    driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
-    # pointing at a plot shows time and numbers there
-    driver.seek(2)
-    driver.wait(lambda: np.isfinite(history.of("residual_m")[[2, frame]]).all())
-    at_cursor = f"Residual rms: {units.fine_length.text(history.of('residual_m')[2])}"
-    driver.wait(lambda: plain(panel, "residual") == at_cursor)
-    hover(view, place(panel, "residual", times[frame]))
-    there = units.fine_length.text(history.of("residual_m")[frame])
-    driver.wait(lambda: plain(panel, "residual") == f"at {times[frame]:.3f} s: {there}")
-    assert plain(panel, "force").startswith("Force: ") and driver.state.frame == 2
-    QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
-    driver.wait(lambda: plain(panel, "residual") == at_cursor)
-    for name, light in (("dark", False), ("light", True)):
-        driver.state.choose(theme=name)
-        assert (painted(canvas(panel))[3, -3].mean() > 127) == light
-
-
 def test_only_chosen_plots_ask_for_what_they_need(drive):
     driver = drive(frame=CONTACT)
     driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
@@ -218,24 +190,7 @@ def test_only_chosen_plots_ask_for_what_they_need(drive):
     assert (counts["look kappa_curve"], counts["estimate"]) == looked
 
 
-def test_measured_and_estimated_gas_pressure(drive):
-    driver = drive(frame=CONTACT)
-    panel, history = opened(driver, "gas"), driver.state.history.values
-    rest_pa = driver.window.controller.sensor.pneumatics.reference_pressure_pa
-    measured = driver.result.frame.gas_pressure_pa - rest_pa
-    assert history["gas_measured_pa"][CONTACT] == pytest.approx(measured)
-    assert np.isfinite(history["gas_law_pa"][CONTACT])
-    driver.wait(lambda: f"measured {measured:.0f} Pa" in plain(panel, "gas"))
-    gas = driver.window.status.labels["gas"]
-    assert gas.text() == f"p_v {measured:+.0f} Pa"
-    driver.opens("dent", DentSource, driver.window.controller.sensor, frame=8, playing=False)
-    driver.wait(lambda: driver.state.facts.title == "dent")
-    driver.settle()  # it has none: by the gas law
-    law = driver.state.history.values["gas_law_pa"][8]
-    assert law > 1.0 and gas.text() == f"p_v {law:+.0f} Pa"
-
-
-def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive):
+def test_the_kappa_curve_texts_and_gas_pressure(drive):
     driver = drive(frame=CONTACT)
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
@@ -251,6 +206,20 @@ def test_the_kappa_curve_is_that_of_the_thresholds_and_no_text_is_clipped(drive)
     for k in (0, 20, 40):
         area = finder.find(driver.result.estimate, float(10.0 ** x[k])).area_m2
         assert y[k] == pytest.approx(1e6 * area)
+    # measured and estimated gas pressure
+    panel, history = opened(driver, "gas"), driver.state.history.values
+    rest_pa = driver.window.controller.sensor.pneumatics.reference_pressure_pa
+    measured = driver.result.frame.gas_pressure_pa - rest_pa
+    assert history["gas_measured_pa"][CONTACT] == pytest.approx(measured)
+    assert np.isfinite(history["gas_law_pa"][CONTACT])
+    driver.wait(lambda: f"measured {measured:.0f} Pa" in plain(panel, "gas"))
+    gas = driver.window.status.labels["gas"]
+    assert gas.text() == f"p_v {measured:+.0f} Pa"
+    driver.opens("dent", DentSource, driver.window.controller.sensor, frame=8, playing=False)
+    driver.wait(lambda: driver.state.facts.title == "dent")
+    driver.settle()  # it has none: by the gas law
+    law = driver.state.history.values["gas_law_pa"][8]
+    assert law > 1.0 and gas.text() == f"p_v {law:+.0f} Pa"
 
 
 def test_thin_curves_keep_every_peak_and_break_at_gaps():
@@ -277,7 +246,7 @@ def test_thin_curves_keep_every_peak_and_break_at_gaps():
         assert np.isfinite(thinned(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
-def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive):
+def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     driver = drive(DentSource)
     panel = opened(driver, "force", "gas", "residual")
     table, force = panel.statistics, driver.state.history.of("force_n")
@@ -318,6 +287,32 @@ def test_statistics_of_the_range_on_the_timeline_and_how_many_are_known(drive):
     assert float(body[0][1]) == pytest.approx(1e3 * known.mean())
     driver.act("Playback › Play all frames")
     driver.wait(lambda: not table.isVisible())
+    # the numbers follow a click and the mouse
+    driver.choose(force_unit="N", kappa=None)
+    panel, frame = opened(driver, "force", "residual"), FIRST_CONTACT + 4
+    times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
+    view = canvas(panel).viewport()
+    driver.click(view, place(panel, "residual", times[frame]))
+    assert driver.state.frame == frame
+    driver.settle()
+    for name in ("force", "residual"):
+        assert panel.plots[name].cursor.value() == pytest.approx(times[frame])
+    force = units.force.text(float(np.linalg.norm(driver.result.patch.force_n)))
+    driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
+    # pointing at a plot shows time and numbers there
+    driver.seek(2)
+    driver.wait(lambda: np.isfinite(history.of("residual_m")[[2, frame]]).all())
+    at_cursor = f"Residual rms: {units.fine_length.text(history.of('residual_m')[2])}"
+    driver.wait(lambda: plain(panel, "residual") == at_cursor)
+    hover(view, place(panel, "residual", times[frame]))
+    there = units.fine_length.text(history.of("residual_m")[frame])
+    driver.wait(lambda: plain(panel, "residual") == f"at {times[frame]:.3f} s: {there}")
+    assert plain(panel, "force").startswith("Force: ") and driver.state.frame == 2
+    QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
+    driver.wait(lambda: plain(panel, "residual") == at_cursor)
+    for name, light in (("dark", False), ("light", True)):
+        driver.state.choose(theme=name)
+        assert (painted(canvas(panel))[3, -3].mean() > 127) == light
 
 
 def test_plots_open_with_room_for_two_rows_in_a_small_window(drive):

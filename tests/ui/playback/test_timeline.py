@@ -32,18 +32,7 @@ def drag(driver, first, last, y):
     driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
 
 
-def test_click_and_drag_seek(drive):
-    driver = drive(DentSource)
-    timeline = driver.window.playback.timeline
-    driver.click(timeline, at(timeline, 7))
-    assert driver.state.frame == 7
-    drag(driver, 7, 2, BELOW)
-    assert driver.state.frame == 2
-    driver.settle()
-    assert driver.window.playback.readout.text().startswith(f"frame 2 of {FRAMES}")
-
-
-def test_contact_is_shaded_as_far_as_it_was_seen(drive):
+def test_contact_is_shaded_clicks_and_drags_seek_and_a_dragged_range_is_played(drive):
     driver = drive(DentSource)
     assert not driver.window.playback.freeze.isVisible()  # it is for live sources only
     driver.key(Qt.Key.Key_F)
@@ -64,6 +53,40 @@ def test_contact_is_shaded_as_far_as_it_was_seen(drive):
     driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
     driver.wait(lambda: driver.state.history.contact[1] == FREE)
     assert driver.state.history.contact[2] == UNKNOWN
+    # click and drag seek
+    driver.click(timeline, at(timeline, 7))
+    assert driver.state.frame == 7
+    drag(driver, 7, 2, BELOW)
+    assert driver.state.frame == 2
+    driver.settle()
+    assert driver.window.playback.readout.text().startswith(f"frame 2 of {FRAMES}")
+    # a dragged range is played again and again
+    driver.seek(0)
+    drag(driver, 3, 6, ABOVE)
+    assert driver.state.play_range == (3, 6) and driver.state.frame == 0
+    edge = painted(timeline)[RULER + 3, round(timeline.x_of(6))]
+    assert tuple(edge) == rgb(theme.DARK.accent)
+    played: list[int] = []
+    driver.state.frame_changed.connect(lambda index, _: played.append(index))
+    driver.state.choose(every_frame=True, speed=2.0)
+    driver.key(Qt.Key.Key_Space)
+    driver.wait(lambda: len(played) > 9)
+    driver.key(Qt.Key.Key_Space)
+    assert played[:9] == [3, 4, 5, 6, 3, 4, 5, 6, 3]
+    drag(driver, 6, 9, ABOVE)  # the end of the range is taken hold of
+    assert driver.state.play_range == (3, 9)
+    driver.key(Qt.Key.Key_Backspace)
+    assert driver.state.play_range is None
+    # where loop is off a range turns it on, which is one step
+    driver.key(Qt.Key.Key_L)
+    steps = driver.window.undo_stack.index()
+    drag(driver, 3, 6, ABOVE)
+    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
+    assert driver.window.undo_stack.index() == steps + 1
+    driver.key(Qt.Key.Key_Z, CTRL)
+    assert driver.state.play_range is None and not driver.state.choices.loop
+    driver.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
 
 
 def test_gaps_and_markers_are_seen(drive):
@@ -147,36 +170,6 @@ def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive):
     assert driver.state.choices.every_frame and panel.mode.currentText() == "every frame"
     driver.key(Qt.Key.Key_L)
     assert not driver.state.choices.loop and not panel.loop.isChecked()
-
-
-def test_a_dragged_range_is_played_again_and_again(drive):
-    driver = drive(DentSource)
-    timeline = driver.window.playback.timeline
-    drag(driver, 3, 6, ABOVE)
-    assert driver.state.play_range == (3, 6) and driver.state.frame == 0
-    edge = painted(timeline)[RULER + 3, round(timeline.x_of(6))]
-    assert tuple(edge) == rgb(theme.DARK.accent)
-    played: list[int] = []
-    driver.state.frame_changed.connect(lambda index, _: played.append(index))
-    driver.state.choose(every_frame=True, speed=2.0)
-    driver.key(Qt.Key.Key_Space)
-    driver.wait(lambda: len(played) > 9)
-    driver.key(Qt.Key.Key_Space)
-    assert played[:9] == [3, 4, 5, 6, 3, 4, 5, 6, 3]
-    drag(driver, 6, 9, ABOVE)  # the end of the range is taken hold of
-    assert driver.state.play_range == (3, 9)
-    driver.key(Qt.Key.Key_Backspace)
-    assert driver.state.play_range is None
-    # where loop is off a range turns it on, which is one step
-    driver.key(Qt.Key.Key_L)
-    steps = driver.window.undo_stack.index()
-    drag(driver, 3, 6, ABOVE)
-    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
-    assert driver.window.undo_stack.index() == steps + 1
-    driver.key(Qt.Key.Key_Z, CTRL)
-    assert driver.state.play_range is None and not driver.state.choices.loop
-    driver.key(Qt.Key.Key_Z, CTRL | SHIFT)
-    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
 
 
 def test_every_frame_waits_for_the_slowest(drive):

@@ -96,7 +96,7 @@ def bench(drive, source):
     made.let_go()
 
 
-def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench):
+def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
     assert bench.green() == 0
     assert not bench.panel.once.isEnabled()
     bench.choose_object("frustum")
@@ -109,7 +109,6 @@ def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench):
     assert bench.panel.once.isEnabled()
     assert bench.green() == 0 and bench.drawn() == AMBER
     pose = bench.panel.session.pose
-    assert pose is not None
     assert abs(pose.T_B_O[2, 3] - TRUE[2]) < 1e-3
     assert "mm" in bench.text("fit") and "%" in bench.text("first")
     assert bench.text("open") == "shift along 2 and turn about 1 axis"
@@ -122,16 +121,9 @@ def test_fit_once_shows_the_object_its_first_stage_and_says_how_well(bench):
     box.activated.emit(box.currentIndex())
     bench.settle()
     assert np.array_equal(bench.window.scene.object.place, pose.stage_one.T_B_O)
-
-
-def test_the_pose_is_read_selected_and_copied(bench):
-    """In numbers of the units that are chosen; the object keeps a frame of its own."""
+    # it is read in numbers of the chosen units, selected and copied
+    bench.undo()
     panel = bench.panel
-    assert bench.text("place") == bench.text("turn") == "–" and not panel.copy.isEnabled()
-    bench.choose_object("frustum")
-    bench.fit()
-    pose = panel.session.pose
-    assert pose is not None
     T = pose.T_B_O
     bench.wait(lambda: bench.text("place") != "–")
     assert bench.text("place") == ", ".join(f"{1e3 * each:.2f} mm" for each in T[:3, 3])
@@ -161,13 +153,34 @@ def test_the_pose_is_read_selected_and_copied(bench):
     assert panel.session.pose is None or panel.session.pose.stage_two is None
 
 
-def test_a_typed_start_is_used_and_reset_forgets(bench):
+def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     bench.choose_object("frustum")
     panel = bench.panel
+    bench.click(bench.panel.move_it)
+    bench.settle()
+    gizmo, view = bench.window.overlay.gizmo, bench.window.view
+    assert gizmo.on
+    start = bench.panel.session.start
+    assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn where it is to begin
+    before = start.copy()
+    # the middle of the frustum, which is 40 mm tall
+    at = in_view(bench, before[:3, 3] + [0.0, 0.0, 0.02])
+    bot = bench.bot
+    bot.mouseMove(view, at)
+    bot.mousePress(view, LEFT, pos=at)
+    for step in range(1, 6):
+        bot.mouseMove(view, at + QPoint(8 * step, 0))
+        bench.settle()
+    bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
+    bench.settle()
+    moved = bench.panel.session.start
+    assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
+    assert np.allclose(bench.window.scene.object.place, moved)
+    bench.click(bench.panel.move_it)
+    assert not gizmo.on
     for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
         bench.type(box, f"{value:g}")
     assert not panel.search.isChecked()
-    assert panel.session.start is not None
     assert np.allclose(panel.session.start[:3, 3], [5e-3, 1e-3, 38e-3], atol=1e-5)
     bench.fit()
     assert bench.text("state") == FLAT
@@ -278,32 +291,6 @@ def outlined(driver):
     return bool(white > 40), bool(green > 40)
 
 
-def test_curves_fit_a_small_screen_and_rmse_is_in_the_unit_of_length(bench):
-    bench.choose_object("two_spheres")  # the frustum is pressed
-    bench.fit()
-    assert bench.text("state") == "not found yet"  # and has no last pose
-    assert bench.text("place") == bench.text("fit") == NOTHING
-    bench.choose_object("frustum")
-    bench.fit()
-    assert bench.text("state").startswith("found")
-    window, curves = bench.window, bench.panel.findChild(Curves)
-    assert curves is not None and curves.isVisible()
-    window.resize(1024, 700)
-    bench.settle()
-    assert (window.width(), window.height()) == (1024, 700)
-    pose = bench.panel.session.pose
-    assert pose is not None and pose.stage_two is not None
-    for unit, factor in (("mm", 1e3), ("m", 1.0)):
-        bench.state.choose(length_unit=unit)
-        bench.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
-        fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
-        assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
-        assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
-        for curve, largest in zip(curves.iterations, (100.0, rmse.max()), strict=True):
-            low, high = curve.frame.box.viewRange()[1]
-            assert low <= 0.0 and low + high == pytest.approx(largest)  # from 0, no further
-
-
 def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypatch):
     lose(monkeypatch, 1)
     bench.choose_object("frustum")
@@ -316,7 +303,6 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypa
         assert bench.drawn() == (GAP if frame == 1 else AMBER)
         bench.wait(lambda: idle(bench.panel))
         curves = bench.panel.findChild(Curves)
-        assert curves is not None
         for curve in (*curves.frames, *curves.iterations):  # of a lost pose: no number, no curve
             assert (f" {NOTHING} " in curve.frame.text or curve.frame.text.count(" ") == 1) == (
                 frame == 1
@@ -343,7 +329,7 @@ def lose(monkeypatch, lost):
     monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
 
 
-def test_a_dropped_file_is_the_object(bench, tmp_path):
+def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_path):
     path = tmp_path / "mine.ply"
     shutil.copy(presets_folder("objects") / "cylinder.ply", path)
     bench.drop(path, on=bench.panel)
@@ -355,31 +341,27 @@ def test_a_dropped_file_is_the_object(bench, tmp_path):
     bench.wait(lambda: "no area" in bench.window.message.label.text())
     bench.wait(lambda: bench.panel.session.obj is None)
     assert not bench.panel.once.isEnabled()
-
-
-def test_the_object_is_moved_in_the_view(bench):
+    # curves fit a small screen, and RMSE is in the unit of length
+    bench.choose_object("two_spheres")  # the frustum is pressed
+    bench.fit()
+    assert bench.text("state") == "not found yet"  # and has no last pose
+    assert bench.text("place") == bench.text("fit") == NOTHING
     bench.choose_object("frustum")
-    bench.click(bench.panel.move_it)
+    bench.fit()
+    assert bench.text("state").startswith("found")
+    window, curves = bench.window, bench.panel.findChild(Curves)
+    assert curves is not None and curves.isVisible()
+    window.resize(1024, 700)
     bench.settle()
-    gizmo, view = bench.window.overlay.gizmo, bench.window.view
-    assert gizmo.on
-    start = bench.panel.session.start
-    assert start is not None
-    assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn where it is to begin
-    before = start.copy()
-    # the middle of the frustum, which is 40 mm tall
-    at = in_view(bench, before[:3, 3] + [0.0, 0.0, 0.02])
-    bot = bench.bot
-    bot.mouseMove(view, at)
-    bot.mousePress(view, LEFT, pos=at)
-    for step in range(1, 6):
-        bot.mouseMove(view, at + QPoint(8 * step, 0))
-        bench.settle()
-    bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
-    bench.settle()
-    moved = bench.panel.session.start
-    assert moved is not None
-    assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
-    assert np.allclose(bench.window.scene.object.place, moved)
-    bench.click(bench.panel.move_it)
-    assert not gizmo.on
+    assert (window.width(), window.height()) == (1024, 700)
+    pose = bench.panel.session.pose
+    assert pose is not None and pose.stage_two is not None
+    for unit, factor in (("mm", 1e3), ("m", 1.0)):
+        bench.state.choose(length_unit=unit)
+        bench.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
+        fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
+        assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
+        assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
+        for curve, largest in zip(curves.iterations, (100.0, rmse.max()), strict=True):
+            low, high = curve.frame.box.viewRange()[1]
+            assert low <= 0.0 and low + high == pytest.approx(largest)  # from 0, no further

@@ -48,9 +48,7 @@ class Bench(Driver):
 
     @property
     def sensor(self):
-        sensor = self.window.controller.sensor
-        assert sensor is not None
-        return sensor
+        return self.window.controller.sensor
 
     def write(self, key, text):
         box = self.panel.rows[key].box

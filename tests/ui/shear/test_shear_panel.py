@@ -168,20 +168,6 @@ def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(dri
     assert (driver.pipeline.counts["flow"], source.decoded) == before
 
 
-def test_the_bound_is_off_until_it_is_ticked_and_can_be_undone(drive, sensor, qtbot):
-    driver, _ = opened(drive, sensor)
-    panel, window = driver.window.shear, driver.window
-    assert driver.state.choices.friction is None and not panel.friction.isEnabled()
-    panel.bounded.click()
-    panel.friction.setValue(0.8)
-    assert driver.state.choices.friction == 0.8
-    panel.flow.setCurrentIndex(panel.flow.findData("fine"))
-    assert driver.state.choices.flow_preset == "fine"
-    for _ in range(3):
-        window.undo_stack.undo()
-    assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "fast"
-
-
 def dragged(driver, status="ok"):
     """The result that is shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
     result = driver.result
@@ -199,7 +185,7 @@ def dragged(driver, status="ok"):
     return replace(result, traction=traction, slip=slip)
 
 
-def test_arrows_stand_where_traction_is_on_one_scale(drive, sensor):
+def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     driver, _ = opened(drive, sensor)
     choices = replace(driver.state.choices, layers=frozenset({"membrane", "traction"}))
     layer = driver.window.scene.layers["traction"]
@@ -215,10 +201,7 @@ def test_arrows_stand_where_traction_is_on_one_scale(drive, sensor):
     assert np.ptp(np.asarray(layer.actors[1].mapper.dataset.points)) == 0.0
     driver.window.scene.show(replace(dragged(driver), traction=None), choices)
     assert not any(actor.GetVisibility() for actor in layer.actors)
-
-
-def test_numbers_have_their_interval_and_their_doubts(drive, sensor):
-    driver, _ = opened(drive, sensor)
+    # numbers have their interval and their doubts
     words = shear_words(dragged(driver), Units())
     assert words["normal"] == "3.00 ± 0.20 N" and words["tangential"] == "1.50 ± 0.20 N"
     assert words["direction"] == "0 ± 7 °, not verified on real sensors"
@@ -227,6 +210,17 @@ def test_numbers_have_their_interval_and_their_doubts(drive, sensor):
     assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "– N"
     text = copied_shear(dragged(driver), Units())
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
+    # the bound is off until it is ticked, and that can be undone
+    panel, window = driver.window.shear, driver.window
+    assert driver.state.choices.friction is None and not panel.friction.isEnabled()
+    panel.bounded.click()
+    panel.friction.setValue(0.8)
+    assert driver.state.choices.friction == 0.8
+    panel.flow.setCurrentIndex(panel.flow.findData("fine"))
+    assert driver.state.choices.flow_preset == "fine"
+    for _ in range(3):
+        window.undo_stack.undo()
+    assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "fast"
 
 
 def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot):

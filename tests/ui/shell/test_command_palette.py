@@ -27,30 +27,7 @@ def done(driver, letters):
     return name
 
 
-def test_letters_and_enter_do_it_arrows_choose_and_escape_leaves(drive):
-    driver = drive(frame=3)
-    assert done(driver, "lastfr").split() == ["Playback", "›", "Last", "frame", "End"]
-    assert driver.state.frame == driver.state.facts.frames - 1
-    for shown in (True, False):
-        assert done(driver, "wireframe") == "View › Visible layers › Wireframe"
-        assert ("wireframe" in driver.state.choices.layers) is shown
-        assert driver.window.layers.boxes["wireframe"].isChecked() is shown
-    palette = opened(driver)
-    driver.bot.keyClicks(palette.search, "theme")
-    names = [palette.list.item(row).text() for row in range(3)]
-    assert sorted(n.split(" › ")[-1] for n in names) == ["As the system", "Dark", "Light"]
-    for _ in range(next(row for row, name in enumerate(names) if "Dark" in name)):
-        driver.bot.keyClick(palette.search, Qt.Key.Key_Down)
-    driver.bot.keyClick(palette.search, Qt.Key.Key_Return)
-    assert driver.state.choices.theme == "dark"
-    palette = opened(driver, Qt.Key.Key_P, CTRL | SHIFT)
-    driver.bot.keyClicks(palette.search, "quit")
-    driver.bot.keyClick(palette.search, Qt.Key.Key_Escape)
-    QApplication.processEvents()
-    assert driver.window.isVisible() and not driver.window.findChildren(CommandPalette)
-
-
-def test_own_words_come_before_the_path_and_what_fits_nothing_does_nothing(drive):
+def test_the_palette_by_keys(drive):
     driver = drive(frame=3)
     title, palette = driver.window.windowTitle(), opened(driver)
     found = lambda: [palette.list.item(row).text() for row in range(palette.list.count())]  # noqa: E731
@@ -77,6 +54,26 @@ def test_own_words_come_before_the_path_and_what_fits_nothing_does_nothing(drive
     assert found()[0].startswith("Playback › Last frame")
     driver.bot.keyClick(palette.search, Qt.Key.Key_Escape)
     assert driver.window.windowTitle() == title
+    # letters and Enter do it, arrows choose and Escape leaves
+    assert done(driver, "lastfr").split() == ["Playback", "›", "Last", "frame", "End"]
+    assert driver.state.frame == driver.state.facts.frames - 1
+    for shown in (True, False):
+        assert done(driver, "wireframe") == "View › Visible layers › Wireframe"
+        assert ("wireframe" in driver.state.choices.layers) is shown
+        assert driver.window.layers.boxes["wireframe"].isChecked() is shown
+    palette = opened(driver)
+    driver.bot.keyClicks(palette.search, "theme")
+    names = [palette.list.item(row).text() for row in range(3)]
+    assert sorted(n.split(" › ")[-1] for n in names) == ["As the system", "Dark", "Light"]
+    for _ in range(next(row for row, name in enumerate(names) if "Dark" in name)):
+        driver.bot.keyClick(palette.search, Qt.Key.Key_Down)
+    driver.bot.keyClick(palette.search, Qt.Key.Key_Return)
+    assert driver.state.choices.theme == "dark"
+    palette = opened(driver, Qt.Key.Key_P, CTRL | SHIFT)
+    driver.bot.keyClicks(palette.search, "quit")
+    driver.bot.keyClick(palette.search, Qt.Key.Key_Escape)
+    QApplication.processEvents()
+    assert driver.window.isVisible() and not driver.window.findChildren(CommandPalette)
 
 
 def test_search_finds_the_best_place_of_many():

@@ -55,6 +55,21 @@ def test_a_file_that_was_written_is_opened_from_its_notice(drive, desktop, tmp_p
     driver.state.choose(kappa=2.5)
     driver.click(notice.open)
     assert driver.state.choices.kappa is None
+    # it moves nothing: it is beside the menus, and the middle of a long path is left out
+    driver.click(notice.dismiss)
+    bar, notice = driver.window.menuBar(), driver.window.notice
+    before = driver.window.view.geometry()
+    path = tmp_path / ("long_" * 40 + ".png")
+    driver.window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
+    driver.wait(notice.isVisible)
+    QApplication.processEvents()
+    assert driver.window.view.geometry() == before
+    menus = [bar.actionGeometry(action) for action in bar.actions()]
+    assert notice.x() > max(menu.right() for menu in menus)
+    assert bar.rect().contains(notice.geometry())
+    assert notice.rect().contains(notice.dismiss.geometry()) and str(path) in notice.label.toolTip()
+    driver.click(notice.dismiss)
+    assert not notice.isVisible()
 
 
 def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(drive, tmp_path, monkeypatch):
@@ -70,7 +85,7 @@ def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(drive, tmp_path, mo
     assert not window.message.isVisible()
 
 
-def test_messages_are_told_apart_listed_and_copied_and_none_covers_an_error(drive):
+def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, tmp_path):
     driver = drive()
     window, message = driver.window, driver.window.message
     for theme in ("dark", "light"):
@@ -104,24 +119,21 @@ def test_messages_are_told_apart_listed_and_copied_and_none_covers_an_error(driv
     assert message.kind.text() == "Warning" and driver.said == "odd"
     driver.click(message.dismiss)
     assert not message.isVisible()
-
-
-def test_a_notice_moves_nothing(drive, tmp_path):
-    """It is beside the menus, and the middle of a long path is left out."""
-    driver = drive()
-    bar, notice = driver.window.menuBar(), driver.window.notice
-    before = driver.window.view.geometry()
-    path = tmp_path / ("long_" * 40 + ".png")
-    driver.window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
-    driver.wait(notice.isVisible)
-    QApplication.processEvents()
-    assert driver.window.view.geometry() == before
-    menus = [bar.actionGeometry(action) for action in bar.actions()]
-    assert notice.x() > max(menu.right() for menu in menus)
-    assert bar.rect().contains(notice.geometry())
-    assert notice.rect().contains(notice.dismiss.geometry()) and str(path) in notice.label.toolTip()
-    driver.click(notice.dismiss)
-    assert not notice.isVisible()
+    # the hint is shown until it is read
+    saver, hint, file = driver.window.session_saver, driver.window.hint, tmp_path / "session.json"
+    assert not hint.isVisible()
+    saver.keep_in(file)
+    assert hint.isVisible() and "Ctrl+K" in hint.label.text()
+    saver.save()
+    assert not read_user_file(file).hinted
+    driver.click(hint.understood)
+    assert not hint.isVisible()
+    saver.save()
+    assert read_user_file(file).hinted
+    saver.keep_in(file)
+    assert not hint.isVisible()
+    driver.act("Help › First steps")
+    assert hint.isVisible()
 
 
 class SlowOpener:
@@ -171,21 +183,3 @@ def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(drive, sens
     last.go.set()
     driver.wait(lambda: driver.state.frame == 4)
     assert not window.busy.isVisible() and not last.let_go()
-
-
-def test_the_hint_is_shown_until_it_is_read(drive, tmp_path):
-    driver = drive(frame=5)
-    saver, hint, file = driver.window.session_saver, driver.window.hint, tmp_path / "session.json"
-    assert not hint.isVisible()
-    saver.keep_in(file)
-    assert hint.isVisible() and "Ctrl+K" in hint.label.text()
-    saver.save()
-    assert not read_user_file(file).hinted
-    driver.click(hint.understood)
-    assert not hint.isVisible()
-    saver.save()
-    assert read_user_file(file).hinted
-    saver.keep_in(file)
-    assert not hint.isVisible()
-    driver.act("Help › First steps")
-    assert hint.isVisible()

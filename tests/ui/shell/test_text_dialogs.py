@@ -10,7 +10,7 @@ from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
 
 
-def test_information_is_that_of_the_command_and_names_the_sensor(drive, sensor, tmp_path):
+def test_information_and_documentation_are_read_in_the_window(drive, sensor, tmp_path):
     path = tmp_path / "press.mcap"
     write_press(path, sensor)
     driver = drive(open_source=recording(path))
@@ -31,10 +31,6 @@ def test_information_is_that_of_the_command_and_names_the_sensor(drive, sensor, 
     dialog = opened()
     assert "dent" in dialog.text.toPlainText() and "frames" in dialog.text.toPlainText()
     dialog.close()
-
-
-def test_documentation_is_read_in_the_window(drive):
-    driver = drive()
     driver.act("Help › Documentation")
     (dialog,) = driver.window.findChildren(PagesDialog)
     assert "Soft-bubble tactile sensors" in dialog.page.toPlainText()

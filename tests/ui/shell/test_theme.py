@@ -55,10 +55,7 @@ def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive):
         play = painted(window.playback.play).reshape(-1, 3).astype(int)
         assert np.abs(play - rgb(colours.text)).sum(axis=1).min() < 12
         assert len(driver.warm_pixels()) > 200  # pressure has its colours on both
-
-
-def test_following_the_system(drive):
-    driver = drive()
+    choose(driver, "&system")
     changed = QApplication.styleHints().colorSchemeChanged  # a desktop emits it; Xvfb is none
     changed.emit(Qt.ColorScheme.Light)
     assert theme.of(driver.window) is theme.LIGHT
@@ -101,7 +98,7 @@ def within(widget, place):
 
 
 @pytest.mark.parametrize("title", ["Dark", "Light"])
-def test_what_is_selected_can_be_read(drive, title):
+def test_what_is_selected_or_disabled_can_be_read(drive, title):
     driver = drive(frame=3)
     choose(driver, title)
     menu = next(a.menu() for a in driver.window.menuBar().actions() if "File" in a.text())
@@ -121,13 +118,7 @@ def test_what_is_selected_can_be_read(drive, title):
     number.selectAll()
     line = number.findChild(QLineEdit)
     assert line is not None and selected(painted(line)[4:-4, 2:30]) > 4.5
-
-
-@pytest.mark.parametrize("title", ["Dark", "Light"])
-def test_what_is_disabled_can_be_read_and_looks_it(drive, title):
-    """Controls of every kind that the window has, and what a menu does not offer now."""
-    driver = drive(frame=3)
-    choose(driver, title)
+    # what is disabled, in controls of every kind and in a menu, can be read and looks it
     driver.show("pose")
     QApplication.processEvents()
     pose, menu = driver.window.pose, driver.window.findChild(QMenu, "menu_theme")

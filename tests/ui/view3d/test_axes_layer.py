@@ -26,29 +26,6 @@ def said_m(driver):
     return 1e-3 * float(said.split()[0])
 
 
-def test_the_scale_bar_is_in_the_view_and_as_long_as_it_says(drive):
-    """Of a large view and of a small one, from far away and near to."""
-    driver = drive()
-    window, lengths = driver.window, set[float]()
-    view = window.view
-    for size, nearer in (((1280, 800), 1.0), ((1280, 800), 8.0), ((800, 500), 30.0)):
-        window.resize(*size)
-        window.scene.look("top")
-        view.camera.Dolly(nearer)
-        seen = seen_of_axes(driver)
-        corner = axes_corner(seen)
-        assert (seen & corner).any()  # the axes themselves
-        seen &= ~corner
-        assert not (seen[0] | seen[-1]).any() and not (seen[:, 0] | seen[:, -1]).any()
-        ends = np.flatnonzero(seen[-12:].any(axis=0))  # below the number
-        middle, half = np.array(view.camera.focal_point), np.array([said_m(driver) / 2.0, 0.0, 0.0])
-        left, right = (in_view(driver, middle + side * half).x() for side in (-1.0, 1.0))
-        assert np.ptp(ends) == pytest.approx(right - left, abs=3) and right - left > 25
-        assert f"{said_m(driver):.0e}"[0] in "125"
-        lengths.add(said_m(driver))
-    assert len(lengths) == 3
-
-
 def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive):
     """Each row of text is apart from the next: no number touches another, or a title."""
     driver = drive()
@@ -67,9 +44,21 @@ def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive):
     of_a_title = 2  # the other one's rows touch
     assert counts == [10 + of_a_title, 6 + of_a_title, 4 + of_a_title]
     assert window.view.height() == LOWEST
+    # scales end at round numbers in every unit
+    driver.seek(11)
+    bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
+        driver.choose(**units)
+        ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
+        assert len(ends) == 2
+        assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends
+    driver.state.choose(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
+    driver.settle()
+    assert any(bar.GetLookupTable().GetRange()[1] == pytest.approx(2.2) for bar in bars)
 
 
-def test_the_membrane_is_beside_the_colour_bars(drive):
+def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_says(drive):
     """Also after the window, and so the view, has another size."""
     driver = drive()
     window = driver.window
@@ -81,17 +70,22 @@ def test_the_membrane_is_beside_the_colour_bars(drive):
         places = [in_view(driver, node) for node in mesh.nodes[mesh.rim]]
         across = [place.x() for place in places]
         assert min(across) >= -1 and max(across) <= 0.98 * window.view.width() - WIDTH + 1, size
-
-
-def test_scales_end_at_round_numbers_in_every_unit(drive):
-    driver = drive(frame=11)
-    bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
-    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
-    for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
-        driver.choose(**units)
-        ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
-        assert len(ends) == 2
-        assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends
-    driver.state.choose(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
-    driver.settle()
-    assert any(bar.GetLookupTable().GetRange()[1] == pytest.approx(2.2) for bar in bars)
+    # the scale bar, of a large view and of a small one, from far away and near to
+    window, lengths = driver.window, set[float]()
+    view = window.view
+    for size, nearer in (((1280, 800), 1.0), ((1280, 800), 8.0), ((800, 500), 30.0)):
+        window.resize(*size)
+        window.scene.look("top")
+        view.camera.Dolly(nearer)
+        seen = seen_of_axes(driver)
+        corner = axes_corner(seen)
+        assert (seen & corner).any()  # the axes themselves
+        seen &= ~corner
+        assert not (seen[0] | seen[-1]).any() and not (seen[:, 0] | seen[:, -1]).any()
+        ends = np.flatnonzero(seen[-12:].any(axis=0))  # below the number
+        middle, half = np.array(view.camera.focal_point), np.array([said_m(driver) / 2.0, 0.0, 0.0])
+        left, right = (in_view(driver, middle + side * half).x() for side in (-1.0, 1.0))
+        assert np.ptp(ends) == pytest.approx(right - left, abs=3) and right - left > 25
+        assert f"{said_m(driver):.0e}"[0] in "125"
+        lengths.add(said_m(driver))
+    assert len(lengths) == 3

@@ -104,21 +104,6 @@ def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive, qu
     assert_shown(driver, old)
 
 
-def test_no_older_picture_comes_back_where_qt_paints_the_window(drive):
-    """Qt's own last picture of the view is older than what was swapped since."""
-    driver = drive()
-    window, swapped = driver.window, list[int]()
-    driver.seek(3)
-    old = window.view.pixels()  # by Qt
-    driver.seek(12)
-    now = on_screen(driver)
-    assert share_that_differs(now, old) > 1e-3
-    window.view.frameSwapped.connect(lambda: swapped.append(1))
-    window.update()  # as after something above it has been closed
-    driver.wait(lambda: bool(swapped))
-    driver.wait(lambda: same(on_screen(driver), now))
-
-
 @QUALITIES
 def test_what_covered_the_panels_leaves_nothing_behind(drive, quality):
     driver = drive(quality=quality)
@@ -140,17 +125,25 @@ def same(a, b):
     return share_that_differs(a, b) < 1e-3
 
 
-def test_panels_are_painted_without_the_view(drive):
+def test_the_view_s_own_window_beside_qt_s_picture_of_the_rest(drive):
     driver = drive()
     swapped: list[int] = []
     driver.window.view.frameSwapped.connect(lambda: swapped.append(1))
     driver.window.status.repaint()
     QApplication.processEvents()
     assert not swapped  # Qt has not put the window together anew
-
-
-def test_the_mouse_reaches_the_view_through_its_own_window(drive):
-    driver = drive()
+    # no older picture comes back where Qt paints the window: its own of the view is older
+    window, swapped = driver.window, list[int]()
+    driver.seek(3)
+    old = window.view.pixels()  # by Qt
+    driver.seek(12)
+    now = on_screen(driver)
+    assert share_that_differs(now, old) > 1e-3
+    window.view.frameSwapped.connect(lambda: swapped.append(1))
+    window.update()  # as after something above it has been closed
+    driver.wait(lambda: bool(swapped))
+    driver.wait(lambda: same(on_screen(driver), now))
+    # the mouse reaches the view through its own window
     view, seen = driver.window.view, list[tuple[str, float, float]]()
     view.clicked.connect(lambda x, y: seen.append(("clicked", x, y)))
     view.moved.connect(lambda x, y: seen.append(("moved", x, y)))

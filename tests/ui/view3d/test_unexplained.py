@@ -51,7 +51,7 @@ def middle(driver):
     return in_view(driver, nodes[np.argmin(np.linalg.norm(nodes[:, :2] - ASIDE_M, axis=1))])
 
 
-def test_it_is_hatched_where_it_is_and_not_in_the_colours_of_contact(driver):
+def test_it_is_hatched_where_it_is_and_named(driver):
     drawn, place = strokes(driver), middle(driver).toTuple()
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     assert (low < place).all() and (place < high).all()
@@ -70,9 +70,8 @@ def test_it_is_hatched_where_it_is_and_not_in_the_colours_of_contact(driver):
     layers = driver.state.choices.layers - {"membrane"}
     driver.choose(section_axis=None, layers=layers)
     assert not len(strokes(driver))
-
-
-def test_the_readout_says_what_it_means_and_who_points_there_reads_how_much_it_is(driver):
+    # the readout says what it means, and who points there reads how much it is
+    driver.choose(layers=layers | {"membrane"})
     says = lambda words: any(words in text for text in texts(driver))  # noqa: E731
     assert says(f"hatched: {TOLD}")
     assert TOLD in driver.window.layers.boxes["membrane"].toolTip()

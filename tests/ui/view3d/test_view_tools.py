@@ -5,15 +5,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from window_driver import (
-    CONTACT,
-    drawn_points,
-    hover,
-    idle,
-    in_view,
-    near,
-    texts,
-)
+from window_driver import CONTACT, drawn_points, hover, idle, in_view, near, texts
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.tools import still
@@ -29,7 +21,7 @@ def opened(driver):
     return driver.window.tools
 
 
-def test_views_look_along_the_axes_and_as_the_camera(drive):
+def test_views_exaggeration_vectors_and_colour_maps(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     for name, direction in {"top": (0, 0, -1), "side": (-1, 0, 0), "front": (0, 1, 0)}.items():
@@ -49,31 +41,42 @@ def test_views_look_along_the_axes_and_as_the_camera(drive):
     np.testing.assert_allclose(off, tall * np.array([0.2, -0.1]), atol=2.0)
     driver.window.scene.reset_view()
     assert camera.view_angle == pytest.approx(30.0 / driver.state.choices.zoom)
-
-
-def test_distance_between_two_clicks(drive):
-    driver = drive(frame=3)
-    tools = opened(driver)
+    # exaggeration moves what is drawn and not what is measured
+    driver.settle()
+    estimate, mesh = driver.result.estimate, driver.pipeline.mesh
+    solved = driver.pipeline.counts["estimate"]
+    tools.exaggeration.setValue(3.0)
+    driver.settle()
+    drawn = drawn_points(driver.window.scene.layers["membrane"])
+    np.testing.assert_allclose(drawn, mesh.deformed(3.0 * estimate.displacement_m), atol=1e-7)
+    k = int(np.argmin(estimate.displacement_m))
     driver.window.scene.look("top")
     driver.settle()
-    driver.click(tools.tools["distance"])
-    ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
-    where = [in_view(driver, end) for end in ends]
-    for place in where:
-        driver.click(driver.window.view, place)
-    assert len(tools.distance.points_m) == 2
-    true = float(np.linalg.norm(ends[1] - ends[0]))
-    assert tools.distance.length_m == pytest.approx(true, abs=5e-4)
-    assert tools.reading[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
+    place, true = in_view(driver, drawn[k]), mesh.deformed(estimate.displacement_m)[k]
+    picked = driver.window.scene.pick(place.x(), place.y())
+    np.testing.assert_allclose(picked, true, atol=2e-3)
+    assert abs(drawn[k] - true).max() > 6e-3
+    assert driver.pipeline.counts["estimate"] == solved
+    assert not near(driver.pixels(), place, NODE)
+    driver.state.choose_panel("images", True)  # which shows the place, too
+    driver.window.hover.at_point(true)
     driver.settle()
-    assert driver.count(GREEN)[0] > 50
-    driver.state.choose(length_unit="m")
-    assert tools.reading[0].text().endswith(" m")
-    driver.click(driver.window.view, where[0])
-    assert tools.distance.length_m is None
-    driver.click(tools.tools["rotate"])
+    assert near(driver.pixels(), place, NODE)
+    # vectors are as long as the pressure is high, and maps change the colours
+    tools.exaggeration.setValue(1.0)
     driver.settle()
-    assert driver.count(GREEN)[0] == 0
+    assert len(driver.warm_pixels()) > 100
+    tools.colour_map.setFocus()
+    driver.bot.keyClicks(tools.colour_map, "viridis")
+    driver.settle()
+    assert driver.state.choices.colour_map == "viridis" and len(driver.warm_pixels()) == 0
+    driver.click(driver.window.layers.boxes["vectors"])
+    driver.choose(layers=frozenset({"vectors"}))
+    points = drawn_points(driver.window.scene.layers["vectors"])
+    length = np.linalg.norm(points[0::2] - points[1::2], axis=1)
+    pressure = driver.result.estimate.contact_pressure_pa
+    assert np.corrcoef(length, pressure)[0, 1] > 0.999 and length[pressure == 0.0].max() < 1e-9
+    assert driver.count(ORANGE)[0] > 20
 
 
 def hottest(driver):
@@ -81,7 +84,7 @@ def hottest(driver):
     return driver.nodes()[int(np.argmax(driver.result.estimate.contact_pressure_pa))]
 
 
-def test_a_picked_place_stays_and_follows_the_frames(drive):
+def test_places_and_distances_by_clicks(drive):
     driver = drive(frame=CONTACT)
     tools, view, middle = opened(driver), driver.window.view, driver.window.view.rect().center()
     driver.click(tools.tools["probe"])
@@ -99,11 +102,9 @@ def test_a_picked_place_stays_and_follows_the_frames(drive):
     before = tools.reading[2].text()
     driver.seek(2)
     assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
-
-
-def test_places_and_distances_are_written_without_the_panel_until_escape(drive):
-    driver = drive(frame=CONTACT)
-    view = driver.window.view
+    # without the panel both are written in the view, until Escape
+    driver.click(tools.tools["rotate"])
+    driver.seek(CONTACT)
     driver.window.panels["tools"].hide()
     driver.act("View › Probe a place")
     driver.click(view, in_view(driver, hottest(driver)))
@@ -139,9 +140,31 @@ def test_places_and_distances_are_written_without_the_panel_until_escape(drive):
     assert measured("m", true_m)
     driver.key(Qt.Key.Key_Escape)
     assert not measured("m", true_m)
+    driver.state.choose(length_unit="mm")
+    opened(driver)
+    driver.window.scene.look("top")
+    driver.settle()
+    driver.click(tools.tools["distance"])
+    ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
+    where = [in_view(driver, end) for end in ends]
+    for place in where:
+        driver.click(driver.window.view, place)
+    assert len(tools.distance.points_m) == 2
+    true_m = float(np.linalg.norm(ends[1] - ends[0]))
+    assert tools.distance.length_m == pytest.approx(true_m, abs=5e-4)
+    assert tools.reading[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
+    driver.settle()
+    assert driver.count(GREEN)[0] > 50
+    driver.state.choose(length_unit="m")
+    assert tools.reading[0].text().endswith(" m")
+    driver.click(driver.window.view, where[0])
+    assert tools.distance.length_m is None
+    driver.click(tools.tools["rotate"])
+    driver.settle()
+    assert driver.count(GREEN)[0] == 0
 
 
-def test_a_section_cuts_the_scene_open(drive):
+def test_a_section_cuts_the_scene_open_and_what_is_cut_away_is_not_pointed_at(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     driver.window.scene.look("top")
@@ -170,13 +193,8 @@ def test_a_section_cuts_the_scene_open(drive):
     tools.section.setCurrentIndex(0)
     driver.settle()
     assert driver.count(ORANGE)[0] == 0
-
-
-def test_what_is_cut_away_is_not_pointed_at(drive):
-    """Neither the membrane nor measured points, which stay where they are and are not drawn."""
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
-    driver.window.scene.look("top")
+    # what is cut away is not pointed at: neither membrane nor measured points
+    driver.choose(section_flipped=False, section_at_m=0.0)
     tools.section.setCurrentIndex(tools.section.findText("cut ⊥ x"))
     view = driver.window.view
     for layers in ({"membrane"}, {"cloud"}, {"membrane", "cloud"}):
@@ -192,48 +210,7 @@ def test_what_is_cut_away_is_not_pointed_at(drive):
         assert len({point[0] > 0.0 for point in there[:: len(there) // 6]}) == 2
 
 
-def test_exaggeration_moves_what_is_drawn_and_not_what_is_measured(drive):
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
-    estimate, mesh = driver.result.estimate, driver.pipeline.mesh
-    solved = driver.pipeline.counts["estimate"]
-    tools.exaggeration.setValue(3.0)
-    driver.settle()
-    drawn = drawn_points(driver.window.scene.layers["membrane"])
-    np.testing.assert_allclose(drawn, mesh.deformed(3.0 * estimate.displacement_m), atol=1e-7)
-    k = int(np.argmin(estimate.displacement_m))
-    driver.window.scene.look("top")
-    driver.settle()
-    place, true = in_view(driver, drawn[k]), mesh.deformed(estimate.displacement_m)[k]
-    picked = driver.window.scene.pick(place.x(), place.y())
-    np.testing.assert_allclose(picked, true, atol=2e-3)
-    assert abs(drawn[k] - true).max() > 6e-3
-    assert driver.pipeline.counts["estimate"] == solved
-    assert not near(driver.pixels(), place, NODE)
-    driver.state.choose_panel("images", True)  # which shows the place, too
-    driver.window.hover.at_point(true)
-    driver.settle()
-    assert near(driver.pixels(), place, NODE)
-
-
-def test_vectors_are_as_long_as_the_pressure_is_high_and_maps_change_the_colours(drive):
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
-    assert len(driver.warm_pixels()) > 100
-    tools.colour_map.setFocus()
-    driver.bot.keyClicks(tools.colour_map, "viridis")
-    driver.settle()
-    assert driver.state.choices.colour_map == "viridis" and len(driver.warm_pixels()) == 0
-    driver.click(driver.window.layers.boxes["vectors"])
-    driver.choose(layers=frozenset({"vectors"}))
-    points = drawn_points(driver.window.scene.layers["vectors"])
-    length = np.linalg.norm(points[0::2] - points[1::2], axis=1)
-    pressure = driver.result.estimate.contact_pressure_pa
-    assert np.corrcoef(length, pressure)[0, 1] > 0.999 and length[pressure == 0.0].max() < 1e-9
-    assert driver.count(ORANGE)[0] > 20
-
-
-def test_a_picture_of_any_size_is_saved(drive, tmp_path):
+def test_a_picture_of_any_size_is_saved_without_what_the_mouse_points_at(drive, tmp_path):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     before = driver.pixels()
@@ -253,11 +230,7 @@ def test_a_picture_of_any_size_is_saved(drive, tmp_path):
     np.testing.assert_array_equal(driver.pixels(), before)
     tools.save_picture(tmp_path / "missing" / "view.png")
     assert "cannot be written" in driver.said
-
-
-def test_what_the_mouse_points_at_is_in_no_picture(drive):
-    driver = drive(frame=CONTACT)
-    opened(driver)
+    # what the mouse points at is in none, and what was asked for by a click is
     driver.state.choose_panel("images", True)  # the place is marked, too
     view = driver.window.view
     driver.wait(lambda: bool(driver.inspection.images))
@@ -274,7 +247,7 @@ def test_what_the_mouse_points_at_is_in_no_picture(drive):
     assert np.any(still(view, 640, 400) != before)  # what was asked for by a click stays
 
 
-def test_the_turntable_turns_until_it_is_told(drive):
+def test_the_turntable_texts_and_tabs_of_the_tools(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     start = np.array(camera.position)
@@ -286,10 +259,20 @@ def test_the_turntable_turns_until_it_is_told(drive):
     stopped = tuple(camera.position)
     driver.settle()
     assert tuple(camera.position) == stopped
-
-
-def test_docks_become_tabs_and_the_window_keeps_its_size(drive):
-    driver = drive(frame=CONTACT)
+    # no text is clipped
+    tools.use_tool("probe")
+    tools.picked.at_pixel(24, 44)
+    driver.state.choose(length_unit="m", pressure_unit="psi", section_axis="x")
+    QApplication.processEvents()
+    assert driver.window.width() == 1280
+    for label in tools.findChildren(QLabel):
+        width = label.fontMetrics().horizontalAdvance(label.text())
+        assert width <= label.width() + 1, label.text()
+    for button in (*tools.views.values(), *tools.tools.values(), tools.turn, tools.save):
+        assert button.width() >= button.sizeHint().width(), button.text()
+        assert tools.rect().contains(button.geometry()), button.text()
+    # docks become tabs, and the window keeps its size
+    driver.window.panels["tools"].hide()
     window = driver.window
     window.resize(1280, 800)
     for dock in (window.panels["tools"], window.panels["threshold"], window.panels["compare"]):
@@ -304,19 +287,3 @@ def test_docks_become_tabs_and_the_window_keeps_its_size(drive):
     QApplication.processEvents()
     shown = [bar for bar in window.findChildren(QTabBar) if not bar.visibleRegion().isEmpty()]
     assert [bar.tabText(0) for bar in shown] == ["Contact patch"]
-
-
-def test_no_text_of_the_tools_is_clipped(drive):
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
-    tools.use_tool("probe")
-    tools.picked.at_pixel(24, 44)
-    driver.state.choose(length_unit="m", pressure_unit="psi", section_axis="x")
-    QApplication.processEvents()
-    assert driver.window.width() == 1280
-    for label in tools.findChildren(QLabel):
-        width = label.fontMetrics().horizontalAdvance(label.text())
-        assert width <= label.width() + 1, label.text()
-    for button in (*tools.views.values(), *tools.tools.values(), tools.turn, tools.save):
-        assert button.width() >= button.sizeHint().width(), button.text()
-        assert tools.rect().contains(button.geometry()), button.text()
