@@ -203,9 +203,6 @@ def windows(monkeypatch):
     return asked
 
 
-Asked = list[tuple[str, tuple[object, ...]]]
-
-
 def test_without_a_command_the_synthetic_sensor(windows):
     assert CliRunner().invoke(main, []).exit_code == 0
     assert CliRunner().invoke(main, ["--fresh"]).exit_code == 0

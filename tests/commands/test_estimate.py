@@ -26,8 +26,6 @@ PRESET = "pico_flexx_75mm"
 HEIGHTS = (0.060, 0.042, 0.038, 0.038)
 """Of a cylinder's flat end above the rim: clear of the dome (50 mm high), then pressed in."""
 
-Arrays = dict[str, np.ndarray]
-
 
 def run(*words):
     done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)

@@ -24,8 +24,6 @@ from bubbleviz.output import ExportPlan
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import Recording, RecordingWriter
 
-Arrays = dict[str, np.ndarray]
-
 SERIES = "vtk,ply,patch,png"
 ALL = f"table,parquet,plots,{SERIES}"
 PRESSED = 2

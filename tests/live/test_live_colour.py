@@ -60,15 +60,8 @@ def both(k, shift=0):
     ]
 
 
-def test_nothing_is_taken_before_it_is_asked_for():
-    assembler = FrameAssembler()
-    found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
-    assert [frame.colour for frame in found] == [None] * 3
-    assert assembler.counters.undecodable == 0
-
-
 @pytest.mark.parametrize("shift", [0, PERIOD // 4, -PERIOD // 4])
-def test_a_frame_has_the_colour_of_its_time_and_before(shift):
+def test_a_frame_has_the_colour_of_its_time_and_before_once_it_is_asked_for(shift):
     assembler = FrameAssembler()
     assembler.follow_colour()
     found = frames_of(assembler, *(m for k in range(8) for m in both(k, shift)))
@@ -76,6 +69,11 @@ def test_a_frame_has_the_colour_of_its_time_and_before(shift):
     assert [level(frame, -2.1e-9 * PERIOD) for frame in found[3:]] == list(range(1, 6))
     image = found[4].colour
     assert image.time_s == pytest.approx(found[4].time_s + 1e-9 * shift)
+    assert assembler.counters.undecodable == 0
+    # nothing is taken before it is asked for
+    assembler = FrameAssembler()
+    found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
+    assert [frame.colour for frame in found] == [None] * 3
     assert assembler.counters.undecodable == 0
 
 
@@ -134,13 +132,18 @@ def test_a_frame_waits_for_a_colour_image_that_is_late():
     assert level(frame, delay_s) == 12
 
 
-def test_the_camera_is_told():
+def test_the_camera_is_told_and_a_named_topic_counts():
     info = arrived("/cam/depth/camera_info", INFO, camera_info(NOW), NOW)
     assembler = FrameAssembler()
     assembler.follow_colour()
     image = frames_of(assembler, info, *both(0), *both(1))[-1].colour
     assert image.camera.intrinsics is not None
     assert "that of the depth camera" in image.camera.remark
+    # a named topic of another namespace counts
+    assembler = FrameAssembler(TopicNames(colour="/other/color/image_raw"))
+    assembler.follow_colour()
+    found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
+    assert level(found[-1]) == 200
 
 
 def test_garbage_is_said_when_it_is_asked_for():
@@ -152,13 +155,6 @@ def test_garbage_is_said_when_it_is_asked_for():
     image = found[-1].colour
     with pytest.raises(InputError, match="check what is published there"):
         image.grey()
-
-
-def test_a_named_topic_of_another_namespace_counts():
-    assembler = FrameAssembler(TopicNames(colour="/other/color/image_raw"))
-    assembler.follow_colour()
-    found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
-    assert level(found[-1]) == 200
 
 
 @pytest.mark.parametrize("before", [True, False])

@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,6 @@ from bubbleviz.live import SessionOptions, ZenohSource, open_session, open_strea
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor
 
-Eventually = Callable[[Callable[[], object]], None]
 ENTRY = "from bubbleviz.cli.command_line import main; main()"
 
 

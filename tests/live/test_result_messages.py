@@ -1,7 +1,6 @@
 """Results as ROS 2 messages, over Zenoh and into a recording; the zero of the gas pressure."""
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,8 +28,6 @@ from bubbleviz.recordings import Frame, FrameMessages, RecordingWriter
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, SyntheticSource, default_path
-
-Eventually = Callable[[Callable[[], object]], None]
 
 
 def press(sensor, frames=30):

@@ -1,6 +1,5 @@
 """The wrench with friction and slip arrive over Zenoh as they were simulated."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,6 @@ from bubbleviz.live import ResultMessages
 from bubbleviz.pipeline import Product
 from tests.shear.drag import Eyes, stuck
 
-Eventually = Callable[[Callable[[], object]], None]
 SHEAR: frozenset[Product] = frozenset({"patch", "traction", "slip"})
 SHEAR_TOPICS = {
     "traction_wrench",

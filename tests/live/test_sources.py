@@ -3,7 +3,6 @@
 import sys
 import threading
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -43,8 +42,6 @@ from bubbleviz.live import (
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, finger_pose, grip_poses, oversized_nut
-
-Eventually = Callable[[Callable[[], object]], None]
 
 
 @pytest.fixture
@@ -298,7 +295,7 @@ def realsense_file(tmp_path_factory):
     return record_realsense(tmp_path_factory.mktemp("realsense") / "camera.db3", 12)
 
 
-def test_a_file_of_the_realsense_sdk_is_played(realsense_file, small_sensor):
+def test_a_file_of_the_realsense_sdk_is_played_and_looped(realsense_file, small_sensor):
     messages: list[RawMessage] = []
     stream = open_stream(f"realsense:{realsense_file}", small_sensor)
     stream.listen(messages.append)
@@ -313,9 +310,7 @@ def test_a_file_of_the_realsense_sdk_is_played(realsense_file, small_sensor):
     np.testing.assert_allclose(np.diff([m.stamp_ns for m in images]), SECOND / 30, atol=2000)
     assert stream.status().state == "ended"
     assert stream.counters().missed == 0
-
-
-def test_a_looped_file_goes_on(realsense_file, small_sensor):
+    # looped it goes on
     with open_stream(f"realsense:{realsense_file}?loop=1", small_sensor) as stream:
         frame = stream.take(30.0)
         while frame is not None and frame.index < 30:

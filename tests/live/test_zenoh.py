@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,7 +29,6 @@ from bubbleviz.live import (
     zenoh_session as zenoh_keys,
 )
 
-Eventually = Callable[[Callable[[], object]], None]
 SHORT, FULL = 2, 20
 """How often the robot is killed: in `make test`, and in `make test-all`."""
 
@@ -183,9 +181,7 @@ def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
         assert stream.counters().frames > 10
         assert "/cam/depth" in stream.counters().problem
         assert stream.status().state == "live"
-
-
-def test_another_type_under_the_same_name_is_counted(small_sensor, eventually):
+    # so is another type under the same name
     port = free_port()
     depth = KEYS["rmw"]["/cam/depth"]
     other = f"0/cam/depth/std_msgs::msg::dds_::String_/{'RIHS01_' + '0' * 64}"
@@ -288,9 +284,6 @@ def test_endpoints_are_refused_in_one_line(small_sensor):
         with pytest.raises(InputError, match="no Zenoh session") as caught:
             open_stream(source, small_sensor).start()
         assert "\n" not in str(caught.value)
-
-
-Told = Callable[..., str]
 
 
 @pytest.fixture

@@ -22,10 +22,6 @@ def depth_units(k):
     return units
 
 
-Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
-"""Position, m, and quaternion xyzw."""
-
-
 def write_realsense_bag(path, unit_m, option="Depth_Units", extrinsics=None):
     """Four frames of depth and infrared, and of colour with `extrinsics`, then uncompressed.
 

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -135,7 +134,6 @@ class Bench(Driver):
         return path
 
 
-Open = Callable[[], Bench]
 SYNTHETIC = "synthetic:?frames=6"
 
 

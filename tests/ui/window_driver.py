@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -220,9 +219,6 @@ class Driver:
         estimate = self.result.estimate
         assert estimate is not None
         return self.pipeline.mesh.deformed(estimate.motion_m)
-
-
-Drive = Callable[..., Driver]
 
 
 def painted(widget):

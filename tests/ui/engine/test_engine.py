@@ -5,7 +5,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from threading import Event
 
@@ -39,8 +38,6 @@ from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
-
-Wait = Callable[[Callable[[], object]], None]
 
 
 @pytest.fixture
