@@ -125,7 +125,7 @@ def test_images_of_another_camera_are_refused_in_one_line(tmp_path):
 
 
 def test_nothing_arrived_is_said_and_leaves_no_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("bubbleviz.live.open_stream.FIRST_MESSAGE_S", 0.3)
+    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
     record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
     watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
@@ -142,14 +142,18 @@ def test_nothing_arrived_is_said_and_leaves_no_file(tmp_path, monkeypatch):
     assert not out.exists()
 
 
-def test_a_source_is_published_watched_and_recorded_with_its_results(tmp_path, small_sensor_file):
+def test_a_source_is_published_watched_and_recorded_with_its_results(
+    tmp_path, small_sensor_file, eventually
+):
     """Simulation → Zenoh → watch → recording, in processes of their own."""
-    sensor, endpoint = str(small_sensor_file), f"tcp/127.0.0.1:{free_port()}"
+    sensor, port = str(small_sensor_file), free_port()
+    endpoint = f"tcp/127.0.0.1:{port}"
     source = "synthetic:sphere?rate=30&frames=40"
     publisher = start(
         *("publish", "--source", source, "--sensor", sensor, "--listen", endpoint, "--json")
     )
     try:
+        eventually(lambda: listens(port))
         for duration in (1.6, 10.0, 60.0):  # on a busy machine few frames are seen in a second
             out = tmp_path / f"{duration:g}"
             done = run(
