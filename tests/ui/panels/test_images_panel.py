@@ -137,26 +137,7 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     assert len(middles) == 2
 
 
-def test_nothing_is_picked_while_playing_unless_images_are_open(drive):
-    driver = drive(frame=CONTACT)
-    nodes, found = driver.pipeline.mesh.nodes, driver.window.hover
-    point = lambda: hover(driver.window.view, in_view(driver, nodes[nodes[:, 2].argmax()]))  # noqa: E731
-    point()
-    driver.wait(lambda: found.place is not None)
-    driver.state.set_playing(True)
-    assert found.place is None
-    point()
-    assert found.place is None and idle(driver.window.pointing)
-    before = driver.window.view.size()
-    driver.show("images")
-    driver.wait(lambda: "images" in driver.state.choices.panels)
-    driver.wait(lambda: driver.window.view.size() != before)
-    point()
-    driver.wait(lambda: found.place is not None)
-    driver.state.set_playing(False)
-
-
-def test_only_chosen_images_are_computed(drive):
+def test_only_chosen_images_are_computed_and_nothing_is_picked_while_playing(drive):
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts
     assert not any(name.startswith("look") for name in counts)
@@ -178,6 +159,23 @@ def test_only_chosen_images_are_computed(drive):
     before = counts["look change"], counts["look residual"], counts["pixel_mask"]
     driver.seek(CONTACT + 1)
     assert (counts["look change"], counts["look residual"], counts["pixel_mask"]) == before
+    # nothing is picked while playing unless images are open
+    driver.seek(CONTACT)
+    nodes, found = driver.pipeline.mesh.nodes, driver.window.hover
+    point = lambda: hover(driver.window.view, in_view(driver, nodes[nodes[:, 2].argmax()]))  # noqa: E731
+    point()
+    driver.wait(lambda: found.place is not None)
+    driver.state.set_playing(True)
+    assert found.place is None
+    point()
+    assert found.place is None and idle(driver.window.pointing)
+    before = driver.window.view.size()
+    driver.show("images")
+    driver.wait(lambda: "images" in driver.state.choices.panels)
+    driver.wait(lambda: driver.window.view.size() != before)
+    point()
+    driver.wait(lambda: found.place is not None)
+    driver.state.set_playing(False)
 
 
 def test_while_playing_not_every_frame_is_looked_at_closer(drive, monkeypatch):

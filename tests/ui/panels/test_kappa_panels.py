@@ -39,7 +39,7 @@ def column(panel, number):
     return [panel.table.item(row, number).text() for row in range(panel.table.rowCount())]
 
 
-def test_the_line_in_the_histogram_is_dragged(drive):
+def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_hidden(drive):
     driver = drive(frame=CONTACT)
     panel, counts = threshold(driver), driver.pipeline.counts
     line, box = panel.histogram.line, panel.histogram.frame.box
@@ -71,6 +71,34 @@ def test_the_line_in_the_histogram_is_dragged(drive):
     driver.wait(lambda: driver.result.patch.area_m2 != area)
     assert counts["estimate"] == solved
     assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.choices.kappa))
+    # the comparison follows the frame and costs nothing hidden
+    driver.settle()
+    bench, dock = driver.server.session.side_by_side, driver.window.panels["compare"]
+    driver.seek(CONTACT + 1)
+    assert not bench.pipelines
+    panel = compare(driver)
+    status = panel.a.values["status"]
+    panel.b.pressure_scale.setValue(0.5)
+    panel.b.block.setValue(3)
+    panel.b.recasts.setValue(1)
+    options = EstimatorOptions("linear", relinearisations=1, pressure_scale=0.5, block=3)
+    assert panel.b.setting.options == options
+    driver.wait(lambda: options in bench.pipelines)
+    assert bench.pipelines[options].estimator.observer.block == 3
+    own = driver.pipeline.counts["estimate"]
+    driver.state.seek(2)
+    driver.wait(lambda: status.text() == "no_contact")
+    driver.settle()
+    assert driver.pipeline.counts["estimate"] == own + 2  # at once, and settled
+    driver.window.panels["kappa"].raise_()  # behind a tab is hidden, too
+    driver.wait(lambda: status.text() == "–" and not bench.pipelines)
+    dock.raise_()
+    driver.wait(lambda: status.text() == "no_contact")
+    dock.hide()
+    assert status.text() == "–"
+    driver.wait(lambda: not bench.pipelines)  # nor does it hold memory
+    driver.seek(CONTACT)
+    assert not bench.pipelines
 
 
 def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive):
@@ -142,36 +170,6 @@ def test_in_a_simulation_the_curve_has_the_iou_and_two_settings_their_errors(dri
         assert float(column.values["iou"].text()) == pytest.approx(agreed, abs=0.05)
         assert column.values["total"].text().endswith(" ms")
         assert column.values["nodes"].text() == str(len(pipeline.mesh.nodes))
-
-
-def test_the_comparison_follows_the_frame_and_costs_nothing_hidden(drive):
-    driver = drive(frame=CONTACT)
-    bench, dock = driver.server.session.side_by_side, driver.window.panels["compare"]
-    driver.seek(CONTACT + 1)
-    assert not bench.pipelines
-    panel = compare(driver)
-    status = panel.a.values["status"]
-    panel.b.pressure_scale.setValue(0.5)
-    panel.b.block.setValue(3)
-    panel.b.recasts.setValue(1)
-    options = EstimatorOptions("linear", relinearisations=1, pressure_scale=0.5, block=3)
-    assert panel.b.setting.options == options
-    driver.wait(lambda: options in bench.pipelines)
-    assert bench.pipelines[options].estimator.observer.block == 3
-    own = driver.pipeline.counts["estimate"]
-    driver.state.seek(2)
-    driver.wait(lambda: status.text() == "no_contact")
-    driver.settle()
-    assert driver.pipeline.counts["estimate"] == own + 2  # at once, and settled
-    driver.window.panels["kappa"].raise_()  # behind a tab is hidden, too
-    driver.wait(lambda: status.text() == "–" and not bench.pipelines)
-    dock.raise_()
-    driver.wait(lambda: status.text() == "no_contact")
-    dock.hide()
-    assert status.text() == "–"
-    driver.wait(lambda: not bench.pipelines)  # nor does it hold memory
-    driver.seek(CONTACT)
-    assert not bench.pipelines
 
 
 def test_nothing_is_clipped(drive):

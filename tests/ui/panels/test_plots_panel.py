@@ -167,7 +167,7 @@ def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp):
     assert filled == [0.25, 0.75, 1.25, 1.75, 6.25, 6.75]
 
 
-def test_only_chosen_plots_ask_for_what_they_need(drive):
+def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
     driver = drive(frame=CONTACT)
     driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
     driver.window.panels["kappa"].hide()
@@ -188,10 +188,8 @@ def test_only_chosen_plots_ask_for_what_they_need(drive):
     looked = counts["look kappa_curve"], counts["estimate"]
     driver.seek(78)
     assert (counts["look kappa_curve"], counts["estimate"]) == looked
-
-
-def test_the_kappa_curve_texts_and_gas_pressure(drive):
-    driver = drive(frame=CONTACT)
+    # the κ curve is that of the thresholds, and no text is clipped
+    driver.seek(CONTACT)
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
     for plot in panel.plots.values():

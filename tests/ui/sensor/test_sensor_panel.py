@@ -69,7 +69,7 @@ def bench(drive, left):
     made.let_go()
 
 
-def test_title_status_bar_and_panel_name_sensor_and_file(bench, left):
+def test_what_the_sensor_is_named_and_what_cannot_be_saved_is_not_lost(bench, left, monkeypatch):
     window, panel = bench.window, bench.panel
     assert "left finger (left.toml)" in window.windowTitle()
     assert "left finger (left.toml)" in window.status.labels["sensor"].toolTip()
@@ -84,6 +84,18 @@ def test_title_status_bar_and_panel_name_sensor_and_file(bench, left):
     assert panel.recording.text() == "rest.mcap"
     bench.state.choose(pressure_unit="psi")
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
+    # what cannot be saved is not lost
+    before = left.read_bytes()
+    bench.click(bench.panel.edit)
+    bench.write(TENSION, "101.5")
+    bench.state.choose(pressure_unit="psi", solver="linear")  # the sensor is opened anew
+    bench.settle()
+    bench.save(left, monkeypatch)
+    assert "exists already" in bench.said
+    assert left.read_bytes() == before
+    assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
+    bench.click(bench.panel.cancel)
+    assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
 
 
 def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
@@ -101,16 +113,6 @@ def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
     driver = drive(DentSource, sensor=load_sensor("pico_flexx_75mm"))
     assert "soft-bubble pico flexx (preset)" in driver.window.windowTitle()
     assert driver.window.sensor.file.text() == "preset"
-
-
-def test_a_copy_named_without_its_suffix_is_a_toml(bench, left):
-    bench.click(bench.panel.edit)
-    assert typed(bench, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
-    bench.wait(lambda: bench.sensor.file == "double.toml")
-    assert not bench.window.message.isVisible()
-    bench.click(bench.panel.edit)
-    typed(bench, bench.panel.save.click, str(left.parent / "double"))
-    bench.told("double.toml: exists already")
 
 
 def test_a_copy_with_another_value_is_saved_and_used(bench, left, monkeypatch):
@@ -132,20 +134,15 @@ def test_a_copy_with_another_value_is_saved_and_used(bench, left, monkeypatch):
     assert "right.toml" in bench.window.windowTitle() and bench.panel.edit.isVisible()
     bench.wait(lambda: bench.panel.identified.text().endswith("UTC, edited since"))
     assert f"Saved {copy}" in bench.window.notice.label.text()
-
-
-def test_what_cannot_be_saved_is_not_lost(bench, left, monkeypatch):
-    before = left.read_bytes()
+    # named without its suffix it is a TOML file
+    monkeypatch.undo()
     bench.click(bench.panel.edit)
-    bench.write(TENSION, "101.5")
-    bench.state.choose(pressure_unit="psi", solver="linear")  # the sensor is opened anew
-    bench.settle()
-    bench.save(left, monkeypatch)
-    assert "exists already" in bench.said
-    assert left.read_bytes() == before
-    assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
-    bench.click(bench.panel.cancel)
-    assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
+    assert typed(bench, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
+    bench.wait(lambda: bench.sensor.file == "double.toml")
+    assert not bench.window.message.isVisible()
+    bench.click(bench.panel.edit)
+    typed(bench, bench.panel.save.click, str(left.parent / "double"))
+    bench.told("double.toml: exists already")
 
 
 def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench, left):
