@@ -1,7 +1,25 @@
 """What tests do with messages: make frames of them, record, play and publish them."""
 
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import Recorder, SessionOptions, ZenohPublisher, open_session
+
+
+@contextmanager
+def robot(port, first=0, *mode, layout="rmw"):
+    """Publishes images as a ROS 2 node does, in a process of its own, until it is killed."""
+    script = Path(__file__).with_name("robot.py")
+    command = [sys.executable, str(script), str(port), layout, str(first), *mode]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def frames_of(assembler, *messages):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from click.testing import CliRunner
 from small_press import small_source, write_small_sensor
-from test_zenoh import robot
+from streams import robot
 from wire import HEIGHT, WIDTH
 
 import bubbleviz as bv
@@ -71,7 +71,7 @@ def test_who_is_patient_gets_the_frames_after_the_gap(timeout_s, gaps, sensor):
 def test_a_robot_that_is_killed_ends_the_loop(sensor):
     port = free_port()
     with (
-        robot(port, "rmw") as process,
+        robot(port) as process,
         bv.connect(f"zenoh:tcp/127.0.0.1:{port}", of_robot(sensor)) as stream,
         pytest.raises(StreamStoppedError, match="no depth image for"),
     ):

@@ -4,10 +4,7 @@ import os
 import random
 import signal
 import socket
-import subprocess
-import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +12,7 @@ import pytest
 import zenoh
 from mcap.reader import make_reader
 from robot import KEYS, TOKENS, attachment, open_session
+from streams import robot
 from wire import HEIGHT, IMAGE, WIDTH, compressed_depth, image, number_of
 
 from benchmarks.window.live_soak import free_port
@@ -33,18 +31,6 @@ SHORT, FULL = 2, 20
 """How often the robot is killed: in `make test`, and in `make test-all`."""
 
 
-@contextmanager
-def robot(port, layout, first=0, *mode):
-    script = Path(__file__).with_name("robot.py")
-    command = [sys.executable, str(script), str(port), layout, str(first), *mode]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
 def stream_of(port, sensor, options=""):
     return open_stream(f"zenoh:tcp/127.0.0.1:{port}{options}", sensor)
 
@@ -61,7 +47,7 @@ def first_frame(stream, send):
 @pytest.mark.parametrize("layout", ["rmw", "dds"])
 def test_topics_are_found_and_frames_made(layout, small_sensor):
     port = free_port()
-    with robot(port, layout), stream_of(port, small_sensor) as stream:
+    with robot(port, layout=layout), stream_of(port, small_sensor) as stream:
         found = [stream.take(30.0) for _ in range(10)]
         assert all(frame is not None for frame in found)
         last = found[-1]
@@ -129,7 +115,7 @@ def test_the_robot_is_killed_and_comes_back(small_sensor, tmp_path, eventually):
     with stream:
         assert stream.status().state == "connecting"
         for life in range(times):
-            with robot(port, "rmw", 1000 * life) as process:
+            with robot(port, 1000 * life) as process:
                 eventually(lambda life=life: arrived and arrived[-1] >= 1000 * life)
                 stream.take()
                 assert stream.take(30.0) is not None
@@ -156,7 +142,7 @@ def test_the_robot_is_killed_and_comes_back(small_sensor, tmp_path, eventually):
 
 def test_a_robot_that_hangs_is_stale_and_comes_back(small_sensor, eventually):
     port = free_port()
-    with robot(port, "rmw") as process, stream_of(port, small_sensor) as stream:
+    with robot(port) as process, stream_of(port, small_sensor) as stream:
         assert stream.take(30.0) is not None
         os.kill(process.pid, signal.SIGSTOP)
         eventually(lambda: stream.status().state == "stale")
@@ -169,7 +155,7 @@ def test_a_robot_that_hangs_is_stale_and_comes_back(small_sensor, eventually):
 
 def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
     port = free_port()
-    with robot(port, "rmw", 0, "bad"), stream_of(port, small_sensor) as stream:
+    with robot(port, 0, "bad"), stream_of(port, small_sensor) as stream:
         eventually(
             lambda: (
                 stream.take(0.05),
@@ -232,8 +218,8 @@ def test_what_a_publisher_counted_and_never_arrived_is_missed(small_sensor, even
 def test_two_sensors_share_nothing(small_sensor):
     ports = free_port(), free_port()
     with (
-        robot(ports[0], "rmw", 0),
-        robot(ports[1], "rmw", 30_000),
+        robot(ports[0]),
+        robot(ports[1], 30_000),
         stream_of(ports[0], small_sensor) as left,
         stream_of(ports[1], small_sensor) as right,
     ):
@@ -247,7 +233,7 @@ def test_two_sensors_share_nothing(small_sensor):
 def test_nobody_else_can_reach_us(small_sensor, eventually):
     """Who connects listens nowhere, who listens does so where it is told to."""
     port, other = free_port(), free_port()
-    with robot(port, "rmw"), stream_of(port, small_sensor) as stream:
+    with robot(port), stream_of(port, small_sensor) as stream:
         eventually(lambda: stream.status().state == "live")
         assert listening() == set()
     with open_stream(f"zenoh:?listen=tcp/127.0.0.1:{other}", small_sensor):

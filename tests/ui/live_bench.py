@@ -1,8 +1,5 @@
 """A window with live sources for tests: small sensors, and a robot in a process of its own."""
 
-import subprocess
-import sys
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +13,6 @@ from bubbleviz.live import SensorPlace, SessionPreset
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.live.connection import single
 
-ROBOT = Path(__file__).parents[1] / "live" / "robot.py"
 WIDTH, HEIGHT = 64, 48
 """Of the robot's images, pixels."""
 IMAGE, STRING = "sensor_msgs/msg/Image", "std_msgs/msg/String"
@@ -35,18 +31,6 @@ def sensor_file(folder, name="robot_dome", **pneumatics):
     path = folder / f"{name}.toml"
     path.write_text(sensor_to_toml(robot_sensor(**pneumatics)), encoding="utf-8")
     return str(path)
-
-
-@contextmanager
-def robot(port, first=0, *mode):
-    """Publishes images as a ROS 2 node with rmw_zenoh, until it is killed."""
-    command = [sys.executable, str(ROBOT), str(port), "rmw", str(first), *mode]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def two(folder, source="synthetic:?frames=6"):

@@ -1,6 +1,6 @@
 """The dialog that connects: what it offers, what it writes, and what it says is missing."""
 
-from live_bench import record_dents, robot, sensor_file
+from live_bench import record_dents, sensor_file
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
 
@@ -15,6 +15,7 @@ from bubbleviz_ui.live.connect_dialog import (
     ZENOH,
     ConnectDialog,
 )
+from tests.live.streams import robot
 from tests.recordings.bagmaker import BagMaker, fill
 
 

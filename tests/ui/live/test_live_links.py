@@ -2,13 +2,14 @@
 
 import os
 
-from live_bench import IMAGE, connected, contents, record_dents, robot, sensor_file
+from live_bench import IMAGE, connected, contents, record_dents, sensor_file
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
 from bubbleviz_ui.engine.requests import RequestDelay
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
+from tests.live.streams import robot
 
 SHORT, FULL = 1, 3
 """How often a robot is killed."""

@@ -8,7 +8,7 @@ from multiprocessing import active_children
 
 import numpy as np
 import pytest
-from live_bench import SYNTHETIC, robot, sensor_file, two
+from live_bench import SYNTHETIC, sensor_file, two
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.calibration import PressureZero
@@ -19,6 +19,7 @@ from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
 from bubbleviz_ui.model.demand import Demand
+from tests.live.streams import robot
 
 
 @contextmanager

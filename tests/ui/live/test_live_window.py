@@ -3,7 +3,7 @@
 import threading
 
 import numpy as np
-from live_bench import SYNTHETIC, connected, record_dents, robot, sensor_file
+from live_bench import SYNTHETIC, connected, record_dents, sensor_file
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtWidgets import QAbstractButton
 from window_driver import CTRL, SHIFT, texts
@@ -13,6 +13,7 @@ from bubbleviz.live import STALE_AFTER_S
 from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.messages import UserMessage
+from tests.live.streams import robot
 
 
 def test_frames_are_followed_frozen_and_followed_again(open_bench):

@@ -39,9 +39,6 @@ def left(tmp_path):
 
 
 class Bench(Driver):
-    def __init__(self, driver):
-        super().__init__(driver.bot, driver.window, driver.server)
-
     @property
     def panel(self):
         return self.window.sensor
@@ -62,7 +59,7 @@ class Bench(Driver):
 
 @pytest.fixture
 def bench(drive, left):
-    made = Bench(drive(DentSource, sensor=load_sensor(left), frame=6))
+    made = Bench(**vars(drive(DentSource, sensor=load_sensor(left), frame=6)))
     made.show("sensor")
     made.wait(made.panel.edit.isVisible)
     yield made
