@@ -66,7 +66,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     demand = Demand(frozenset({"patch"}))
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     zero.restore(zero.reference_pa + 40.0, waiting=False)
-    server, stream = Server(), open_stream("synthetic:?rate=100&frames=1000", sensor)
+    server, stream = Server(), open_stream("synthetic:?rate=100&frames=200", sensor)
     frames = LiveFrames("press", stream, zero, paired=True)
     with stream:
         while not frames.came(60.0):
