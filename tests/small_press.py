@@ -1,6 +1,6 @@
 """A small sensor and short recordings of a cylinder pressed into it, quick to solve."""
 
-from bubbleviz.api.simulating import write_simulation
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
@@ -34,5 +34,5 @@ def small_source(sensor, heights=HEIGHTS, seed=0):
 
 def write_press(path, sensor, heights=HEIGHTS, seed=0):
     """A recording of the presses."""
-    write_simulation(small_source(sensor, heights, seed), path)
+    Simulation(small_source(sensor, heights, seed)).save(path)
     return path

@@ -74,8 +74,10 @@ def convert(
         Replace what exists.
     progress : Progress
     **beside
-        Of a folder of images, see `images_of`: `intrinsics`, `times`, `gas_pressure`, `wrench`,
-        `rate_hz`, `metres_per_unit`.
+        Of a folder of images: files `intrinsics`, `times`, `gas_pressure` and `wrench` (see
+        `bubbleviz.recordings.image_folder`; the first two are looked for in the folder, too, as
+        `intrinsics.toml`, `intrinsics.json` and `times.csv`), `rate_hz` where the images have no
+        times, and `metres_per_unit`.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def convert(
     beside = {name: value for name, value in beside.items() if value is not None}
     progress("opening", 0.0)
     if is_image_folder(source):
-        images = images_of(source, **beside)  # type: ignore[arg-type]
+        images = _images_of(source, **beside)  # type: ignore[arg-type]
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
     if beside:
         raise InputError(
@@ -98,7 +100,7 @@ def convert(
         return _written(recording, out, progress, whole_millimetres, overwrite=overwrite)
 
 
-def images_of(
+def _images_of(
     folder: Path,
     *,
     intrinsics: Path | None = None,
@@ -108,18 +110,6 @@ def images_of(
     rate_hz: float | None = None,
     metres_per_unit: float | None = None,
 ) -> ImageFolder:
-    """The depth images of a folder with what belongs to them.
-
-    Parameters
-    ----------
-    folder : Path
-    intrinsics, times, gas_pressure, wrench : Path, optional
-        Files; see `bubbleviz.recordings.image_folder`. Intrinsics and times are looked for in the
-        folder, too, as `intrinsics.toml`, `intrinsics.json` and `times.csv`.
-    rate_hz : float, optional
-        Of the images, where they have no times.
-    metres_per_unit : float, optional
-    """
     if rate_hz is not None and times is not None:
         raise InputError(f"{folder}: give either a rate of the images or their times")
     camera = intrinsics or _there(folder, *INTRINSICS)
@@ -154,10 +144,9 @@ def _written(
             colour |= frame.colour is not None
             writer.write(frame)
     height, width = frame.depth_m.shape
-    duration = float(source.times_s[-1])
-    has_camera = frame.intrinsics is not None
+    duration, camera = float(source.times_s[-1]), frame.intrinsics is not None
     return ConvertSummary(
-        str(out), len(source), duration, width, height, has_camera, pressure, wrench, colour
+        str(out), len(source), duration, width, height, camera, pressure, wrench, colour
     )
 
 

@@ -64,8 +64,21 @@ class Simulation(Frames):
         SolveError
             No equilibrium at a pose; nothing is written.
         """
-        with OneBlasThread():
-            write_simulation(self.source, out, truth, overwrite=overwrite, progress=progress)
+        for path in (out, truth) if truth else (out,):
+            refuse_existing(path, overwrite=overwrite)
+        truths: list[Truth] = []
+        with OneBlasThread(), ExitStack() as stack:
+            file = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None
+            writer = stack.enter_context(RecordingWriter(out, overwrite=overwrite))
+            for index in range(len(self.source)):
+                writer.write(self.source[index])
+                if file:
+                    truths.append(self.source.truth(index))
+                progress("simulating", (index + 1) / len(self.source))
+            if file:
+                arrays: dict[str, Any] = _truth_arrays(self.source, truths)
+                with file.open("wb") as opened:
+                    np.savez_compressed(opened, **arrays)
 
 
 def simulate(
@@ -170,32 +183,6 @@ def simulate(
             texture=Speckle(seed=seed) if texture else None,
         )
     return Simulation(source)
-
-
-def write_simulation(
-    source: SyntheticSource,
-    out: str | Path,
-    truth: str | Path | None = None,
-    *,
-    overwrite: bool = False,
-    progress: Progress = quiet,
-) -> None:
-    """Write all frames of a source, and TRUTH.npz where it is asked for; as `Simulation.save`."""
-    for path in (out, truth) if truth else (out,):
-        refuse_existing(path, overwrite=overwrite)
-    truths: list[Truth] = []
-    with ExitStack() as stack:
-        temporary = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None
-        writer = stack.enter_context(RecordingWriter(out, overwrite=overwrite))
-        for index in range(len(source)):
-            writer.write(source[index])
-            if temporary:
-                truths.append(source.truth(index))
-            progress("simulating", (index + 1) / len(source))
-        if temporary:
-            arrays: dict[str, Any] = _truth_arrays(source, truths)
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, **arrays)
 
 
 def _truth_arrays(source: SyntheticSource, truths: list[Truth]) -> dict[str, np.ndarray]:

@@ -103,12 +103,18 @@ class Watcher:
         check = partial(stream.check_size, f"--source {source}", sensor.name)
         first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
         if first is None:
-            raise InputError(f"--source {source}: no depth image arrived; {_seen(stream)}")
+            seen = stream.source.problem() or stream.counters().problem or offered(stream)
+            raise InputError(f"--source {source}: no depth image arrived; {seen}")
         pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver, friction))
         pipeline.prepare(PRODUCTS)
         pipeline.follow(obj, start)
         known = PressureZero(pipeline.model.gas.P0) if zero_gas else None
-        texture = _texture(pipeline, friction) if shear else None
+        texture = None
+        if shear:
+            from bubbleviz.calibration import PassingTexture  # needs OpenCV
+
+            texture = PassingTexture(pipeline, friction)
+            pipeline.prepare(SHEAR)
         return cls(stream, pipeline, known, options, first, texture)
 
     @property
@@ -151,14 +157,6 @@ class Watcher:
         return gas_warning(self.zero.rest_pa, known_pa, "without contact")
 
 
-def _texture(pipeline: Pipeline, friction: float | None) -> PassingTexture:
-    from bubbleviz.calibration import PassingTexture  # only for shear
-
-    texture = PassingTexture(pipeline, friction)
-    pipeline.prepare(SHEAR)
-    return texture
-
-
 def _first_frame(
     stream: LiveStream, stop: threading.Event, patience: float, check: Callable[[], None]
 ) -> Frame | None:
@@ -177,10 +175,6 @@ def _first_frame(
         if frame.intrinsics is not None or ended or now > deadline:
             return frame
     return frame
-
-
-def _seen(stream: LiveStream) -> str:
-    return stream.source.problem() or stream.counters().problem or offered(stream)
 
 
 @dataclass(frozen=True)
@@ -320,7 +314,7 @@ def _watch(
                 told = time.monotonic()
                 status, counters = watcher.stream.status(), watcher.stream.counters()
                 send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
-                newest = (_force_text(watcher.last), *_shear_texts(watcher), status.text)
+                newest = (*_newest(watcher.last, watcher.texture), status.text)
                 bar.set_postfix_str(", ".join(filter(None, newest)))
     elapsed = time.monotonic() - began
     latency, texture = watcher.latency.report(), watcher.texture
@@ -349,19 +343,14 @@ def _tell_silence(stream: LiveStream, told: bool) -> bool:
     return True
 
 
-def _force_text(result: Result | None) -> str:
-    """Force of the newest frame, or why there is none."""
+def _newest(result: Result | None, texture: PassingTexture | None) -> Iterator[str]:
+    """Force of the newest frame, or why there is none, and its shear, where that was asked for."""
     if result is None or result.estimate is None:
-        return ""
+        return
     patch = result.trusted_patch
-    return result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
-
-
-def _shear_texts(watcher: Watcher) -> tuple[str, ...]:
-    """Shear of the newest frame, and what it is measured against while that is not there."""
-    if watcher.texture is None or watcher.last is None:
-        return ()
-    return (shear_line(watcher.last), watcher.texture.words)
+    yield result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
+    if texture is not None:
+        yield from (shear_line(result), texture.words)
 
 
 def _recorder(

@@ -17,62 +17,11 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import force_of, measured_force
 from bubbleviz.result import Result
 
-# What RESULT.npz and RESULT.csv say of traction with friction and slip.
-
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
     """Keys of vectors, `force_n`, with their columns by component, `force_x_n` and so on."""
     parts = {key: key.rpartition("_") for key in keys}
     return {key: tuple(f"{p[0]}_{axis}_{p[2]}" for axis in "xyz") for key, p in parts.items()}
-
-
-SHEAR_COLUMNS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("traction_status", "traction_reason"), ()),
-    **by_axis(
-        *("traction_force_n", "traction_force_sigma_n"),
-        *("traction_torque_nm", "traction_torque_sigma_nm"),
-    ),
-    **dict.fromkeys(("flow_rms_px", "slip", "slip_sigma"), ()),
-}
-"""Keys with a text or a few numbers a frame, and their columns in the CSV as of
-`result_writer.COLUMNS`."""
-
-SHEAR_FIELDS: dict[str, tuple[int, ...]] = {"traction_pa": (3,), "tangential_displacement_m": (3,)}
-"""Keys with three numbers per frame and node."""
-
-
-def shear_row(result: Result) -> dict[str, Any]:
-    """Values of one frame by key of `SHEAR_COLUMNS`; empty where traction was not asked for.
-
-    NaN where nothing is known: σ of a traction by depth alone, slip without a patch that sticks.
-    `traction_half_width_n`, half of the 95 % interval of |force|, is for a summary of the frames.
-    """
-    traction, slip = result.traction, result.slip
-    if traction is None:
-        return {}
-    return {
-        "traction_status": traction.status,
-        "traction_reason": traction.reason,
-        "traction_force_n": traction.force_n,
-        "traction_force_sigma_n": traction.force_sigma_n,
-        "traction_torque_nm": traction.torque_nm,
-        "traction_torque_sigma_nm": traction.torque_sigma_nm,
-        "traction_half_width_n": ShearNumbers.of(traction).force_n[1],
-        "flow_rms_px": traction.flow_rms_px,
-        "slip": np.nan if slip is None else slip.share,
-        "slip_sigma": np.nan if slip is None else slip.share_sigma,
-    }
-
-
-def shear_fields(result: Result) -> dict[str, np.ndarray]:
-    """Fields of one frame by key of `SHEAR_FIELDS`; empty where traction was not asked for."""
-    traction = result.traction
-    if traction is None:
-        return {}
-    return {
-        "traction_pa": traction.traction_pa,
-        "tangential_displacement_m": traction.tangential_displacement_m,
-    }
 
 
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -83,18 +32,27 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "patch_area_m2": (),
     "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
     **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
+    # traction with friction and slip, only where they were asked for:
+    **dict.fromkeys(("traction_status", "traction_reason"), ()),
+    **by_axis("traction_force_n", "traction_force_sigma_n"),
+    **by_axis("traction_torque_nm", "traction_torque_sigma_nm"),
+    **dict.fromkeys(("flow_rms_px", "slip", "slip_sigma"), ()),
 }
-"""Keys of RESULT.npz with a few numbers a frame, and their columns in the CSV where it has more
-than the one of the same name."""
+"""Keys of RESULT.npz with a text or a few numbers a frame, and their columns in the CSV where it
+has more than the one of the same name."""
 
 NODAL_FIELDS: dict[str, tuple[int, ...]] = {
     "displacement_m": (),
     "displacement_3d_m": (3,),
     "contact_pressure_pa": (),
     "patch_level": (),
+    "traction_pa": (3,),
+    "tangential_displacement_m": (3,),
 }
 """Keys of RESULT.npz with numbers per frame and node, and how many where it is not one; the patch
-is where its level is positive."""
+is where its level is positive; the last two only where traction was asked for."""
+
+_OF_SHEAR = ("traction_pa", "tangential_displacement_m")
 
 UNKNOWN = ("no_data", "not_converged", "implausible")
 """Statuses of frames about which nothing is known."""
@@ -107,8 +65,7 @@ _KNOWN_WITHOUT_DATA = {
 def summary_row(result: Result) -> dict[str, Any]:
     """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell.
 
-    With those of `SHEAR_COLUMNS` where traction was asked for. The measured force needs the other
-    frames, see `add_measured_force`; `wrench_n` is for that.
+    The measured force needs the other frames, see `add_measured_force`; `wrench_n` is for that.
     """
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
@@ -137,9 +94,32 @@ def summary_row(result: Result) -> dict[str, Any]:
         "kappa": np.nan if patch.kappa is None else patch.kappa,
     }
     if estimate.status in UNKNOWN:
-        for key in COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
+        for key in row.keys() & COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
-    return row | shear_row(result)
+    return row | _shear_row(result)
+
+
+def _shear_row(result: Result) -> dict[str, Any]:
+    """What is known of traction with friction and slip; empty where traction was not asked for.
+
+    NaN where nothing is known: σ of a traction by depth alone, slip without a patch that sticks.
+    `traction_half_width_n`, half of the 95 % interval of |force|, is for a summary of the frames.
+    """
+    traction, slip = result.traction, result.slip
+    if traction is None:
+        return {}
+    return {
+        "traction_status": traction.status,
+        "traction_reason": traction.reason,
+        "traction_force_n": traction.force_n,
+        "traction_force_sigma_n": traction.force_sigma_n,
+        "traction_torque_nm": traction.torque_nm,
+        "traction_torque_sigma_nm": traction.torque_sigma_nm,
+        "traction_half_width_n": ShearNumbers.of(traction).force_n[1],
+        "flow_rms_px": traction.flow_rms_px,
+        "slip": np.nan if slip is None else slip.share,
+        "slip_sigma": np.nan if slip is None else slip.share_sigma,
+    }
 
 
 def add_measured_force(rows: list[dict[str, Any]]) -> None:
@@ -154,10 +134,7 @@ def nodal_fields(
     result: Result,  # with its estimate and patch
     mesh: MembraneMesh,
 ) -> dict[str, np.ndarray]:
-    """Fields of one frame by key of `NODAL_FIELDS`; NaN for what a frame without data cannot tell.
-
-    With those of `SHEAR_FIELDS` where traction was asked for.
-    """
+    """Fields of one frame by key of `NODAL_FIELDS`; NaN where it has no data to tell them."""
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         raise ValueError("the products estimate and patch were not asked for")
@@ -169,7 +146,14 @@ def nodal_fields(
     }
     if estimate.status in UNKNOWN:
         fields = {name: np.full_like(field, np.nan) for name, field in fields.items()}
-    return fields | shear_fields(result)
+    traction = result.traction
+    if traction is None:
+        return fields
+    return {
+        **fields,
+        "traction_pa": traction.traction_pa,
+        "tangential_displacement_m": traction.tangential_displacement_m,
+    }
 
 
 def result_arrays(
@@ -188,8 +172,7 @@ def result_arrays(
 
 
 def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
-    known = [key for key in (*COLUMNS, *SHEAR_COLUMNS) if key in rows[0]]
-    return {key: np.array([row[key] for row in rows]) for key in known}
+    return {key: np.array([row[key] for row in rows]) for key in COLUMNS if key in rows[0]}
 
 
 def _surface(mesh: MembraneMesh) -> dict[str, np.ndarray]:
@@ -220,7 +203,7 @@ class ResultWriter:
     ) -> None:
         self.rows: list[dict[str, Any]] = []
         self._mesh, self._frames, self._shape = mesh, frames, shape
-        self._fields = NODAL_FIELDS | (SHEAR_FIELDS if shear else {})
+        self._fields = {k: n for k, n in NODAL_FIELDS.items() if shear or k not in _OF_SHEAR}
         self._stack = ExitStack()
         with ExitStack() as opening:
             archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
@@ -295,7 +278,7 @@ def csv_row(row: dict[str, Any], sensor: str) -> dict[str, Any]:
     `kappa` is None where the rule is automatic.
     """
     plain: dict[str, Any] = {}
-    for key, names in (COLUMNS | SHEAR_COLUMNS).items():
+    for key, names in COLUMNS.items():
         if key in row:
             plain |= dict(zip(names or (key,), np.atleast_1d(row[key]).tolist(), strict=True))
     kappa = None if np.isnan(row["kappa"]) else plain["kappa"]

@@ -199,57 +199,80 @@ class PatchPly(Series):
         return cloud[inside], nodal_at(self.model.view, estimate.motion_m, field, chosen)
 
 
-class DepthPictures(Series):
-    """The depth image as measured, as .png; nothing is solved.
+class Pictures(Series):
+    """One image of each frame as .png, and NAME_KIND.json, which says what the colours stand for.
 
-    The colours go from the depth of the membrane's nearest to its farthest reference node, so
-    that pictures of one sensor compare. NAME_depth.json says what they stand for.
+    Their range is one of the sensor, so that pictures of one sensor compare.
     """
 
-    kind = "depth"
+    quantity = ""
 
-    def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
-        super().__init__(folder, name, model)
-        T = model.camera.T_B_C
-        depths = (model.mesh.nodes - T[:3, 3]) @ T[:3, 2]
-        self._range = float(depths.min()), float(depths.max())
+    def image(self, result: Result) -> np.ndarray:
+        """Values of the pixels, (H, W); NaN where there is no number."""
+        raise NotImplementedError
+
+    def range(self) -> tuple[float, float]:
+        """Values of the darkest and the brightest colour."""
+        raise NotImplementedError
 
     def add(self, result: Result) -> None:
         """Write the picture of the next frame."""
-        _write_png(self.path(result, ".png"), result.frame.depth_m, self._range)
+        from matplotlib import colormaps  # only where pictures are written
+        from PIL import Image
+
+        low, high = self.range()
+        shares = (self.image(result) - low) / (high - low)
+        colours = colormaps[COLOURS].with_extremes(bad=NOT_KNOWN)(shares)
+        picture = Image.fromarray((255.0 * colours[..., :3]).astype(np.uint8))
+        picture.save(self.path(result, ".png"))
 
     def finish(self) -> None:
         """Write what the colours stand for."""
-        _write_range(self.folder / f"{self.name}.json", "depth_m", self._range)
+        low, high = self.range()
+        said = {
+            "quantity": self.quantity,
+            "darkest": low,
+            "brightest": high,
+            "colours": COLOURS,
+            "not_known": NOT_KNOWN,
+        }
+        text = json.dumps(said, indent=1) + "\n"
+        (self.folder / f"{self.name}.json").write_text(text, encoding="utf-8")
 
 
-class PressurePictures(Series):
-    """Contact pressure where each pixel looks, as .png.
+class DepthPictures(Pictures):
+    """The depth image as measured; nothing is solved.
 
-    The colours go from 0 to `HIGHEST_PRESSURE` times the gauge pressure. NAME_pressure.json says
-    what they stand for.
+    The colours go from the depth of the membrane's nearest to its farthest reference node.
     """
 
-    kind = "pressure"
+    kind, quantity = "depth", "depth_m"
+
+    def image(self, result: Result) -> np.ndarray:
+        return result.frame.depth_m
+
+    def range(self) -> tuple[float, float]:
+        T = self.model.camera.T_B_C
+        depths = (self.model.mesh.nodes - T[:3, 3]) @ T[:3, 2]
+        return float(depths.min()), float(depths.max())
+
+
+class PressurePictures(Pictures):
+    """Contact pressure where each pixel looks, from 0 to `HIGHEST_PRESSURE` gauge pressures."""
+
+    kind, quantity = "pressure", "contact_pressure_pa"
     products: frozenset[Product] = frozenset({"estimate"})
 
-    def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
-        super().__init__(folder, name, model)
-        self._range = (0.0, HIGHEST_PRESSURE * model.sensor.pneumatics.gauge_pressure_pa)
-        self._pixels = np.arange(model.view.shape[0] * model.view.shape[1])
-
-    def add(self, result: Result) -> None:
-        """Write the picture of the next frame."""
+    def image(self, result: Result) -> np.ndarray:
         estimate, view = estimate_of(result), self.model.view
-        image = np.full(view.shape, np.nan)
-        if is_known(estimate):
-            u, pressure = estimate.motion_m, estimate.contact_pressure_pa
-            image = nodal_at(view, u, pressure, self._pixels).reshape(image.shape)
-        _write_png(self.path(result, ".png"), image, self._range)
+        if not is_known(estimate):
+            return np.full(view.shape, np.nan)
+        pixels = np.arange(view.shape[0] * view.shape[1])
+        seen = nodal_at(view, estimate.motion_m, estimate.contact_pressure_pa, pixels)
+        return seen.reshape(view.shape)
 
-    def finish(self) -> None:
-        """Write what the colours stand for."""
-        _write_range(self.folder / f"{self.name}.json", "contact_pressure_pa", self._range)
+    def range(self) -> tuple[float, float]:
+        return 0.0, HIGHEST_PRESSURE * self.model.sensor.pneumatics.gauge_pressure_pa
 
 
 SERIES: dict[str, type[Series]] = {
@@ -278,23 +301,3 @@ def nodal_at(
 
 def _comment(frame: Frame) -> str:
     return f"bubble frame B, metres; frame {frame.index}, {frame.time_s!r} s"
-
-
-def _write_png(path: Path, image: np.ndarray, limits: tuple[float, float]) -> None:
-    from matplotlib import colormaps  # only where pictures are written
-    from PIL import Image
-
-    low, high = limits
-    colours = colormaps[COLOURS].with_extremes(bad=NOT_KNOWN)((image - low) / (high - low))
-    Image.fromarray((255.0 * colours[..., :3]).astype(np.uint8)).save(path)
-
-
-def _write_range(path: Path, quantity: str, limits: tuple[float, float]) -> None:
-    said = {
-        "quantity": quantity,
-        "darkest": limits[0],
-        "brightest": limits[1],
-        "colours": COLOURS,
-        "not_known": NOT_KNOWN,
-    }
-    path.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")

@@ -78,7 +78,13 @@ def _client(address: str) -> Iterator[Any]:
             "with `dask scheduler`, or check address and port"
         ) from error
     try:
-        _wait_for_workers(client, address)
+        try:
+            client.wait_for_workers(1, timeout=TIMEOUT_S)
+        except TimeoutError as error:
+            raise InputError(
+                f"--scheduler {address}: the scheduler has no workers; start `dask worker "
+                f"{address}` where the recordings are"
+            ) from error
         yield client
     finally:
         client.close(timeout=TIMEOUT_S)
@@ -90,16 +96,6 @@ async def _kind_of_server(address: str) -> str:
     async with rpc(address, timeout=TIMEOUT_S) as server:
         identity = await asyncio.wait_for(server.identity(), TIMEOUT_S)
     return str(identity.get("type"))
-
-
-def _wait_for_workers(client: Any, address: str) -> None:
-    try:
-        client.wait_for_workers(1, timeout=TIMEOUT_S)
-    except TimeoutError as error:
-        raise InputError(
-            f"--scheduler {address}: the scheduler has no workers; start `dask worker {address}` "
-            "where the recordings are"
-        ) from error
 
 
 def _lost(address: str) -> InputError:

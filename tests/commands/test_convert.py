@@ -9,7 +9,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import bubbleviz as bv
-from bubbleviz.api.simulating import write_simulation
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.camera import Intrinsics
 from bubbleviz.cli.command_line import main
 from bubbleviz.recordings import Recording
@@ -220,7 +220,7 @@ def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_pa
 
 def test_the_force_is_that_of_the_original(tmp_path):
     sensor = write_small_sensor(tmp_path / "small.toml")
-    write_simulation(small_source(sensor, HEIGHTS[1:2]), tmp_path / "press.mcap")
+    Simulation(small_source(sensor, HEIGHTS[1:2])).save(tmp_path / "press.mcap")
     (tmp_path / "images").mkdir()
     with Recording(tmp_path / "press.mcap") as recording:
         np.save(tmp_path / "images" / "1.npy", recording[0].depth_m)

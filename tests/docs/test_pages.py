@@ -20,7 +20,7 @@ from small_press import small_source, write_press, write_small_sensor
 from benchmarks.__main__ import benchmarks
 from benchmarks.window.__main__ import bench
 from benchmarks.window.live_soak import free_port
-from bubbleviz.api.simulating import write_simulation
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.cli.command_line import main
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from tests.recordings.bagmaker import BagMaker, fill
@@ -140,7 +140,7 @@ def simulated(tmp_path_factory):
     sensor = folder / "my.toml"
     sensor.write_text(sensor_to_toml(load_sensor("pico_flexx_75mm")), encoding="utf-8")
     source = small_source(sensor, (*[0.060] * 75, *[0.044] * 15))
-    write_simulation(source, folder / "press.mcap", folder / "truth.npz")
+    Simulation(source).save(folder / "press.mcap", folder / "truth.npz")
     return folder
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.api.simulating import simulate, write_simulation
+from bubbleviz.api.simulating import Simulation, simulate
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
@@ -123,7 +123,7 @@ def test_a_truth_of_before_friction_is_read_without_it(sensor, tmp_path):
     whole, old = tmp_path / "whole.npz", tmp_path / "old.npz"
     press = SyntheticSource(sensor, load_object("sphere"), np.eye(4)[None] + 0.0)
     press.poses[0, 2, 3] = HEIGHT
-    write_simulation(press, tmp_path / "rec.mcap", whole)
+    Simulation(press).save(tmp_path / "rec.mcap", whole)
     new = ("traction_pa", "torque_nm", "slip_m", "slip_share")
     with np.load(whole) as file:
         np.savez(old, **{key: file[key] for key in file.files if key not in new})

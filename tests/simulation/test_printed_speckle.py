@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.api.simulating import write_simulation
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose
@@ -91,7 +91,7 @@ def test_a_simulated_recording_has_the_images(tmp_path):
     sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
     poses = np.array([parse_pose(f"0.005 0 {z} 0 0 0 1") for z in (0.060, 0.044)])
     source = SyntheticSource(sensor, load_object("cylinder"), poses, texture=Speckle())
-    write_simulation(source, tmp_path / "rec.mcap")
+    Simulation(source).save(tmp_path / "rec.mcap")
     with Recording(tmp_path / "rec.mcap") as recording:
         for k in range(2):
             made, written = source[k].colour, recording[k].colour

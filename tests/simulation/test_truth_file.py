@@ -6,7 +6,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from bubbleviz.api.simulating import write_simulation
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
@@ -43,7 +43,7 @@ def source():
 @pytest.fixture(scope="module")
 def folder(source, tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulated")
-    write_simulation(source, folder / "sim.mcap", folder / "truth.npz")
+    Simulation(source).save(folder / "sim.mcap", folder / "truth.npz")
     return folder
 
 

@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 from window_driver import run_bubbleviz
 
-from bubbleviz.api.simulating import write_simulation
+from bubbleviz.api.simulating import Simulation
 from bubbleviz.cli.command_line import main
 from bubbleviz.live import RawMessage, Recorder
 from bubbleviz.recordings import FrameMessages
@@ -31,7 +31,7 @@ def files(sensor, tmp_path_factory):
     poses[:, 2, 3] = (0.045, 0.042, 0.040)
     noise = DepthNoise(relative=0.001)
     source = SyntheticSource(sensor, load_object("cylinder"), poses, noise, nodes=800)
-    write_simulation(source, folder / "sim.mcap", folder / "what_is_true.npz")
+    Simulation(source).save(folder / "sim.mcap", folder / "what_is_true.npz")
     (folder / "dome.toml").write_text(sensor_to_toml(sensor))
     return folder
 
