@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
-from threading import Event, Timer
+from threading import Event, Thread
 
 import numpy as np
 
@@ -43,8 +44,10 @@ class PipelineProcess:
         self._patience_s = patience_s
         self._worker = WorkerProcess()
         self._built = self._started = False
+        self._busy_since_s: float | None = None
         self._hung = False
         self._over = Event()
+        self._watcher: Thread | None = None
 
     @property
     def pid(self) -> int | None:
@@ -77,6 +80,8 @@ class PipelineProcess:
         self._built = False
         self._over.set()
         self._worker.stop()
+        if self._watcher is not None:
+            self._watcher.join()  # it sees that it is over at once
 
     def _start(self, products: frozenset[Product]) -> None:
         self._started = True
@@ -91,28 +96,19 @@ class PipelineProcess:
         """Whether it is there to solve; nobody waits until it is."""
         if self._built or self._over.is_set() or not self._worker.pipe.poll():
             return self._built
-        self._built = self._returned(self._worker.outcome())
+        if self._returned(self._worker.outcome()):
+            self._built = True
+            self._watcher = Thread(target=self._watch, name="solver watch", daemon=True)
+            self._watcher.start()
         return self._built
 
     def _call(self, *args: object) -> Outcome:
-        """Outcome of a frame; a process that hangs is ended, by a thread of its own.
-
-        This one may also wait for the process while the frame is sent.
-        """
-        patience = Timer(self._patience_s, self._lose_patience)
-        patience.daemon = True
-        patience.start()
-        try:
-            self._worker.send(_solved, *args)
-            outcome = self._worker.outcome()
-        finally:
-            patience.cancel()
+        self._busy_since_s = time.monotonic()
+        self._worker.send(_solved, *args)
+        outcome = self._worker.outcome()
+        self._busy_since_s = None
         self._returned(outcome)
         return outcome
-
-    def _lose_patience(self) -> None:
-        self._hung = True
-        self._worker.kill()
 
     def _returned(self, outcome: Outcome) -> bool:
         """Whether a call went well; without its process, or its pipeline, it is over."""
@@ -123,6 +119,17 @@ class PipelineProcess:
                 )
             self.close()
         return outcome.kind == "returned"
+
+    def _watch(self) -> None:
+        """End a process that hangs, so that who waits for its answer learns that it died.
+
+        A thread of its own: a frame may also wait for the process while it is sent.
+        """
+        while not self._over.wait(0.2 * self._patience_s):
+            since_s = self._busy_since_s
+            if since_s is not None and time.monotonic() - since_s > self._patience_s:
+                self._hung = True
+                self._worker.kill()
 
 
 def _prepared(
