@@ -19,7 +19,7 @@ from benchmarks.window.bench_window import live_window, recorded_run
 from benchmarks.window.live_soak import Publisher, gaps_in, resized_file, sequences
 from benchmarks.window.process_usage import process_seconds, resident_bytes, thread_seconds
 from benchmarks.window.replay_rate import beats, run_for
-from bubbleviz.api.results import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import load_sensor

@@ -12,7 +12,7 @@ from statistics import median
 from benchmarks.window.bench_window import live_window, recorded_run
 from benchmarks.window.live_soak import Publisher, depth_images
 from benchmarks.window.replay_rate import run_for
-from bubbleviz.api.results import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.live import RawMessage
 from bubbleviz.recordings import IMAGE
 from bubbleviz_ui.live.connection import single

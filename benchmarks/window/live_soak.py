@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 
 from benchmarks.window.process_usage import resident_bytes
-from bubbleviz.api.results import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.api.watching import PRODUCTS, Watcher
 from bubbleviz.errors import InputError
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream

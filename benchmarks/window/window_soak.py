@@ -21,7 +21,7 @@ from benchmarks.window.live_soak import (
 )
 from benchmarks.window.process_usage import resident_bytes
 from benchmarks.window.replay_rate import beats, run_for
-from bubbleviz.api.results import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single

@@ -20,7 +20,8 @@ import numpy as np
 import bubbleviz
 from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
-from bubbleviz.api.results import Summary, statistics
+from bubbleviz.api.results import statistics
+from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import file_hash
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import cannot_write, refuse_existing, table, to_json, whole_file, write_rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from bubbleviz.api.results import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing
 from bubbleviz.progress import Progress, quiet

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from bubbleviz.api.estimating import SensorName, as_frames, patch_options, pipeline_for, solved
 from bubbleviz.api.frames import Frames
-from bubbleviz.api.results import OneBlasThread, Summary
+from bubbleviz.api.results import OneBlasThread
+from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import zero_of
 from bubbleviz.files import whole_file
 from bubbleviz.output import ExportPlan, read_poses

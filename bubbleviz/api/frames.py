@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self, overload
 
 import numpy as np
 
-from bubbleviz.api.results import Summary
+from bubbleviz.api.summary import Summary
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Frame, FrameSource, Gap, Recording, Topic, find_gaps, usual_step

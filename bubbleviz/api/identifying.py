@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.api.frames import parse_frames
-from bubbleviz.api.results import OneBlasThread, Summary
+from bubbleviz.api.results import OneBlasThread
+from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import (
     Identification,
     KnownPress,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tqdm import tqdm
 
 from bubbleviz.api.connecting import offered
-from bubbleviz.api.results import Summary, counted
+from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, set_aside
 from bubbleviz.live import LiveStream, RawMessage, Recorder, RecorderStatus, open_stream, patience_s

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -16,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self, overload
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing, whole_file, write_rows
 from bubbleviz.output import (
@@ -47,34 +46,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
-
-
-# What a verb reports at its end: text for people, JSON for machines.
-
-
-class Summary(ABC):
-    """Facts of what was done; a frozen dataclass, unless `facts` is overridden.
-
-    One that can warn has a `warning`: what is missing or does not fit together, but was used all
-    the same.
-    """
-
-    def facts(self) -> dict[str, Any]:
-        """What `to_json` has: SI units but for ms, None for numbers that are not known."""
-        return asdict(self)  # type: ignore[call-overload]
-
-    def to_json(self) -> str:
-        """The facts as a JSON object."""
-        return json.dumps(self.facts(), indent=2, allow_nan=False, ensure_ascii=False)
-
-    @abstractmethod
-    def to_text(self) -> str:
-        """Text for the terminal, with units."""
-
-
-def counted(status: dict[str, int]) -> str:
-    """Numbers by name, in words: `3 ok, 1 no_contact`."""
-    return ", ".join(f"{count} {name}" for name, count in status.items())
 
 
 _ARROW = 0.5  # of the membrane's width, the length of the force's arrow

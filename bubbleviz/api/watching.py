@@ -18,7 +18,8 @@ from tqdm import tqdm
 
 from bubbleviz.api.connecting import offered, sensor_of
 from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
-from bubbleviz.api.results import FrameResult, OneBlasThread, Summary, counted
+from bubbleviz.api.results import FrameResult, OneBlasThread
+from bubbleviz.api.summary import Summary, counted
 from bubbleviz.calibration import PressureZero, zeroed
 from bubbleviz.diagnostics import ShearSummary, ShearTally, shear_line
 from bubbleviz.errors import InputError

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bubbleviz.sensor import Camera
+if TYPE_CHECKING:  # recordings start without the sensor file's validation
+    from bubbleviz.sensor import Camera
 
 _SETTLED = 1e-5  # error of image-plane coordinates that Newton's next step squares to rounding
 

@@ -12,7 +12,7 @@ import click
 from bubbleviz.files import MOST_COLOUR_DELAY_S
 
 if TYPE_CHECKING:
-    from bubbleviz.api.results import Summary
+    from bubbleviz.api.summary import Summary
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)

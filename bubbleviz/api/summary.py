@@ -1,0 +1,33 @@
+"""What a verb reports at its end: text for people, JSON for machines."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from dataclasses import asdict
+from typing import Any
+
+
+class Summary(ABC):
+    """Facts of what was done; a frozen dataclass, unless `facts` is overridden.
+
+    One that can warn has a `warning`: what is missing or does not fit together, but was used all
+    the same.
+    """
+
+    def facts(self) -> dict[str, Any]:
+        """What `to_json` has: SI units but for ms, None for numbers that are not known."""
+        return asdict(self)  # type: ignore[call-overload]
+
+    def to_json(self) -> str:
+        """The facts as a JSON object."""
+        return json.dumps(self.facts(), indent=2, allow_nan=False, ensure_ascii=False)
+
+    @abstractmethod
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+
+
+def counted(status: dict[str, int]) -> str:
+    """Numbers by name, in words: `3 ok, 1 no_contact`."""
+    return ", ".join(f"{count} {name}" for name, count in status.items())
