@@ -1,4 +1,4 @@
-"""Calibration: pixels to trust, reference surface, tension, chamber, and the sensor file."""
+"""Calibration: pixels to trust, reference surface, tension, rubber, and the sensor file."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The depth camera: intrinsics to rays, range images, ray casting, the operators D and S."""
+"""The depth camera: intrinsics to rays, ray casting, calibrated pixels, residuals by blocks."""
 
 import lazy_loader
 

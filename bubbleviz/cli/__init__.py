@@ -1,1 +1,1 @@
-"""The command line: one thin function a command, which imports its work when it runs."""
+"""The command line: binds options to the functions of `api` and prints what they return."""

@@ -1,4 +1,4 @@
-"""Diagnostics of one frame: images, probe, threshold, comparison."""
+"""Diagnostics of one frame: images, probe, threshold, numbers over time."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""File formats: TOML, meshes, poses, results, presets."""
+"""File formats: TOML, meshes, poses, tables, presets; written whole or not at all."""
 
 import lazy_loader
 

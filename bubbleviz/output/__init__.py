@@ -1,4 +1,4 @@
-"""Frames of a recording as tables, meshes, point clouds, pictures and videos for other programs."""
+"""Result files, exports for other programs, and two settings side by side."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""TODO."""
+"""Frames of recordings: bags, MCAP, folders of images; read, written, put in order by time."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Traction with friction and slip, from depth and optical flow together."""
+"""Optical flow, and with depth the traction with friction and slip."""
 
 import lazy_loader
 
