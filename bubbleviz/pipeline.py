@@ -82,35 +82,21 @@ two to four are usual."""
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """Choices that may differ from frame to frame; those of the estimator are fixed with it.
+    """Choices that may differ from frame to frame; those of the estimator are fixed with it."""
 
-    Attributes
-    ----------
-    kappa : float or None
-        Patch threshold as a multiple of the mean contact pressure (V-C); None for the physical
-        one of `PatchFinder`.
-    least_area_m2 : float
-        Parts of the patch smaller than this are left out.
-    cloud_points : int or None
-        Most points of the cloud, spread evenly over the image; None for all.
-    fine_contact : bool
-        Whether the contact is refined for the patch, where its mesh limits it. The rule of κ does
-        not use that; the window has it nevertheless, to change rules without solving again.
-    """
-
+    # patch threshold as a multiple of the mean contact pressure (V-C); None for the physical one of
+    # `PatchFinder`
     kappa: float | None = None
-    least_area_m2: float = 0.0
+    least_area_m2: float = 0.0  # parts of the patch smaller than this are left out
+    # most points of the cloud, spread evenly over the image; None for all
     cloud_points: int | None = None
+    # whether the contact is refined for the patch, where its mesh limits it. The rule of κ does not
+    # use that; the window has it nevertheless, to change rules without solving again.
     fine_contact: bool = True
 
 
 class Pipeline:
     """Frame in, the products asked for out; each frame is started where the last one ended.
-
-    Parameters
-    ----------
-    model : SensorModel
-    options : EstimatorOptions, optional
 
     Attributes
     ----------
@@ -167,10 +153,7 @@ class Pipeline:
     ) -> Result:
         """Run the stages that `products` need on one frame.
 
-        Raises
-        ------
-        InputError
-            The image is not of the camera's size.
+        Raises InputError: the image is not of the camera's size.
         """
         self._check_size(frame)
         options, needed = options or FrameOptions(), stages(products)
@@ -195,20 +178,10 @@ class Pipeline:
         self,
         result: Result,
         products: frozenset[Product],
-        options: FrameOptions | None = None,
-        truth: np.ndarray | None = None,
+        options: FrameOptions | None = None,  # of its patch
+        truth: np.ndarray | None = None,  # (H, W) bool, true pixels of the patch, in a simulation
     ) -> Result:
-        """The result with those of `products` that are `LOOKS`, made of what it has.
-
-        Parameters
-        ----------
-        result : Result
-        products : frozenset of Product
-        options : FrameOptions, optional
-            Of its patch.
-        truth : (H, W) bool array, optional
-            True pixels of the patch, in a simulation.
-        """
+        """The result with those of `products` that are `LOOKS`, made of what it has."""
         looks = products & LOOKS.keys()
         if not looks:
             return result
@@ -240,10 +213,7 @@ class Pipeline:
         kept while they serve. From rest, and on from its own end until the contact pressure stands,
         a frame has one answer.
 
-        Raises
-        ------
-        InputError
-            The image is not of the camera's size.
+        Raises InputError: the image is not of the camera's size.
         """
         self._check_size(frame)
         start: Any = None  # of the estimator's own kind
@@ -259,10 +229,7 @@ class Pipeline:
     def estimate_aside(self, frame: Frame) -> Estimate:
         """Estimate of a frame that the next one is not started from.
 
-        Raises
-        ------
-        InputError
-            The image is not of the camera's size.
+        Raises InputError: the image is not of the camera's size.
         """
         self._check_size(frame)
         return self._estimated(frame, self._start)[0]
@@ -307,20 +274,13 @@ class Pipeline:
 
     def watch_texture(
         self,
+        # of a frame; None where there is no colour, so that depth is left alone
         flow_of: FlowOf | None,
+        # colour camera; the depth camera where not given, as for images aligned to depth
         camera: DepthCamera | None = None,
         options: TractionOptions | None = None,
     ) -> None:
-        """Measure traction with friction and slip by optical flow from the next frame on.
-
-        Parameters
-        ----------
-        flow_of : callable or None
-            Of a frame; None where there is no colour, so that depth is left alone.
-        camera : DepthCamera, optional
-            Colour camera; the depth camera where not given, as for images aligned to depth.
-        options : TractionOptions, optional
-        """
+        """Measure traction with friction and slip by optical flow from the next frame on."""
         self.flow_of, self._colour_camera = flow_of, camera or self.camera
         self._traction_options = options
         self._traction_start = self._slip_start = None
@@ -331,10 +291,7 @@ class Pipeline:
     def traction_estimator(self) -> TractionEstimator:
         """The inverse with friction; built when the first frame needs it.
 
-        Raises
-        ------
-        InputError
-            The estimator is not of the exact membrane.
+        Raises InputError: the estimator is not of the exact membrane.
         """
         from bubbleviz.shear import TractionEstimator  # nobody else needs it
 

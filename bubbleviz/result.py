@@ -28,28 +28,15 @@ HALF_95 = 1.96
 
 @dataclass(frozen=True)
 class FineContact:
-    """Contact of an estimate on a mesh that is finer there, see `inverse.contact_refiner`.
+    """Contact of an estimate on a mesh that is finer there, see `inverse.contact_refiner`."""
 
-    Attributes
-    ----------
-    mesh : MembraneMesh
-        The part of the reference surface around the contact, k nodes.
-    ends : (k, 2) int array
-        Nodes of the whole mesh that each of its nodes lies midway between; twice the same for
-        those of the whole mesh.
-    contact_pressure_pa : (k,) array
-        p_c, Pa.
-    motion_m : (k, 3) array
-        Displacement, m.
-    resolution_m : float
-        As of the estimate.
-    """
-
-    mesh: MembraneMesh
+    mesh: MembraneMesh  # the part of the reference surface around the contact, k nodes
+    # (k, 2) int, nodes of the whole mesh that each of its nodes lies midway between; twice the same
+    # for those of the whole mesh
     ends: np.ndarray
-    contact_pressure_pa: np.ndarray
-    motion_m: np.ndarray
-    resolution_m: float
+    contact_pressure_pa: np.ndarray  # (k,), p_c, Pa
+    motion_m: np.ndarray  # (k, 3), displacement, m
+    resolution_m: float  # as of the estimate
 
     def estimate(self, whole: Estimate) -> Estimate:
         """The estimate that it belongs to, on its mesh."""
@@ -227,50 +214,28 @@ friction and the traction is the contact pressure of the estimate."""
 
 @dataclass(frozen=True)
 class Traction:
-    """What depth and optical flow say together of a contact with friction.
+    """What depth and optical flow say together of a contact with friction."""
 
-    Attributes
-    ----------
-    status : TractionStatus
-        The numbers of `no_data` and `not_converged` are NaN.
-    nodal_force_n : (n, 3) array
-        Of the object on the membrane, N.
-    normal_force_n, tangential_force_n : (n, 3) array
-        Its parts along and across the current normals, N.
-    traction_pa : (n, 3) array
-        The force over the current area of the node, Pa.
-    positions_m : (n, 3) array
-        Nodes of the membrane, m.
-    tangential_displacement_m : (n, 3) array
-        Displacement from the reference surface less its part along the current normal, m.
-    center_m : (3,) array
-        Centre of the contact's normal force, m; NaN without contact.
-    wrench_covariance : (6, 6) array
-        Of the force, N, and the torque about `center_m`, N·m, by noise, material and mesh; NaN
-        where nothing is known of friction.
-    displacement_sigma_m : float
-        Root mean square over the contact of the standard deviation of a node's displacement by
-        noise, in each direction, m.
-    flow_rms_px : float
-        Measured less modelled motion in the image; NaN without flow.
-    flow_noise : float
-        By how much more than by its own noise the flow was missed, which its weight allows for.
-    reason : str
-        Why nothing is known of friction, or of anything, in one clause; empty where it is.
-    """
-
-    status: TractionStatus
-    nodal_force_n: np.ndarray
+    status: TractionStatus  # the numbers of `no_data` and `not_converged` are NaN
+    nodal_force_n: np.ndarray  # (n, 3), of the object on the membrane, N
+    # normal_force_n, tangential_force_n: (n, 3), its parts along and across the current normals, N
     normal_force_n: np.ndarray
     tangential_force_n: np.ndarray
-    traction_pa: np.ndarray
-    positions_m: np.ndarray
+    traction_pa: np.ndarray  # (n, 3), the force over the current area of the node, Pa
+    positions_m: np.ndarray  # (n, 3), nodes of the membrane, m
+    # (n, 3), displacement from the reference surface less its part along the current normal, m
     tangential_displacement_m: np.ndarray
-    center_m: np.ndarray
+    center_m: np.ndarray  # (3,), centre of the contact's normal force, m; NaN without contact
+    # (6, 6), of the force, N, and the torque about `center_m`, N·m, by noise, material and mesh;
+    # NaN where nothing is known of friction
     wrench_covariance: np.ndarray
+    # root mean square over the contact of the standard deviation of a node's displacement by noise,
+    # in each direction, m
     displacement_sigma_m: float = np.nan
-    flow_rms_px: float = np.nan
+    flow_rms_px: float = np.nan  # measured less modelled motion in the image; NaN without flow
+    # by how much more than by its own noise the flow was missed, which its weight allows for
     flow_noise: float = np.nan
+    # why nothing is known of friction, or of anything, in one clause; empty where it is
     reason: str = ""
 
     @property
@@ -329,26 +294,15 @@ class Slip:
     """Parts of a contact patch that moved against the rest of it since they came into contact.
 
     Slip of the whole patch at once leaves no part to compare with and is not seen.
-
-    Attributes
-    ----------
-    points_m : (k, 3) array
-        Material points inside the patch that optical flow followed since they came into contact, m.
-    slip_m : (k, 3) array
-        Their motion along the membrane over the object, m.
-    slipping : (k,) bool array
-        Those that slipped by more than noise.
-    share : float
-        Area of the points that slipped over that of all, 0 to 1.
-    share_sigma : float
-        Its standard deviation.
     """
 
+    # (k, 3), material points inside the patch that optical flow followed since they came into
+    # contact, m
     points_m: np.ndarray
-    slip_m: np.ndarray
-    slipping: np.ndarray
-    share: float
-    share_sigma: float
+    slip_m: np.ndarray  # (k, 3), their motion along the membrane over the object, m
+    slipping: np.ndarray  # (k,) bool, those that slipped by more than noise
+    share: float  # area of the points that slipped over that of all, 0 to 1
+    share_sigma: float  # its standard deviation
 
 
 PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]
@@ -359,29 +313,14 @@ estimate is not to be trusted) say why."""
 
 @dataclass(frozen=True)
 class Stage:
-    """How well a stage of the registration fits.
+    """How well a stage of the registration fits."""
 
-    Attributes
-    ----------
-    T_B_O : (4, 4) array
-    fitness : float
-        Share of the patch that agrees with the object, 0 to 1.
-    rmse_m : float
-        Root mean square distance of that share from the object.
-    correspondences : int
-        Number of contact points in that share.
-    history : (i, 2) array
-        Fitness, and rmse in m, at the start and after every iteration.
-    ms : float
-        Wall time.
-    """
-
-    T_B_O: np.ndarray
-    fitness: float
-    rmse_m: float
-    correspondences: int
-    history: np.ndarray
-    ms: float
+    T_B_O: np.ndarray  # (4, 4)
+    fitness: float  # share of the patch that agrees with the object, 0 to 1
+    rmse_m: float  # root mean square distance of that share from the object
+    correspondences: int  # number of contact points in that share
+    history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
+    ms: float  # wall time
 
 
 @dataclass(frozen=True)
@@ -430,68 +369,35 @@ class Pose:
 
 @dataclass(frozen=True)
 class ObjectPatch:
-    """The contact patch by the object: what it presses at its pose, whatever noise p_c has.
+    """The contact patch by the object: what it presses at its pose, whatever noise p_c has."""
 
-    Attributes
-    ----------
-    level : (n,) array
-        Signed distance to the edge, m, positive inside; its zero line, interpolated linearly, is
-        the edge.
-    area_m2 : float
-        On the reference surface, m².
-    """
-
+    # (n,), signed distance to the edge, m, positive inside; its zero line, interpolated linearly,
+    # is the edge
     level: np.ndarray
-    area_m2: float
+    area_m2: float  # on the reference surface, m²
 
 
 @dataclass(frozen=True)
 class Result:
-    """The products of one frame; those not requested are None.
+    """The products of one frame; those not requested are None."""
 
-    Attributes
-    ----------
-    frame : Frame
-        The frame it was made from.
-    estimate : Estimate or None
-    patch : Patch or None
-    cloud_m : (k, 3) array or None
-        Valid measured points in B, m.
-    cloud_pixels : (k,) int array or None
-        Flat pixel index of each point of the cloud.
-    cloud_residual_m : (k,) array or None
-        Measured minus modelled range of each point, m (NaN where the model has no surface).
-    pose : Pose or None
-        None also where there is no object to look for.
-    object_patch : ObjectPatch or None
-        None also where the pose is lost.
-    flow : FlowField or None
-        None also where the frame has no colour image, or no contact-free one is known.
-    traction : Traction or None
-    slip : Slip or None
-        None also where too little of the patch sticks to tell.
-    texture : Texture or None
-        None also where the estimate is not to be trusted.
-    inspection : Inspection or None
-        Images, curves and parts for the panels.
-    times_ms : dict
-        Wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
-        `flow` runs beside the others, and is not to be added to them.
-    """
-
-    frame: Frame
+    frame: Frame  # the frame it was made from
     estimate: Estimate | None = None
     patch: Patch | None = None
-    cloud_m: np.ndarray | None = None
-    cloud_pixels: np.ndarray | None = None
+    cloud_m: np.ndarray | None = None  # (k, 3), valid measured points in B, m
+    cloud_pixels: np.ndarray | None = None  # (k,) int, flat pixel index of each point of the cloud
+    # (k,), measured minus modelled range of each point, m (NaN where the model has no surface)
     cloud_residual_m: np.ndarray | None = None
-    pose: Pose | None = None
-    object_patch: ObjectPatch | None = None
+    pose: Pose | None = None  # None also where there is no object to look for
+    object_patch: ObjectPatch | None = None  # None also where the pose is lost
+    # None also where the frame has no colour image, or no contact-free one is known
     flow: FlowField | None = None
     traction: Traction | None = None
-    slip: Slip | None = None
-    texture: Texture | None = None
-    inspection: Inspection | None = None
+    slip: Slip | None = None  # None also where too little of the patch sticks to tell
+    texture: Texture | None = None  # None also where the estimate is not to be trusted
+    inspection: Inspection | None = None  # images, curves and parts for the panels
+    # wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
+    # `flow` runs beside the others, and is not to be added to them.
     times_ms: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -133,24 +133,18 @@ class Calibration(_Section):
 
     pixels_file: str
     """NPZ with `mask` (H×W bool, pixels to use), `bias_m` and `noise_m` (H×W, of range)."""
-    recording: str | None = None
-    """Name of the recording it was made from."""
+    recording: str | None = None  # name of the recording it was made from
     recording_sha256: str | None = None
     """Of its file, or of its files one after the other in the order of their names."""
-    report: str | None = None
-    """Path of the report that says how, as given when it was made."""
-    date: str | None = None
-    """ISO 8601, UTC."""
-    tension_interval_n_per_m: tuple[float, float] | None = None
-    """95 % interval of γ0."""
+    report: str | None = None  # path of the report that says how, as given when it was made
+    date: str | None = None  # ISO 8601, UTC
+    tension_interval_n_per_m: tuple[float, float] | None = None  # 95 % interval of γ0
     gauge_interval_pa: tuple[float, float] | None = None
     """95 % interval of the gauge pressure, where it was measured and not assumed."""
-    gauge_from: str | None = None
-    """What the gauge pressure rests on."""
+    gauge_from: str | None = None  # what the gauge pressure rests on
     prestretch_interval: tuple[float, float] | None = None
     """95 % interval of λ, where it was measured."""
-    prestretch_from: str | None = None
-    """What λ rests on."""
+    prestretch_from: str | None = None  # what λ rests on
     edited: tuple[str, ...] | None = None
     """Keys of values that were changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
@@ -204,19 +198,14 @@ MEASURED = {
 """What `Calibration` tells of a value, by the value's key."""
 
 
-def edited(sensor: Sensor, values: Mapping[str, Any]) -> Sensor:
+def edited(
+    sensor: Sensor,
+    # by key, such as `pneumatics.gauge_pressure_pa`; None: absent from the file
+    values: Mapping[str, Any],
+) -> Sensor:
     """Sensor with other values; the calibration names them, without their intervals.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    values : mapping
-        By key, such as `pneumatics.gauge_pressure_pa`; None: absent from the file.
-
-    Raises
-    ------
-    InputError
-        One breaks the rules of sensor files; names the key and what to do.
+    Raises InputError: one breaks the rules of sensor files; names the key and what to do.
     """
     data = sensor.model_dump(exclude_none=True)
     for key, value in values.items():

@@ -162,12 +162,8 @@ class BatchSummary(Summary):
     def raise_failures(self) -> None:
         """Raise when a recording has no result.
 
-        Raises
-        ------
-        InputError
-            The recordings that failed are bad input.
-        SolveError
-            One of them failed for another reason.
+        Raises InputError: the recordings that failed are bad input. Raises SolveError: one of them
+        failed for another reason.
         """
         failed = [row for row in self.rows if not row.has_result]
         if not failed:
@@ -266,10 +262,7 @@ def find_recordings(folder: str | Path) -> list[Path]:
     A folder with metadata.yaml is one recording (a rosbag2); elsewhere every .mcap, .db3 and .bag
     file is one. Names that begin with a dot are left out: they are files being written.
 
-    Raises
-    ------
-    InputError
-        There is no such folder, or no recording in it.
+    Raises InputError: there is no such folder, or no recording in it.
     """
     folder = Path(folder)
     if not folder.is_dir():

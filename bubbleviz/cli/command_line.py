@@ -93,10 +93,8 @@ class AllCommands(OneLineErrors):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Load a command; None where there is none of that name.
 
-        Raises
-        ------
-        InputError
-            It is a command of the window, which is not installed, or one that is elsewhere now.
+        Raises InputError: it is a command of the window, which is not installed, or one that is
+        elsewhere now.
         """
         name = OTHER_NAMES.get(name, name)
         if name in self.commands:

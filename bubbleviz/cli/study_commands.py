@@ -27,10 +27,7 @@ class Studies(click.Group):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Command of a name.
 
-        Raises
-        ------
-        InputError
-            It is elsewhere now.
+        Raises InputError: it is elsewhere now.
         """
         if name in MOVED:
             _moved(name)

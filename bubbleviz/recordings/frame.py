@@ -114,13 +114,6 @@ class KeptFrames:
     The first frames are kept, as several steps of a calibration look at those without contact;
     frames beyond are read again.
 
-    Parameters
-    ----------
-    source : FrameSource
-        Not closed with this.
-    limit_bytes : int
-        Of depth images.
-
     Attributes
     ----------
     name : str
@@ -128,7 +121,11 @@ class KeptFrames:
         Of the source, where it is a file.
     """
 
-    def __init__(self, source: FrameSource, limit_bytes: int = KEPT_BYTES) -> None:
+    def __init__(
+        self,
+        source: FrameSource,  # not closed with this
+        limit_bytes: int = KEPT_BYTES,  # of depth images
+    ) -> None:
         self._source, self._limit, self._left = source, limit_bytes, limit_bytes
         self._frames: dict[int, Frame] = {}
         self.name = source.name
@@ -163,33 +160,20 @@ class KeptFrames:
 
 @dataclass(frozen=True)
 class Gap:
-    """Missing frames.
+    """Missing frames."""
 
-    Attributes
-    ----------
-    after_frame : int
-        Index of the last frame before the gap.
-    missing : int
-        Number of frames missing there.
-    duration_s : float
-        Time between the frames on either side, s.
-    """
-
-    after_frame: int
-    missing: int
-    duration_s: float
+    after_frame: int  # index of the last frame before the gap
+    missing: int  # number of frames missing there
+    duration_s: float  # time between the frames on either side, s
 
 
-def find_gaps(times_s: np.ndarray) -> tuple[Gap, ...]:
+def find_gaps(
+    times_s: np.ndarray,  # (F,), time of each frame, s, not falling
+) -> tuple[Gap, ...]:
     """Gaps between consecutive frames.
 
     A step of about n + 1 periods misses n frames. A late frame is not a missing one: the steps
     beside it are short by as much, so two on either side count, less their whole periods.
-
-    Parameters
-    ----------
-    times_s : (F,) array
-        Time of each frame, s, not falling.
     """
     steps = np.diff(times_s)
     median = usual_step(steps)
@@ -215,11 +199,6 @@ class TimeAxis:
 
     Where time does not go on, as in a replay that began again, a frame follows after a usual step.
 
-    Parameters
-    ----------
-    times_s : (F,) array
-        Time of each frame, s.
-
     Attributes
     ----------
     places : (F,) array
@@ -230,7 +209,10 @@ class TimeAxis:
         Usual distance of one frame from the next.
     """
 
-    def __init__(self, times_s: np.ndarray) -> None:
+    def __init__(
+        self,
+        times_s: np.ndarray,  # (F,), time of each frame, s
+    ) -> None:
         steps = np.diff(times_s)
         usual_s = usual_step(steps) or 1.0
         after_s = np.zeros(len(times_s))
