@@ -96,28 +96,16 @@ class FrameOptions:
 
 
 class Pipeline:
-    """Frame in, the products asked for out; each frame is started where the last one ended.
-
-    Attributes
-    ----------
-    mesh : MembraneMesh
-        Reference surface.
-    camera : DepthCamera
-    counts : Counter
-        How often each stage ran, by stage name.
-    tracker : PoseTracker or None
-        Of the object to look for, see `follow`.
-    flow_of : callable or None
-        Optical flow of a frame, see `watch_texture`.
-    """
+    """Frame in, the products asked for out; each frame is started where the last one ended."""
 
     def __init__(self, model: SensorModel, options: EstimatorOptions | None = None) -> None:
+        # mesh: reference surface
         self.model, self.mesh, self.camera = model, model.mesh, model.camera
         self.options = options or EstimatorOptions()
-        self.counts: Counter[str] = Counter()
-        self.tracker: PoseTracker | None = None
+        self.counts: Counter[str] = Counter()  # how often each stage ran, by stage name
+        self.tracker: PoseTracker | None = None  # of the object to look for, see `follow`
         self._start: Any = None  # of the estimator's own kind
-        self.flow_of: FlowOf | None = None
+        self.flow_of: FlowOf | None = None  # optical flow of a frame, see `watch_texture`
         self._colour_camera = self.camera
         self._traction_options: TractionOptions | None = None
         self._traction_start: TractionStart | None = None

@@ -401,6 +401,13 @@ class Result:
     times_ms: dict[str, float] = field(default_factory=dict)
 
     @property
+    def solution(self) -> tuple[Estimate, Patch]:
+        """Estimate and patch; ValueError where they were not asked for."""
+        if self.estimate is None or self.patch is None:
+            raise ValueError("the products estimate and patch were not asked for")
+        return self.estimate, self.patch
+
+    @property
     def trusted_estimate(self) -> Estimate | None:
         """The estimate, if its numbers are to be trusted."""
         return self.estimate if self.estimate is not None and self.estimate.trusted else None

@@ -17,8 +17,6 @@ SMALLEST_M = 5e-4  # of an object's box, m
 
 @dataclass(frozen=True)
 class RigidObject:
-    """A rigid object."""
-
     name: str
     vertices: np.ndarray  # (n, 3), in O, m
     triangles: np.ndarray  # (m, 3) int, counter-clockwise seen from outside

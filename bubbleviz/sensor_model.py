@@ -62,17 +62,14 @@ class SensorModel:
 
     @cached_property
     def gas(self) -> Gas:
-        """The gas behind the reference surface."""
         return Gas.of(self.sensor.pneumatics, self.mesh)
 
     @cached_property
     def rubber(self) -> RubberMembrane:
-        """The exact membrane on the reference surface."""
         return build_rubber(self.sensor, self.mesh, self.tension_n_per_m)
 
     @cached_property
     def view(self) -> MembraneView:
-        """The membrane as the camera sees it."""
         return MembraneView(self.camera, self.mesh)
 
     def observer(

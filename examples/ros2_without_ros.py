@@ -22,8 +22,8 @@ def publish_results(stream: Stream, out: ZenohPublisher, prefix: str = "/bubblev
     for found in bv.estimate(stream):
         count += 1
         messages = messages or ResultMessages(found.model.mesh, prefix)
-        for topic, kind, payload, stamp_ns in messages.of(found.result):
-            out.put(topic, kind, payload, stamp_ns)
+        for message in messages.of(found.result):
+            out.put(message)
     return count
 
 

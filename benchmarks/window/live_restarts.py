@@ -13,8 +13,7 @@ from benchmarks.window.bench_window import live_window, recorded_run
 from benchmarks.window.live_soak import Publisher, depth_images
 from benchmarks.window.replay_rate import run_for
 from bubbleviz.api.summary import Summary
-from bubbleviz.live import RawMessage
-from bubbleviz.recordings import IMAGE
+from bubbleviz.recordings import IMAGE, Message
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.window_session import WindowSession
 
@@ -61,7 +60,7 @@ def _restart(
     run, live = recorded_run(session, path), session.window.live_controller
     stream, arrived = run.frames[0].stream, set[int]()
 
-    def note(message: RawMessage) -> None:
+    def note(message: Message) -> None:
         if message.type == IMAGE:
             arrived.add(message.arrival_ns)
 

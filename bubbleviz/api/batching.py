@@ -9,7 +9,7 @@ import re
 import shutil
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -25,7 +25,6 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import file_hash
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import cannot_write, refuse_existing, table, to_json, whole_file, write_rows
-from bubbleviz.output import UNKNOWN
 from bubbleviz.processes import WorkerProcess, check_cluster, run_on_cluster
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, checked_sensor
@@ -79,8 +78,7 @@ class Row:
         """Row of the frames of a `Run`, at least one of which is known, and what it says."""
         told = statistics(rows)
         trusted = [row["status"] in TRUSTED for row in rows]
-        known = [row for row in rows if row["status"] not in UNKNOWN]
-        touching = [row for row in known if row["patch_area_m2"] > 0.0]
+        touching = [row for row in rows if row["patch_area_m2"] > 0.0]
         residuals = [row["residual_rms_m"] for row in rows]
         worst = rows[int(np.nanargmax(residuals)) if all(trusted) else trusted.index(False)]
         measured = np.array([row["measured_force_n"] for row in touching])
@@ -107,11 +105,7 @@ class Row:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Row:
         """Row from its JSON object; TypeError where that is another's."""
-        if set(values) != {field.name for field in fields(cls)}:
-            raise TypeError("not the fields of a row")
-        known: dict[str, Any] = {
-            k: _NAN if v is None and k != "kappa" else v for k, v in values.items()
-        }
+        known: Any = {k: _NAN if v is None and k != "kappa" else v for k, v in values.items()}
         return cls(**known)
 
     def cells(self) -> list[str]:
@@ -140,10 +134,6 @@ class BatchSummary(Summary):
 
     table: str  # path of the CSV file
     rows: list[Row]  # in the order of the recordings' paths
-
-    def to_json(self) -> str:
-        """JSON object with the attributes as keys, SI units but for ms; null for NaN."""
-        return to_json(asdict(self))
 
     def to_text(self) -> str:
         """Aligned table with units, what went wrong, and where the table is."""

@@ -19,7 +19,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.live import STOPPED_AFTER_S
-from bubbleviz.output import UNKNOWN
 from bubbleviz.pipeline import OF_OBJECT, SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -32,7 +31,7 @@ from bubbleviz.recordings import (
     preset_of_size,
     shown_name,
 )
-from bubbleviz.result import PoseStatus, Result
+from bubbleviz.result import TRUSTED, PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
 
@@ -163,13 +162,9 @@ def estimate(
 
         _refuse_files(out, csv)
         own = with_colour_delay(frames.sensor_or(sensor), colour_delay_s)
-        how: dict[str, Any] = {
-            "solver": solver,
-            "friction": friction,
-            "zero_gas": zero_gas,
-            "shear": shear,
-        }
-        return Watcher.on(frames.live, frames.uri, own, options, **how).results(timeout_s)
+        how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+        watcher = Watcher.on(frames.live, frames.uri, own, options, shear=shear, **how)
+        return watcher.results(timeout_s)
     if csv is not None and out is None:
         raise InputError(f"{csv}: is written beside RESULT.npz; give out, too")
     _check_outputs(out, csv, overwrite=overwrite)
@@ -440,7 +435,7 @@ def _warning(
 def _check_any_data(run: Run, seen: bool) -> None:
     """Refuse frames of which none has an estimate; `seen`: some have returns."""
     statuses, name = set(run.status.tolist()), run.said["recording"]
-    if statuses - set(UNKNOWN):
+    if statuses & set(TRUSTED):
         return
     if "implausible" in statuses:
         raise InputError(
@@ -469,7 +464,7 @@ _REASONS: dict[PoseStatus, str] = {
 
 
 def _check_any_pose(run: TrackedRun) -> None:
-    statuses: Counter[Any] = Counter(row.status for row in run.poses)
+    statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
         why = _REASONS[statuses.most_common(1)[0][0]]
         raise InputError(f"{run.said['recording']}: no pose in any frame asked for: {why}")

@@ -19,8 +19,8 @@ from bubbleviz.api.connecting import offered
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, set_aside
-from bubbleviz.live import LiveStream, RawMessage, Recorder, RecorderStatus, open_stream, patience_s
-from bubbleviz.recordings import AUTO
+from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream, patience_s
+from bubbleviz.recordings import AUTO, Message
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.wording import count_of
 
@@ -232,8 +232,8 @@ def publish(
         ZenohPublisher(place, layout=layout, domain=domain, wait=True) as publisher,
     ):
 
-        def send(message: RawMessage) -> None:
-            publisher.put(message.topic, message.type, message.payload, message.stamp_ns)
+        def send(message: Message) -> None:
+            publisher.put(message)
             sent[message.topic] += 1
 
         if wait:

@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
@@ -22,23 +22,20 @@ from bubbleviz.output import (
     DPI,
     NODAL_FIELDS,
     SIZE_IN,
-    UNKNOWN,
+    FrameTable,
     PoseRow,
     ResultWriter,
     Shape,
-    Table,
-    add_measured_force,
     csv_row,
     draw_plots,
-    more_columns,
     nodal_fields,
     pose_columns,
+    pose_row,
     result_arrays,
     summary_row,
-    table_of,
     write_poses,
 )
-from bubbleviz.result import Estimate, Patch, Pose, Result
+from bubbleviz.result import TRUSTED, Estimate, Patch, Pose, Result
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of, how_to_install
 
@@ -145,14 +142,12 @@ class FrameResult:
     @property
     def estimate(self) -> Estimate:
         """Solution of the inverse problem."""
-        assert self.result.estimate is not None  # every result has one
-        return self.result.estimate
+        return self.result.solution[0]
 
     @property
     def patch(self) -> Patch:
         """The contact patch."""
-        assert self.result.patch is not None  # every result has one
-        return self.result.patch
+        return self.result.solution[1]
 
     def plot(self, screenshot: str | Path | None = None, *, overwrite: bool = False) -> Any:
         """Show the membrane with its contact pressure, the patch's outline and the force.
@@ -217,23 +212,20 @@ class Run(Sequence[FrameResult], Summary):
 
     def __init__(self, model: SensorModel, said: dict[str, Any], made_by: dict[str, str]) -> None:
         self.model, self.said, self.made_by = model, said, made_by
-        self._rows: list[dict[str, Any]] = []
-        self._more: list[dict[str, Any]] = []
+        self._numbers = FrameTable(model.sensor.name)
         self._results: list[FrameResult] = []
 
     def add(self, result: Result, *, keep: bool) -> None:
         """Take the next frame."""
-        row = summary_row(result)
-        pose = {} if result.pose is None else pose_columns(asdict(PoseRow.of(result)))
-        self._rows.append(row)
-        self._more.append(more_columns(result, row) | pose)
+        pose = None if result.pose is None else pose_columns(pose_row(result))
+        self._numbers.add(result, pose)
         if keep:
             light = replace(result, frame=replace(result.frame, depth_m=_NO_IMAGE))
             self._results.append(FrameResult(light, self.model))
 
     def __len__(self) -> int:
         """Count the frames."""
-        return len(self._rows)
+        return len(self._numbers)
 
     @overload
     def __getitem__(self, index: int) -> FrameResult: ...
@@ -247,7 +239,7 @@ class Run(Sequence[FrameResult], Summary):
         InputError
             It was written to a file and not kept.
         """
-        if self._rows and not self._results:
+        if len(self) and not self._results:
             raise InputError(f"{self.said['out']}: has the frames; load it, or estimate without it")
         if not isinstance(index, slice):
             return self._results[index]
@@ -264,17 +256,17 @@ class Run(Sequence[FrameResult], Summary):
     @property
     def times_s(self) -> np.ndarray:
         """Time of each frame from the start of the recording, s, (F,)."""
-        return self._numbers("time_s")
+        return self._of_frames("time_s")
 
     @property
     def status(self) -> np.ndarray:
         """Status of each frame, (F,) texts."""
-        return self._numbers("status")
+        return self._of_frames("status")
 
     @property
     def force_n(self) -> np.ndarray:
         """Force on the membrane in B, (F, 3), N; NaN where it is not to be trusted."""
-        return self._numbers("force_n")
+        return self._of_frames("force_n")
 
     @property
     def T_B_O(self) -> np.ndarray:
@@ -283,14 +275,13 @@ class Run(Sequence[FrameResult], Summary):
 
     def columns(self) -> dict[str, np.ndarray]:
         """Numbers of each frame by column, (F,) each, units in the names, times in ms."""
-        table = self._table()
+        table = self._numbers.columns()
         table["kappa"] = [np.nan if kappa is None else kappa for kappa in table["kappa"]]
         return {name: np.array(values) for name, values in table.items()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Numbers of each frame by key of RESULT.npz."""
-        add_measured_force(self._rows)
-        return self._rows
+        return self._numbers.rows()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array of RESULT.npz but the masks, by the same names: frames, nodes and mesh."""
@@ -352,7 +343,7 @@ class Run(Sequence[FrameResult], Summary):
             The file exists.
         """
         figure = _new_figure(shown=path is None or "ipykernel" in sys.modules)
-        draw_plots(self._table(), figure)
+        draw_plots(self._numbers.columns(), figure)
         if path is not None:
             with whole_file(path, overwrite=overwrite) as temporary:
                 figure.savefig(temporary, dpi=DPI)
@@ -397,35 +388,12 @@ class Run(Sequence[FrameResult], Summary):
     def to_text(self) -> str:
         """Text for the terminal, with units."""
         told = self.facts()
-        lines = _first_lines(told)
-        if told["median_contact_force_n"] is not None:
-            lines.append(
-                f"force   {told['median_contact_force_n']:.3g} N median in contact, "
-                f"{told['max_force_n']:.3g} N highest"
-            )
-        if told["median_contact_measured_force_n"] is not None:
-            lines.append(
-                f"        {told['median_contact_measured_force_n']:.3g} N median in contact by the "
-                "wrench, less its contact-free bias"
-            )
-        if told["gas_zero"] is not None:
-            lines.append(told["gas_zero"])
         if told["traction_status"] is not None:
-            lines += [_shear_text(told), f"        {told['texture']}"]
-        if told["median_total_ms"] is not None:
-            lines.append(
-                "time    depth image in → patch out, first frame left out: "
-                f"{told['median_total_ms']:.1f} ms median, {told['p95_total_ms']:.1f} ms p95"
-            )
-        if told["median_contact_total_ms"] is not None:
-            lines.append(f"        {told['median_contact_total_ms']:.1f} ms median in contact")
-        return "\n".join(lines)
+            told["shear"] = _shear_text(told)
+        return _in_lines(told, _FOUND)
 
-    def _numbers(self, name: str) -> np.ndarray:
-        return np.array([row[name] for row in self._rows])
-
-    def _table(self) -> Table:
-        return table_of(self._rows, self._more, self.model.sensor.name)
+    def _of_frames(self, name: str) -> np.ndarray:
+        return np.array([row[name] for row in self.rows()])
 
     def __repr__(self) -> str:
         return f"<{count_of(len(self), 'frame')}: {counted(Counter(self.status.tolist()))}>"
@@ -441,7 +409,7 @@ class TrackedRun(Run):
     def add(self, result: Result, *, keep: bool) -> None:
         """Take the next frame."""
         super().add(result, keep=keep)
-        self.poses.append(PoseRow.of(result))
+        self.poses.append(pose_row(result))
 
     def save_poses(self, out: str | Path, *, overwrite: bool = False) -> None:
         """Write POSES.csv.
@@ -455,17 +423,17 @@ class TrackedRun(Run):
 
     def facts(self) -> dict[str, Any]:
         """Summary of the poses; medians over the frames with one, times without the first."""
-        good = [row for row in self.poses if row.status == "ok"]
-        areas = [(row.patch_area_m2, row.object_patch_area_m2) for row in good]
+        good = [row for row in self.poses if row["status"] == "ok"]
+        areas = [(row["patch_area_m2"], row["object_patch_area_m2"]) for row in good]
         both = [pair for pair in areas if np.isfinite(pair).all()]
         patch, by_object = np.median(both, axis=0).tolist() if both else (None, None)
-        times = [row.total_ms for row in good[1:]]
+        times = _over(good[1:], "total_ms")
         return {
             **{key: self.said[key] for key in ("recording", "sensor", "object", "out", "warning")},
             "frames": len(self),
-            "status": dict(Counter(row.status for row in self.poses)),
-            "median_fitness": _known(np.median, [row.fitness for row in good]),
-            "median_rmse_m": _known(np.median, [row.rmse_m for row in good]),
+            "status": dict(Counter(row["status"] for row in self.poses)),
+            "median_fitness": _known(np.median, _over(good, "fitness")),
+            "median_rmse_m": _known(np.median, _over(good, "rmse_m")),
             "median_total_ms": _known(np.median, times),
             "p95_total_ms": _known(_p95, times),
             "median_patch_area_m2": patch,
@@ -475,23 +443,42 @@ class TrackedRun(Run):
     def to_text(self) -> str:
         """Text for the terminal, with units."""
         told = self.facts()
-        lines = _first_lines(told)
-        if told["median_fitness"] is not None and told["median_rmse_m"] is not None:
-            lines.append(
-                f"fit     {100 * told['median_fitness']:.0f} % of the patch on the object, "
-                f"rmse {1e3 * told['median_rmse_m']:.2f} mm (medians)"
-            )
-        if told["median_total_ms"] is not None:
-            lines.append(
-                "time    depth image in → pose out while tracking: "
-                f"{told['median_total_ms']:.1f} ms median, {told['p95_total_ms']:.1f} ms p95"
-            )
         if told["median_patch_area_m2"] is not None:
-            lines.append(
-                f"patch   {1e6 * told['median_patch_area_m2']:.0f} mm² by the contact pressure, "
-                f"{1e6 * told['median_object_patch_area_m2']:.0f} mm² by the object (medians)"
+            told["areas"] = (
+                f"{1e6 * told['median_patch_area_m2']:.0f} mm² by the contact pressure, "
+                f"{1e6 * told['median_object_patch_area_m2']:.0f} mm² by the object"
             )
-        return "\n".join(lines)
+        if told["median_rmse_m"] is not None:
+            told["percent"] = 100.0 * told["median_fitness"]
+            told["rmse_mm"] = 1e3 * told["median_rmse_m"]
+        return _in_lines(told, _TRACKED)
+
+
+_FOUND = {
+    "median_contact_force_n": "force   {:.3g} N median in contact, {max_force_n:.3g} N highest",
+    "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench, less its "
+    "contact-free bias",
+    "gas_zero": "{}",
+    "shear": "{}\n        {texture}",
+    "median_total_ms": "time    depth image in → patch out, first frame left out: {:.1f} ms "
+    "median, {p95_total_ms:.1f} ms p95",
+    "median_contact_total_ms": "        {:.1f} ms median in contact",
+}
+_TRACKED = {
+    "percent": "fit     {:.0f} % of the patch on the object, rmse {rmse_mm:.2f} mm (medians)",
+    "median_total_ms": "time    depth image in → pose out while tracking: {:.1f} ms median, "
+    "{p95_total_ms:.1f} ms p95",
+    "areas": "patch   {} (medians)",
+}
+
+
+def _in_lines(told: dict[str, Any], lines: dict[str, str]) -> str:
+    """Text of a summary: a line for each fact that is known."""
+    wrote = [] if told["out"] is None else [f"wrote   {told['out']}"]
+    known = [
+        text.format(told[key], **told) for key, text in lines.items() if told.get(key) is not None
+    ]
+    return "\n".join([*wrote, f"frames  {told['frames']}: {counted(told['status'])}", *known])
 
 
 def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -502,8 +489,8 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     recording's wrench less its contact-free bias, `traction` by colour, with half of its 95 %
     interval.
     """
-    known = [row for row in rows if row["status"] not in UNKNOWN]
-    touching = [row for row in known if row["patch_area_m2"] > 0.0]
+    known = [row for row in rows if row["status"] in TRUSTED]
+    touching = [row for row in rows if row["patch_area_m2"] > 0.0]
     warm = rows[1:]
     sheared = [row for row in rows if row.get("traction_status") == "ok"]
     traction = Counter(row["traction_status"] for row in rows if "traction_status" in row)
@@ -527,11 +514,6 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "median_traction_force_n": _known(np.median, _over(sheared, "traction_force_n")),
         "median_traction_half_width_n": _known(np.median, _over(sheared, "traction_half_width_n")),
     }
-
-
-def _first_lines(told: dict[str, Any]) -> list[str]:
-    wrote = [] if told["out"] is None else [f"wrote   {told['out']}"]
-    return [*wrote, f"frames  {told['frames']}: {counted(told['status'])}"]
 
 
 def _shear_text(told: dict[str, Any]) -> str:

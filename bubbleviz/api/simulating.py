@@ -14,6 +14,7 @@ from bubbleviz.api.results import OneBlasThread
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, read_path, refuse_existing, whole_file
 from bubbleviz.membrane import build_mesh, checked_pose
+from bubbleviz.output import surface_arrays
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import RigidObject, load_object
@@ -187,16 +188,12 @@ def simulate(
 
 def _truth_arrays(source: SyntheticSource, truths: list[Truth]) -> dict[str, np.ndarray]:
     """Arrays of TRUTH.npz: the names of RESULT.npz, on the simulation's mesh, and T_B_O."""
-    mesh = source.mesh
     touched = [np.isfinite(t.center_of_pressure_m[0]) for t in truths]
     return {
         "frame": np.arange(len(truths)),
         "time_s": source.times_s[: len(truths)],
         "status": np.where(touched, "ok", "no_contact"),
-        "nodes_m": mesh.nodes,
-        "normals": mesh.normals,
-        "triangles": mesh.triangles,
-        "rim": mesh.rim,
+        **surface_arrays(source.mesh),
         "T_B_O": source.poses[: len(truths)],
         **{
             field.name: np.stack([getattr(truth, field.name) for truth in truths])

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from dataclasses import asdict
 from typing import Any
+
+from bubbleviz.files import to_json
 
 
 class Summary(ABC):
@@ -21,7 +22,7 @@ class Summary(ABC):
 
     def to_json(self) -> str:
         """The facts as a JSON object."""
-        return json.dumps(self.facts(), indent=2, allow_nan=False, ensure_ascii=False)
+        return to_json(self.facts())
 
     @abstractmethod
     def to_text(self) -> str:

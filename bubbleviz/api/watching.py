@@ -21,14 +21,13 @@ from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult, OneBlasThread
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.calibration import PressureZero, zeroed
-from bubbleviz.diagnostics import ShearSummary, ShearTally, shear_line
+from bubbleviz.diagnostics import ShearSummary, shear_line
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.live import (
     STOPPED_AFTER_S,
     LatencyMeter,
     LiveStream,
-    RawMessage,
     Recorder,
     ResultMessages,
     ZenohPublisher,
@@ -271,11 +270,10 @@ def watch(
         watcher = Watcher.on(stream, source, own, obj=obj, stop=stop, shear=shear, **how)
 
         def send(message: Message) -> None:
-            topic, kind, payload, stamp = message
             if publisher is not None:
-                publisher.put(topic, kind, payload, stamp)
+                publisher.put(message)
             if recorder is not None:
-                recorder.push(RawMessage(topic, kind, payload, stamp, time.time_ns()))
+                recorder.push(message._replace(arrival_ns=time.time_ns()))
 
         return _watch(watcher, send, stop, duration_s)
 
@@ -286,51 +284,58 @@ def _watch(
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
-    messages = ResultMessages(watcher.pipeline.mesh, RESULTS)
+    messages, stream = ResultMessages(watcher.pipeline.mesh, RESULTS), watcher.stream
     statuses: Counter[str] = Counter()
-    forces: list[float] = []
-    shear = None if watcher.texture is None else ShearTally()
+    highest_n: float | None = None
+    shear = None if watcher.texture is None else ShearSummary()
     began = told = time.monotonic()
     silent = False
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
-        while not stop.is_set():
-            if duration_s is not None and time.monotonic() - began >= duration_s:
-                break
-            ended = watcher.ended  # looked at first: a frame may come before the end is seen
-            result = watcher.step(_LOOK_S)
-            if ended and result is None:
-                break
-            if result is not None and result.estimate is not None and result.patch is not None:
-                statuses[result.estimate.status] += 1
-                trusted = result.trusted_patch
-                if trusted is not None:
-                    forces.append(float(np.linalg.norm(trusted.force_n)))
+        for result in _until_over(watcher, stop, duration_s):
+            if result is not None:
+                statuses[result.solution[0].status] += 1
+                if (trusted := result.trusted_patch) is not None:
+                    highest_n = max(highest_n or 0.0, float(np.linalg.norm(trusted.force_n)))
                 if shear is not None:
                     shear.add(result)
                 for message in messages.of(result):
                     send(message)
                 bar.update()
-            silent = _tell_silence(watcher.stream, silent)
+            silent = _tell_silence(stream, silent)
             if time.monotonic() - told >= _DIAGNOSTICS_S:
-                told = time.monotonic()
-                status, counters = watcher.stream.status(), watcher.stream.counters()
+                told, status = time.monotonic(), stream.status()
+                counters, newest = stream.counters(), _newest(watcher.last, watcher.texture)
                 send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
-                newest = (*_newest(watcher.last, watcher.texture), status.text)
-                bar.set_postfix_str(", ".join(filter(None, newest)))
+                bar.set_postfix_str(", ".join(filter(None, (*newest, status.text))))
     elapsed = time.monotonic() - began
-    latency, texture = watcher.latency.report(), watcher.texture
+    latency = watcher.latency.report()
+    if shear is not None and watcher.texture is not None:
+        shear.reference = watcher.texture.words
     return WatchSummary(
         frames=statuses.total(),
         status=dict(statuses),
         rate_hz=statuses.total() / elapsed,
-        max_force_n=max(forces, default=None),
+        max_force_n=highest_n,
         latency_median_s=None if latency is None else latency.median_s,
         latency_p95_s=None if latency is None else latency.p95_s,
         pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,
-        shear=None if shear is None or texture is None else shear.summary(texture.words),
-        counters=watcher.stream.counters().as_dict(),
+        shear=shear,
+        counters=stream.counters().as_dict(),
         warning=watcher.warning() or None,
     )
+
+
+def _until_over(
+    watcher: Watcher, stop: threading.Event, duration_s: float | None
+) -> Iterator[Result | None]:
+    """Result of the newest frame, or None where none came soon, over and over."""
+    began = time.monotonic()
+    while not stop.is_set() and (duration_s is None or time.monotonic() - began < duration_s):
+        ended = watcher.ended  # looked at first: a frame may come before the end is seen
+        result = watcher.step(_LOOK_S)
+        if ended and result is None:
+            return
+        yield result
 
 
 def _tell_silence(stream: LiveStream, told: bool) -> bool:

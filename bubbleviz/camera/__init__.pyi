@@ -26,10 +26,7 @@ from .observer import (
     median as median,
     sagittas as sagittas,
 )
-from .pixel_model import (
-    PixelModel as PixelModel,
-    RangeLine as RangeLine,
-)
+from .pixel_model import PixelModel as PixelModel, RangeLine as RangeLine
 from .raycast import (
     MembraneView as MembraneView,
     RayCaster as RayCaster,

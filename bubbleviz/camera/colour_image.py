@@ -31,8 +31,6 @@ def check_rows(width: int, height: int, step: int, pixel_bytes: int, size: int) 
 
 @dataclass(frozen=True)
 class EncodedImage:
-    """Pixels as a message has them."""
-
     encoding: str  # one of `RAW_ENCODINGS` or of `COMPRESSED_ENCODINGS`
     data: bytes
     # width, height, step: pixels, pixels and bytes a row of a raw image; 0 for a compressed one,
@@ -104,8 +102,6 @@ def encoding_of(message: Any) -> str | None:
 
 @dataclass(frozen=True)
 class ColourCamera:
-    """The camera that took colour images."""
-
     intrinsics: Intrinsics | None = None
     # (4, 4), pose of the colour camera in the depth camera, both in the optical convention
     T_D_C: np.ndarray = field(default_factory=lambda: np.eye(4))

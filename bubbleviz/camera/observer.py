@@ -33,13 +33,7 @@ MAD = 0.6745  # median of |z| of a standard normal z
 
 
 class BlockSquares:
-    """Squares that some blocks lie in.
-
-    Attributes
-    ----------
-    of_block : (B,) int array
-        Number of the square of each.
-    """
+    """Squares that some blocks lie in."""
 
     def __init__(
         self,
@@ -48,6 +42,7 @@ class BlockSquares:
     ) -> None:
         self._side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
         row, column = np.divmod(blocks, columns)
+        # (B,) int, number of the square of each
         self.of_block = (row // self._side) * columns + column // self._side
 
     def noise_left(
@@ -148,8 +143,6 @@ class ShapeRanges:
 
 @dataclass(frozen=True)
 class Misfit:
-    """Residual that a model leaves."""
-
     rms_m: float  # weighted root mean square of the block residuals, m
     deviations: float  # typical block residual in standard deviations
     # variance of the sums over squares of blocks over that of white residuals: 1 for white noise,
@@ -262,7 +255,6 @@ class RangeObserver:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks B."""
         return len(self._starts)
 
     def pixel_residuals(self, depth_m: np.ndarray) -> np.ndarray:

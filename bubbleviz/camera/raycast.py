@@ -38,8 +38,6 @@ _STRAIGHT = 1e-9  # sine by which the seen rim may bend inward: rounding
 
 @dataclass(frozen=True)
 class Hits:
-    """Rays that meet the mesh."""
-
     ray: np.ndarray  # (k,) int, index of each ray that hits, ascending
     triangle: np.ndarray  # (k,) int, triangle it hits
     barycentric: np.ndarray  # (k, 3), coordinates of the hit on that triangle
@@ -62,8 +60,6 @@ class Hits:
 
 
 class _Facets(NamedTuple):
-    """Triangles seen from the rays' origin."""
-
     faces: np.ndarray  # (m, 3, 3), cross products of the corners, opposite each corner
     facing: np.ndarray  # (m, 3), node normals times the facet's vector
     offset: np.ndarray  # (m,), distance of its plane times the length of that vector

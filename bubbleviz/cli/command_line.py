@@ -87,7 +87,6 @@ class AllCommands(OneLineErrors):
     """The backend's commands, and the window's, which are imported only when they are asked for."""
 
     def list_commands(self, context: click.Context) -> list[str]:
-        """Names of all commands that are installed."""
         return sorted({*self.commands, *entry_points(group=WINDOW_GROUP).names})
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:

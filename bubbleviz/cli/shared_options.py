@@ -112,8 +112,6 @@ def report(done: Summary, *, as_json: bool) -> None:
 
 
 class Bar:
-    """Progress bar on a terminal: a step at a time."""
-
     def __enter__(self) -> Bar:
         from tqdm import tqdm
 
@@ -125,7 +123,6 @@ class Bar:
         self._bar.close()
 
     def __call__(self, step: str, done: float) -> None:
-        """Show how far a step is."""
         if self._step != step:
             self._step = step
             self._bar.reset()

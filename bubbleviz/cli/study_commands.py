@@ -63,7 +63,6 @@ seed_option = click.option(
 
 
 def report_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Options of every study."""
     options = [
         click.option("--out", type=click.Path(path_type=Path), help="Folder for the report."),
         click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units."),

@@ -4,7 +4,6 @@ from .frame_numbers import (
     ShearEllipse as ShearEllipse,
     ShearNumbers as ShearNumbers,
     ShearSummary as ShearSummary,
-    ShearTally as ShearTally,
     numbers_of as numbers_of,
     patch_numbers as patch_numbers,
     shear_line as shear_line,

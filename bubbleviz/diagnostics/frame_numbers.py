@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -201,22 +200,37 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
 # What shear told over many frames, in numbers and in words.
 
 
-@dataclass(frozen=True)
+@dataclass
 class ShearSummary:
-    """Shear of many frames; numbers are None where there are none to trust."""
+    """Shear of many frames: by status of their traction, and in that of the largest force.
 
-    status: dict[str, int]  # number of frames by status of the traction
-    reference: str  # what flow was measured against, or why there was nothing
-    # max_force_n, max_force_sigma_n: highest |force| with friction, and its standard deviation, N
+    Numbers are None where there are none to trust, and tell the frame of the largest |force|.
+    """
+
+    status: dict[str, int] = field(default_factory=dict)  # number of frames by status
+    reference: str = ""  # what flow was measured against, or why there was nothing
+    # max_force_n, max_force_sigma_n: |force| with friction, and its standard deviation, N
     max_force_n: float | None = None
     max_force_sigma_n: float | None = None
-    # torque_nm, torque_sigma_nm: in that frame, about the mean normal through the contact's centre,
-    # N·m
+    # torque_nm, torque_sigma_nm: about the mean normal through the contact's centre, N·m
     torque_nm: float | None = None
     torque_sigma_nm: float | None = None
-    # slip_share, slip_share_sigma: in that frame, 0 to 1
+    # slip_share, slip_share_sigma: 0 to 1
     slip_share: float | None = None
     slip_share_sigma: float | None = None
+
+    def add(self, result: Result) -> None:
+        traction = result.traction
+        if traction is None:
+            return
+        self.status[traction.status] = self.status.get(traction.status, 0) + 1
+        if traction.status != "ok":
+            return
+        found = ShearNumbers.of(traction, result.slip)
+        if self.max_force_n is None or found.force_n[0] > self.max_force_n:
+            self.max_force_n, self.max_force_sigma_n = _known(found.force_n)
+            self.torque_nm, self.torque_sigma_nm = _known(found.torque_nm)
+            self.slip_share, self.slip_share_sigma = _known(found.slip_share)
 
     def to_text(self) -> str:
         """Lines for the terminal; ± is half of the 95 % interval."""
@@ -231,34 +245,6 @@ class ShearSummary:
             lines += [f"         {numbers}, where the force was highest; ±: 95 % interval"]
             lines += ["         its direction has not been verified"]
         return "\n".join([*lines, *(f"         {line}" for line in filter(None, [self.reference]))])
-
-
-class ShearTally:
-    """Counts frames by the status of their traction, and keeps the numbers of the largest force."""
-
-    def __init__(self) -> None:
-        self._status: Counter[str] = Counter()
-        self._highest: ShearNumbers | None = None
-
-    def add(self, result: Result) -> None:
-        """Take a frame."""
-        traction = result.traction
-        if traction is None:
-            return
-        self._status[traction.status] += 1
-        if traction.status == "ok":
-            numbers = ShearNumbers.of(traction, result.slip)
-            if self._highest is None or numbers.force_n > self._highest.force_n:
-                self._highest = numbers
-
-    def summary(self, reference: str) -> ShearSummary:
-        """The frames so far."""
-        if self._highest is None:
-            return ShearSummary(dict(self._status), reference)
-        found = self._highest
-        measures = (found.force_n, found.torque_nm, found.slip_share)
-        numbers = [_known(x) for value, half in measures for x in (value, half / HALF_95)]
-        return ShearSummary(dict(self._status), reference, *numbers)
 
 
 def shear_line(result: Result) -> str:
@@ -287,5 +273,7 @@ def _measure(value: float | None, sigma: float | None) -> Measure:
     return math.nan if value is None else value, HALF_95 * (math.nan if sigma is None else sigma)
 
 
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None  # JSON has no NaN
+def _known(measure: Measure) -> tuple[float | None, float | None]:
+    """Value and standard deviation; None where it is not known, as JSON has no NaN."""
+    value, sigma = measure[0], measure[1] / HALF_95
+    return value if math.isfinite(value) else None, sigma if math.isfinite(sigma) else None

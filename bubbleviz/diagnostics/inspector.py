@@ -180,8 +180,6 @@ CLOSE_PX = 4  # how far a pixel may be from the one whose residual stands for it
 
 @dataclass(frozen=True)
 class Probed:
-    """Values at a probed place."""
-
     pixel: Pixel | None  # row and column; None for a place outside the image
     point_m: np.ndarray  # (3,), measured point in B; NaN where the pixel has no return
     depth_m: float  # z-depth; NaN where the pixel has no return

@@ -1,8 +1,4 @@
-from .meshes import (
-    SUFFIXES as SUFFIXES,
-    read_triangles as read_triangles,
-    write_ply as write_ply,
-)
+from .meshes import SUFFIXES as SUFFIXES, read_triangles as read_triangles, write_ply as write_ply
 from .output_files import (
     cannot_write as cannot_write,
     free_name as free_name,
@@ -35,8 +31,4 @@ from .preset_files import (
     preset_names as preset_names,
     presets_folder as presets_folder,
 )
-from .toml_files import (
-    checked as checked,
-    named_file as named_file,
-    read_toml as read_toml,
-)
+from .toml_files import checked as checked, named_file as named_file, read_toml as read_toml

@@ -153,7 +153,6 @@ def cannot_write(path: Path, error: Exception) -> InputError:
 
 
 def out_folder(path: Path) -> Path:
-    """Folder for reports, made where it is missing."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -169,7 +168,7 @@ def write_json(path: Path, data: Any) -> None:
 
 def to_json(data: Any) -> str:
     """JSON text; numbers that are not finite become null."""
-    return json.dumps(_finite(data), indent=1, allow_nan=False)
+    return json.dumps(_finite(data), indent=1, allow_nan=False, ensure_ascii=False)
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:

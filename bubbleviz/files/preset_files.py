@@ -13,12 +13,10 @@ def presets_folder(kind: str) -> Path:
 
 
 def pages_folder() -> Path:
-    """Folder of the documentation's pages."""
     return _shipped("docs")
 
 
 def preset_names(kind: str) -> list[str]:
-    """Names of the shipped presets of a kind that are TOML files."""
     return sorted(path.stem for path in presets_folder(kind).glob("*.toml"))
 
 

@@ -1,11 +1,5 @@
-from .assembler import (
-    WAIT_NS as WAIT_NS,
-    Counters as Counters,
-    FrameAssembler as FrameAssembler,
-)
+from .assembler import WAIT_NS as WAIT_NS, Counters as Counters, FrameAssembler as FrameAssembler
 from .live_source import (
-    Deliver as Deliver,
-    Link as Link,
     LiveSource as LiveSource,
     OfferedTopic as OfferedTopic,
     parse_uri as parse_uri,
@@ -37,17 +31,10 @@ from .publisher import (
     ResultMessages as ResultMessages,
     ZenohPublisher as ZenohPublisher,
 )
-from .recorder import (
-    Recorder as Recorder,
-    RecorderStatus as RecorderStatus,
-)
-from .replay import (
-    Replay as Replay,
-    SyntheticLive as SyntheticLive,
-)
+from .recorder import Recorder as Recorder, RecorderStatus as RecorderStatus
+from .replay import Replay as Replay, SyntheticLive as SyntheticLive
 from .topic_names import (
     DEPTH_TYPES as DEPTH_TYPES,
-    RawMessage as RawMessage,
     TopicNames as TopicNames,
     is_used as is_used,
     stamp_of as stamp_of,
@@ -58,6 +45,4 @@ from .zenoh_session import (
     SessionOptions as SessionOptions,
     open_session as open_session,
 )
-from .zenoh_source import (
-    ZenohSource as ZenohSource,
-)
+from .zenoh_source import ZenohSource as ZenohSource

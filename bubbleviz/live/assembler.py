@@ -13,7 +13,7 @@ from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import MOST_COLOUR_DELAY_S
 from bubbleviz.live.live_source import OfferedTopic
-from bubbleviz.live.topic_names import DEPTH_TYPES, RawMessage, TopicNames, decode
+from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames, decode
 from bubbleviz.recordings import (
     CAMERA_INFO,
     FORWARD_NS,
@@ -24,6 +24,7 @@ from bubbleviz.recordings import (
     ColourAround,
     Frame,
     GrowingSeries,
+    Message,
     Moment,
     StampClock,
     StaticPoses,
@@ -40,49 +41,8 @@ from bubbleviz.recordings import (
     values_at,
 )
 
-# The colour images that arrived last, undecoded, and those of the time of a frame.
-
-
 KEPT_NS = round(1e9 * MOST_COLOUR_DELAY_S) + NEAREST_NS
-"""Images kept: those of the longest delay, and of a frame that is behind them."""
-
-
-class ColourBuffer:
-    """Colour images of one topic, as messages.
-
-    Attributes
-    ----------
-    topic : str
-        Empty until there is one.
-    arrived : GrowingSeries of RawMessage
-    """
-
-    def __init__(self) -> None:
-        self.topic = ""
-        self.arrived = GrowingSeries[RawMessage](KEPT_NS)
-
-    def add(self, message: RawMessage, depth_topic: str, *, named: bool) -> Verdict:
-        """Keep an image of the depth images' sensor, or of a topic `named`; verdict on its stamp.
-
-        The topic that comes first counts.
-        """
-        if not self.topic and (named or belongs_to(message.topic, depth_topic)):
-            self.topic = message.topic
-        if message.topic != self.topic:
-            return "ok"
-        return self.arrived.add(message.stamp_ns, message.arrival_ns, message)
-
-    def around(
-        self, moment: Moment, time_s: float, within_ns: int, known: KnownCameras
-    ) -> ColourAround:
-        """What finds the images around a frame, among those here now."""
-
-        def image(message: RawMessage) -> ColourImage:
-            return ColourImage(
-                partial(_read, message), message.stamp_ns, camera=known.of_colour(message)
-            )
-
-        return ColourAround(self.arrived.snapshot(image), moment, time_s, within_ns)
+"""Colour images kept: those of the longest delay, and of a frame that is behind them."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +54,7 @@ class KnownCameras:
     infos: Mapping[str, Intrinsics] = field(default_factory=dict)  # by topic
     poses: StaticPoses = field(default_factory=StaticPoses)
 
-    def of_colour(self, message: RawMessage) -> ColourCamera:
+    def of_colour(self, message: Message) -> ColourCamera:
         """Camera of a colour image."""
         try:
             content = decode(message)
@@ -106,7 +66,7 @@ class KnownCameras:
         return colour_camera(self.infos.get(info), pose, own=own)
 
 
-def _read(message: RawMessage) -> EncodedImage:
+def _read(message: Message) -> EncodedImage:
     try:
         return EncodedImage.of(decode(message))
     except ValueError as error:
@@ -138,7 +98,6 @@ class Counters:
     problem: str = ""  # the last thing that was wrong, in words
 
     def as_dict(self) -> dict[str, int | str]:
-        """The counts by name."""
         return asdict(self)
 
 
@@ -162,14 +121,6 @@ class FrameAssembler:
     """Takes every message of a source and gives back frames. One thread at a time.
 
     Nothing that arrives makes it raise: what is wrong is counted and said in `counters`.
-
-    Attributes
-    ----------
-    counters : Counters
-    size : (int, int) or None
-        Width and height that images must have; None until the first where any will do.
-    other_size : (int, int) or None
-        Of the last image that was of another size.
     """
 
     def __init__(
@@ -191,8 +142,9 @@ class FrameAssembler:
         self.counters = Counters()
         self._lag_s, self._colour_delay_s = lag_s, colour_delay_s
         self._names = names or TopicNames()
+        # size: width and height that images must have; None until the first where any will do
         self.size, self._camera = size, camera
-        self.other_size: tuple[int, int] | None = None
+        self.other_size: tuple[int, int] | None = None  # of the last image that was of another size
         self._known = KnownCameras("")
         self._begin()
 
@@ -202,18 +154,22 @@ class FrameAssembler:
         self._types: dict[str, str] = {}
         self._series: dict[str, GrowingSeries[np.ndarray]] = {}
         self._topics: dict[str, str] = {}
-        self._colour = ColourBuffer()
+        self._forget_colour()
         self._clock = StampClock()
         self._first_ns: int | None = None
         self._last_ns: int | None = None
         self._pending: _Pending | None = None
         self._round = 0
 
+    def _forget_colour(self) -> None:
+        self._colour_topic = ""  # the one that came first counts
+        self._colour = GrowingSeries[Message](KEPT_NS)  # undecoded
+
     def follow_colour(self, on: bool = True) -> None:
         """Take colour images, too, from now on, or no more."""
         self._names = replace(self._names, with_colour=on)
         if not on:
-            self._colour = ColourBuffer()
+            self._forget_colour()
 
     def colour_topic(self, offered: Iterable[OfferedTopic]) -> str:
         """The topic whose colour images belong to the frames, by its name; empty without one."""
@@ -226,7 +182,7 @@ class FrameAssembler:
                 return topic
         return ""
 
-    def push(self, message: RawMessage) -> list[Frame]:
+    def push(self, message: Message) -> list[Frame]:
         """Take a message; the frames that are complete now, oldest first."""
         self.counters.received += 1
         if message.round != self._round:
@@ -237,7 +193,7 @@ class FrameAssembler:
             return released + self._push(message)
         return self._push(message)
 
-    def _push(self, message: RawMessage) -> list[Frame]:
+    def _push(self, message: Message) -> list[Frame]:
         """As `push`, uncounted and within one round."""
         try:
             if are_static_poses(message.topic, message.type):
@@ -287,7 +243,7 @@ class FrameAssembler:
 
     # -- which messages ---------------------------------------------------------------------
 
-    def _is_ours(self, message: RawMessage) -> bool:
+    def _is_ours(self, message: Message) -> bool:
         topic, kind = message.topic, message.type
         expected = self._names.expected_type(topic) or self._types.get(topic)
         if expected is not None and kind != expected:
@@ -313,22 +269,27 @@ class FrameAssembler:
 
     # -- what they say ----------------------------------------------------------------------
 
-    def _take_camera(self, message: RawMessage) -> None:
+    def _take_camera(self, message: Message) -> None:
         camera = decode_intrinsics(decode(message))
         if camera is not None:
             infos = {**self._known.infos, message.topic: camera}
             self._known = replace(self._known, infos=infos)
 
-    def _take_colour(self, message: RawMessage) -> None:
+    def _take_colour(self, message: Message) -> None:
+        """Keep an image of the depth images' sensor, or of a topic chosen by name."""
         named = message.topic == self._names.colour
-        self._judged(message, self._colour.add(message, self._known.depth, named=named))
+        if not self._colour_topic and (named or belongs_to(message.topic, self._known.depth)):
+            self._colour_topic = message.topic
+        if message.topic == self._colour_topic:
+            verdict = self._colour.add(message.stamp_ns, message.arrival_ns, message)
+            self._judged(message, verdict)
 
-    def _take_values(self, message: RawMessage) -> None:
+    def _take_values(self, message: Message) -> None:
         values = VALUES[message.type](decode(message))
         series = self._series.setdefault(message.type, GrowingSeries(FORWARD_NS))
         self._judged(message, series.add(message.stamp_ns, message.arrival_ns, values))
 
-    def _take_depth(self, message: RawMessage) -> list[Frame]:
+    def _take_depth(self, message: Message) -> list[Frame]:
         depth = self._decoded_depth(message)
         verdict, time_ns = self._clock.judge(message.stamp_ns, message.arrival_ns)
         self._judged(message, verdict)
@@ -357,12 +318,12 @@ class FrameAssembler:
         self._pending = _Pending(frame, moment, min(max(step, 0), NEAREST_NS) // 2)
         return released + self._released(message.arrival_ns)
 
-    def _judged(self, message: RawMessage, verdict: Verdict) -> None:
+    def _judged(self, message: Message, verdict: Verdict) -> None:
         if verdict == "bad":
             self.counters.bad_stamps += 1
             self._note(message, _bad_stamp(message))
 
-    def _decoded_depth(self, message: RawMessage) -> np.ndarray:
+    def _decoded_depth(self, message: Message) -> np.ndarray:
         content: Any = decode(message)
         if message.type == POINT_CLOUD:
             camera = next(iter(self._known.infos.values()), self._camera)
@@ -402,26 +363,31 @@ class FrameAssembler:
     def _has_colour(self, pending: _Pending) -> bool:
         """Whether the colour image of a frame is here, or none is expected."""
         late_ns = round(1e9 * self._colour_delay_s)
-        return self._colour.arrived.covers(pending.moment.later(late_ns))
+        return self._colour.covers(pending.moment.later(late_ns))
 
     def _lagging(self, pending: _Pending) -> Moment:
         """A frame's moment on the clocks of gas pressure and wrench."""
         return pending.moment.later(round(self._lag_s * 1e9))
 
     def _finished(self, pending: _Pending) -> Frame:
-        frame, find_colour = pending.frame, None
-        if self._colour.topic:
-            find_colour = self._colour.around(
-                pending.moment, frame.time_s, pending.half_period_ns, self._known
-            )
+        frame, find_colour, known = pending.frame, None, self._known
+
+        def image(message: Message) -> ColourImage:
+            camera = known.of_colour(message)
+            return ColourImage(partial(_read, message), message.stamp_ns, camera=camera)
+
+        if self._colour_topic:  # finds images among those here now
+            here = self._colour.snapshot(image)
+            around = pending.moment, frame.time_s, pending.half_period_ns
+            find_colour = ColourAround(here, *around)
         values = values_at(self._series, self._lagging(pending))
         return replace(frame, find_colour=find_colour, **values)
 
-    def _note(self, message: RawMessage, problem: str) -> None:
+    def _note(self, message: Message, problem: str) -> None:
         self.counters.problem = f"{message.topic}: {problem}"
 
 
-def _bad_stamp(message: RawMessage) -> str:
+def _bad_stamp(message: Message) -> str:
     if message.stamp_ns == 0:
         return "no time stamp"
     off = (message.stamp_ns - message.arrival_ns) * 1e-9

@@ -12,18 +12,15 @@ from urllib.parse import parse_qsl, unquote, urlsplit, urlunsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bubbleviz.errors import InputError
-from bubbleviz.live.topic_names import RawMessage
-from bubbleviz.recordings import Encoding
+from bubbleviz.recordings import Encoding, Message
 
 Link = Literal["connecting", "up", "lost", "ended"]
 """`lost`: it was up; the source reconnects automatically."""
 
-Deliver = Callable[[RawMessage], None]
+Deliver = Callable[[Message], None]
 
 
 class OfferedTopic(NamedTuple):
-    """A published topic: its name and its type."""
-
     name: str
     type: str
 
@@ -100,26 +97,18 @@ class LiveSource:
 
 
 class SourceOptions(BaseModel):
-    """Options of every scheme.
-
-    Attributes
-    ----------
-    depth, info, pressure, wrench, colour : str or None
-        Topics; None for the first that fits.
-    prefix : str
-        What the sensor's topics begin with.
-    lag : float
-        How much later the stamps of gas pressure and wrench are than the images', s.
-    """
+    """Options of every scheme."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    # depth, info, pressure, wrench, colour: topics; None for the first that fits
     depth: str | None = None
     info: str | None = None
     pressure: str | None = None
     wrench: str | None = None
     colour: str | None = None
-    prefix: str = ""
+    prefix: str = ""  # what the sensor's topics begin with
+    # how much later the stamps of gas pressure and wrench are than the images', s
     lag: float = Field(0.0, ge=-1.0, le=1.0)
 
 
@@ -135,8 +124,6 @@ class SyntheticOptions(SourceOptions):
 
 
 class ReplayOptions(SourceOptions):
-    """Options of `replay:`."""
-
     speed: float = Field(1.0, ge=1e-3, le=1e3)
     loop: bool = False
 
@@ -153,8 +140,6 @@ class ZenohOptions(SourceOptions):
 
 
 class RealSenseOptions(SourceOptions):
-    """Options of `realsense:`."""
-
     rate: int = Field(30, ge=1, le=300)
     loop: bool = False
 
@@ -170,8 +155,6 @@ _SCHEMES: dict[str, tuple[type[SourceOptions], str]] = {
 
 @dataclass(frozen=True)
 class SourceUri:
-    """A parsed source."""
-
     text: str  # as given
     # scheme, place: before and behind the colon
     scheme: str

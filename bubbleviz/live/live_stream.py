@@ -1,4 +1,4 @@
-"""One live sensor: a source, the frames made of its messages, and its listeners."""
+"""One live sensor: a source, the newest frame made of its messages, and its listeners."""
 
 from __future__ import annotations
 
@@ -14,61 +14,7 @@ import numpy as np
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.live.assembler import Counters, FrameAssembler
 from bubbleviz.live.live_source import Link, LiveSource, OfferedTopic
-from bubbleviz.live.topic_names import RawMessage
-from bubbleviz.recordings import NO_COLOUR, Frame, size_refusal
-
-# A mailbox for one frame between source and solver: a newer frame replaces an older one.
-
-
-class Mailbox:
-    """Holds one frame, the newest.
-
-    Attributes
-    ----------
-    skipped : int
-        Frames that gave way to a newer one before anybody took them.
-    """
-
-    def __init__(self) -> None:
-        self.skipped = 0
-        self._frame: Frame | None = None
-        self._closed = self._woken = False
-        self._changed = threading.Condition()
-
-    def put(self, frame: Frame) -> None:
-        """Replace what is there."""
-        with self._changed:
-            self.skipped += self._frame is not None
-            self._frame = frame
-            self._changed.notify_all()
-
-    def take(self, timeout_s: float = 0.0) -> Frame | None:
-        """The newest frame not taken yet, waiting for one; None after the timeout, or `wake`."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self._frame is not None or self._closed or self._woken, timeout_s
-            )
-            frame, self._frame = self._frame, None
-            return frame
-
-    def wake(self) -> None:
-        """Have nobody wait until `woken` is asked."""
-        with self._changed:
-            self._woken = True
-            self._changed.notify_all()
-
-    def woken(self) -> bool:
-        """Whether there was a `wake` since this was asked last."""
-        with self._changed:
-            woken, self._woken = self._woken, False
-            return woken
-
-    def close(self) -> None:
-        """Let go of everybody who waits."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-
+from bubbleviz.recordings import NO_COLOUR, Frame, Message, size_refusal
 
 # How a live source is doing.
 
@@ -82,15 +28,12 @@ STOPPED_AFTER_S = 1.0
 
 @dataclass(frozen=True)
 class Status:
-    """State of a source."""
-
     state: State  # `connecting`: nothing arrived yet. `stale`: connected, but no depth image comes.
     silent_s: float | None  # time since the last depth image, s; None before the first
     problem: str = ""  # why nothing comes, where that is known
 
     @property
     def text(self) -> str:
-        """A few words."""
         if self.state == "connecting":
             return self.silence
         return f"{self.state}, {self.silence}" if self.silence else self.state
@@ -124,7 +67,7 @@ SEVERAL = 5
 """Images of another size that are no accident: not garbage, nor of a topic beside the depth's."""
 
 _T = TypeVar("_T")
-Listener = Callable[[RawMessage], None]
+Listener = Callable[[Message], None]
 Outage = tuple[int, int]  # arrival of the frames before and after, ns since 1970
 
 
@@ -132,10 +75,6 @@ class LiveStream:
     """Frames of a live source, the newest first.
 
     A session of two sensors has two of these; they share nothing.
-
-    Attributes
-    ----------
-    name : str
     """
 
     def __init__(
@@ -146,8 +85,11 @@ class LiveStream:
         self.name = source.name
         self.source = source
         self._assembler = assembler or FrameAssembler()
-        self._mailbox = Mailbox()
-        self._lock = threading.Lock()
+        self._newest: Frame | None = None  # not taken yet; a newer one replaces it
+        self._skipped = 0  # frames that were replaced so
+        self._stopped = self._woken = False
+        self._changed = threading.Condition()  # of these four
+        self._lock = threading.Lock()  # held while images are decoded
         self._listeners: tuple[Listener, ...] = ()
         self._colour_followers: set[object] = set()
         self._last_frame_ns: int | None = None
@@ -168,7 +110,9 @@ class LiveStream:
     def stop(self) -> None:
         """Stop the source and wake threads that wait for a frame."""
         self.source.stop()
-        self._mailbox.close()
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Have every message passed on from now on, in the source's threads; undo by calling.
@@ -210,24 +154,34 @@ class LiveStream:
         """The newest frame that was not taken yet, waiting for one; None when none came."""
         deadline = time.monotonic() + timeout_s
         while True:
-            wait = min(max(deadline - time.monotonic(), 0.0), self._patience_s())
-            frame = self._mailbox.take(wait)
+            frame = self._take(min(max(deadline - time.monotonic(), 0.0), self._patience_s()))
             ended = self.source.link() == "ended"
             if frame is None:
                 with self._lock:  # at the end there is nothing left to wait for
                     self._put(self._assembler.flush(None if ended else time.time_ns()))
-                frame = self._mailbox.take()
+                frame = self._take(0.0)
             if frame is not None:
                 return frame
-            if self._mailbox.woken() or time.monotonic() >= deadline or ended:
+            with self._changed:
+                woken, self._woken = self._woken, False
+            if woken or ended or time.monotonic() >= deadline:
                 return None
+
+    def _take(self, timeout_s: float) -> Frame | None:
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._newest is not None or self._stopped or self._woken, timeout_s
+            )
+            frame, self._newest = self._newest, None
+            return frame
 
     def wake(self) -> None:
         """Have who waits in `take`, or will next, wait no longer."""
-        self._mailbox.wake()
+        with self._changed:
+            self._woken = True
+            self._changed.notify_all()
 
     def status(self) -> Status:
-        """How the source is doing now."""
         last = self._last_frame_ns
         silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
         problem = self._problem()
@@ -279,9 +233,7 @@ class LiveStream:
 
     def counters(self) -> Counters:
         """The counts so far; the window asks for them and waits for no image to be decoded."""
-        return replace(
-            self._assembler.counters, skipped=self._mailbox.skipped, missed=self.source.missed()
-        )
+        return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed())
 
     def check_size(
         self,
@@ -312,7 +264,6 @@ class LiveStream:
         )
 
     def topics(self) -> tuple[OfferedTopic, ...]:
-        """Topics to choose from."""
         return self.source.topics()
 
     def _patience_s(self) -> float:
@@ -320,7 +271,7 @@ class LiveStream:
         until = self._assembler.waits_until_ns
         return 0.1 if until is None else min(max((until - time.time_ns()) * 1e-9, 0.001), 0.1)
 
-    def _deliver(self, message: RawMessage) -> None:
+    def _deliver(self, message: Message) -> None:
         for listener in self._listeners:  # unlocked: a recorder may wait for its disk
             listener(message)
         with self._lock:
@@ -343,7 +294,10 @@ class LiveStream:
             before, self._last_frame_ns = self._last_frame_ns, frame.arrival_ns
             if before is not None and frame.arrival_ns - before > 1e9 * STALE_AFTER_S:
                 self._outages = (*self._outages, (before, frame.arrival_ns))
-            self._mailbox.put(frame)
+            with self._changed:
+                self._skipped += self._newest is not None
+                self._newest = frame
+                self._changed.notify_all()
 
 
 # Latency: the age of a frame when it is shown.
@@ -358,7 +312,6 @@ class LatencyReport(NamedTuple):
 
     median_s: float
     p95_s: float
-    worst_s: float
     from_stamp: bool
 
 
@@ -384,6 +337,5 @@ class LatencyMeter:
         """Ages so far; None before the first frame."""
         if not self._ages:
             return None
-        ages = np.array(self._ages)
-        median, p95 = np.percentile(ages, [50.0, 95.0])
-        return LatencyReport(float(median), float(p95), float(ages.max()), self._from_stamp)
+        median, p95 = np.percentile(np.array(self._ages), [50.0, 95.0])
+        return LatencyReport(float(median), float(p95), self._from_stamp)

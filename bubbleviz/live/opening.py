@@ -60,14 +60,8 @@ def open_stream(
     """
     uri = parse_uri(text)
     options = uri.options
-    names = TopicNames(
-        options.depth,
-        options.info,
-        options.pressure,
-        options.wrench,
-        options.colour,
-        options.prefix,
-    )
+    chosen = {"depth", "info", "pressure", "wrench", "colour", "prefix"}
+    names = TopicNames(**options.model_dump(include=chosen))
     source = _MAKERS[uri.scheme](uri, sensor, names)
     camera = sensor.camera
     assembler = FrameAssembler(
@@ -178,30 +172,17 @@ class _Strict(BaseModel):
 
 
 class SensorPlace(_Strict):
-    """One sensor of a session.
+    """One sensor of a session."""
 
-    Attributes
-    ----------
-    name : str
-        Also what its topics begin with.
-    sensor : str
-        Sensor file or preset.
-    source : str
-        As `--source`.
-    position_m, quaternion_xyzw
-        T_W_B.
-    colour : str
-        Of what is drawn of it, as #rrggbb.
-    colour_delay_s : float or None
-        In place of the sensor file's `camera.colour_delay_s`.
-    """
-
-    name: str = Field(min_length=1)
-    sensor: str
-    source: str
+    name: str = Field(min_length=1)  # also what its topics begin with
+    sensor: str  # sensor file or preset
+    source: str  # as `--source`
+    # position_m, quaternion_xyzw: T_W_B
     position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     quaternion_xyzw: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    # of what is drawn of it, as #rrggbb
     colour: str = Field(default="#4f8fd0", pattern="^#[0-9a-fA-F]{6}$")
+    # in place of the sensor file's `camera.colour_delay_s`
     colour_delay_s: float | None = Field(
         default=None, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S
     )
@@ -254,16 +235,7 @@ class LiveSensor:
 class LiveSession:
     """The sensors of a session preset, live; a context manager.
 
-    Attributes
-    ----------
-    sensors : tuple of LiveSensor
-    recorder : Recorder
-        Gets every message of every sensor.
-
-    Raises
-    ------
-    InputError
-        A sensor file or a source is not there.
+    Raises InputError: a sensor file or a source is not there.
     """
 
     def __init__(
@@ -271,7 +243,7 @@ class LiveSession:
         preset: SessionPreset,
         pre_roll_s: float = 0.0,  # seconds before recording starts that are recorded, too
     ) -> None:
-        self.recorder = Recorder(pre_roll_s)
+        self.recorder = Recorder(pre_roll_s)  # gets every message of every sensor
         self.sensors = tuple(_open(place) for place in preset.sensors)
         for each in self.sensors:
             self.recorder.listen_to(each.stream)

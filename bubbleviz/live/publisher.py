@@ -68,7 +68,6 @@ class ZenohPublisher:
         self.close()
 
     def announce(self, topic: str, kind: str) -> None:
-        """Announce a topic before its first message."""
         if (topic, kind) in self._publishers:
             return
         type_hash = ros2_types().hash_rihs01(kind)
@@ -92,14 +91,14 @@ class ZenohPublisher:
         token = announcement(topic, kind, type_hash, self._layout, self._domain, session, number)
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def put(self, topic: str, kind: str, payload: bytes, stamp_ns: int = 0) -> None:
-        """Publish a message."""
+    def put(self, message: Message) -> None:
+        topic, kind = message.topic, message.type
         self.announce(topic, kind)
         sequence = self._sent.get((topic, kind), 0) + 1
         self._sent[topic, kind] = sequence
-        stamp = stamp_ns or time.time_ns()
+        stamp = message.stamp_ns or time.time_ns()
         attachment = pack_attachment(Attachment(sequence, stamp, self._identity))
-        self._publishers[topic, kind].put(payload, attachment=attachment)
+        self._publishers[topic, kind].put(message.payload, attachment=attachment)
 
     @property
     def subscribed(self) -> int:
@@ -112,11 +111,9 @@ class ZenohPublisher:
 
     @property
     def connected(self) -> bool:
-        """Whether anybody is there."""
         return connected(self._session)
 
     def close(self) -> None:
-        """Close the session."""
         self._session.close()
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic, SourceUri
-from bubbleviz.live.topic_names import RawMessage
 from bubbleviz.recordings import IMAGE, Frame, FrameMessages, Message, distortion_of, ros2_types
 from bubbleviz.wording import how_to_install
 
@@ -137,10 +136,10 @@ class RealSenseLive(LiveSource):
                 if last is not None:
                     self._missed += max(picture.number - last.number - 1, 0)
                 last = picture
-            for topic, kind, payload, stamp in to_messages.of(picture):
-                self._offer(OfferedTopic(topic, kind))
+            for made in to_messages.of(picture):
+                self._offer(OfferedTopic(made.topic, made.type))
                 number = picture.number
-                deliver(RawMessage(topic, kind, payload, stamp, arrival_ns, number, played))
+                deliver(made._replace(arrival_ns=arrival_ns, sequence=number, round=played))
             self._link, self._problem = "up", ""
         return False
 
@@ -234,8 +233,6 @@ class _Picture(NamedTuple):
 
 
 class _Colour(NamedTuple):
-    """The stream of colour images."""
-
     sensor: Any
     profile: Any
     encoding: str
@@ -322,7 +319,6 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
 
 
 def serials(sdk: Any) -> tuple[str, ...]:
-    """Serial numbers of the cameras on this computer."""
     number = sdk.camera_info.serial_number
     return tuple(str(device.get_info(number)) for device in sdk.context().query_devices())
 

@@ -6,13 +6,20 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_stream import LiveStream
-from bubbleviz.live.topic_names import RawMessage
-from bubbleviz.recordings import MARKERS, STRING, McapFile, are_static_poses, ros2_types, serialise
+from bubbleviz.recordings import (
+    MARKERS,
+    STRING,
+    McapFile,
+    Message,
+    are_static_poses,
+    ros2_types,
+    serialise,
+)
 from bubbleviz.wording import count_of
 
 SYNC_S = 0.4  # interval of fsync, s: the most that a crash can lose
@@ -24,8 +31,6 @@ PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chose
 
 @dataclass(frozen=True)
 class RecorderStatus:
-    """How recording is going."""
-
     path: Path
     messages: int  # messages written
     # waiting_bytes, most_waiting_bytes: messages that wait for the disk now, and the most there
@@ -45,9 +50,9 @@ class Recorder:
         pre_roll_s: float = 0.0,  # seconds before `start` that are recorded, too
     ) -> None:
         self.pre_roll_s = pre_roll_s
-        self._before: deque[RawMessage] = deque()
+        self._before: deque[Message] = deque()
         self._before_bytes = 0
-        self._static: dict[bytes, RawMessage] = {}
+        self._static: dict[bytes, Message] = {}
         self._session: _Session | None = None
         self._streams: list[LiveStream] = []
         self._let_go_of_colour: list[Callable[[], None]] = []
@@ -62,10 +67,9 @@ class Recorder:
 
     @property
     def recording(self) -> bool:
-        """Whether messages are being written."""
         return self._session is not None
 
-    def push(self, message: RawMessage) -> None:
+    def push(self, message: Message) -> None:
         """Take a message; from any thread. Does not raise, and waits only for a disk too slow."""
         with self._lock:
             if are_static_poses(message.topic, message.type):
@@ -98,7 +102,7 @@ class Recorder:
         """Write a marker or note into the recording, at a time (ns since 1970), by default now."""
         content = ros2_types().types[STRING](data=text)
         when = time.time_ns() if at_ns is None else at_ns
-        self.push(RawMessage(MARKERS, STRING, serialise(content, STRING), 0, when))
+        self.push(Message(MARKERS, STRING, serialise(content, STRING), 0, when))
 
     def status(self) -> RecorderStatus | None:
         """State of the present recording; None without one."""
@@ -116,7 +120,7 @@ class Recorder:
         session.finish()
         return session.status()
 
-    def _keep(self, message: RawMessage) -> None:
+    def _keep(self, message: Message) -> None:
         if self.pre_roll_s <= 0.0:
             return
         self._before.append(message)
@@ -132,9 +136,9 @@ class _Session:
     The messages `before`, however old, are logged with the first one.
     """
 
-    def __init__(self, file: McapFile, before: tuple[RawMessage, ...]) -> None:
+    def __init__(self, file: McapFile, before: tuple[Message, ...]) -> None:
         self._file = file
-        self._queue: deque[RawMessage] = deque()
+        self._queue: deque[Message] = deque()
         self._before = before
         self._bytes = sum(len(message.payload) for message in before)
         self._most = self._stalls = 0
@@ -144,7 +148,7 @@ class _Session:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def put(self, message: RawMessage) -> None:
+    def put(self, message: Message) -> None:
         with self._changed:
             if self._bytes > QUEUE_BYTES and not self._problem:
                 self._stalls += 1
@@ -202,8 +206,7 @@ class _Session:
         while True:
             messages, ending = self._take(SYNC_S / 2)
             for message in self._with_before(messages):
-                row = (message.topic, message.type, message.payload, message.stamp_ns)
-                self._file.write(row, message.arrival_ns, message.sequence or 0)
+                self._file.write(message, message.arrival_ns)
                 unflushed += len(message.payload)
                 if unflushed >= FLUSH_BYTES:
                     self._file.flush()
@@ -217,14 +220,14 @@ class _Session:
                 self._file.sync()
                 synced = time.monotonic()
 
-    def _with_before(self, messages: list[RawMessage]) -> list[RawMessage]:
+    def _with_before(self, messages: list[Message]) -> list[Message]:
         if not messages or not self._before:
             return messages
         at_ns, before = messages[0].arrival_ns, self._before
         self._before = ()
-        return [*(replace(message, arrival_ns=at_ns) for message in before), *messages]
+        return [*(message._replace(arrival_ns=at_ns) for message in before), *messages]
 
-    def _take(self, timeout_s: float) -> tuple[list[RawMessage], bool]:
+    def _take(self, timeout_s: float) -> tuple[list[Message], bool]:
         with self._changed:
             self._changed.wait_for(lambda: bool(self._queue) or self._ending, timeout_s)
             messages = list(self._queue)

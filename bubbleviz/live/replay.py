@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
-from bubbleviz.live.topic_names import TYPES, RawMessage, TopicNames, stamp_of
+from bubbleviz.live.topic_names import TYPES, TopicNames, stamp_of
 from bubbleviz.recordings import (
     Bag,
     FrameMessages,
@@ -51,36 +51,35 @@ class Replay(LiveSource):
         self._offered = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
 
     def stop(self) -> None:
-        """Stop playing and close the recording."""
         super().stop()
         self._bag.close()
 
     def _run(self, deliver: Deliver) -> None:
         self._link = "up"
-        times = np.concatenate([stream.log_ns for stream in self._streams])
-        which = np.repeat(np.arange(len(self._streams)), [len(s) for s in self._streams])
-        number = np.concatenate([np.arange(len(s)) for s in self._streams])
-        order = np.argsort(times, kind="stable")
-        rows = [(int(which[k]), int(number[k]), int(times[k])) for k in order]
+        rows = sorted(
+            (int(log_ns), number, k)
+            for number, stream in enumerate(self._streams)
+            for k, log_ns in enumerate(stream.log_ns)
+        )
         colour, played = TopicNames(), 0
         while True:
             start = time.monotonic()
-            for stream, k, log_ns in rows:
-                due = start + (log_ns - rows[0][2]) * 1e-9 / self._speed
+            for log_ns, number, k in rows:
+                due = start + (log_ns - rows[0][0]) * 1e-9 / self._speed
                 if not self._wait_until(due if self._realtime else start):
                     return
-                topic = self._streams[stream].topic
-                if self._with_colour or not colour.is_colour(topic.name, topic.type):
-                    deliver(self._message(self._streams[stream], k, played))
+                stream = self._streams[number]
+                if self._with_colour or not colour.is_colour(stream.topic.name, stream.topic.type):
+                    deliver(self._message(stream, k, played))
             if not self._loop:
                 return
             played += 1
 
-    def _message(self, stream: Messages, k: int, played: int) -> RawMessage:
+    def _message(self, stream: Messages, k: int, played: int) -> Message:
         payload = stream.payload(k)
         if self._bag.ros1:
             payload = _as_ros2(payload, stream.topic.type)
-        return RawMessage(
+        return Message(
             stream.topic.name,
             stream.topic.type,
             payload,
@@ -146,10 +145,6 @@ class SyntheticLive(LiveSource):
             messages = messages_of(sent % frames)
             later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
             for message in messages:
-                deliver(_raw(message.later(later_ns), sent))
+                sent_now = message.later(later_ns)
+                deliver(sent_now._replace(arrival_ns=time.time_ns(), sequence=sent))
             sent += 1
-
-
-def _raw(message: Message, sequence: int) -> RawMessage:
-    topic, kind, payload, stamp = message
-    return RawMessage(topic, kind, payload, stamp, time.time_ns(), sequence)

@@ -14,6 +14,7 @@ from bubbleviz.recordings import (
     PRESSURE,
     RESULTS,
     WRENCH,
+    Message,
     are_static_poses,
     header_stamp_ns,
     is_called_colour,
@@ -77,22 +78,7 @@ class TopicNames:
         return kind == COMPRESSED_IMAGE or is_called_colour(topic)
 
 
-# A message as it arrived, not decoded yet.
-
-
-@dataclass(frozen=True, slots=True)
-class RawMessage:
-    """A serialised ROS 2 message."""
-
-    # topic, type: as in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`
-    topic: str
-    type: str
-    payload: bytes  # CDR with its encapsulation header; whatever arrived, it may be garbage
-    stamp_ns: int  # header stamp, ns; 0 where it is unset or cannot be read
-    arrival_ns: int  # when it arrived here, ns since 1970
-    sequence: int | None = None  # the publisher's own count, where the transport has one
-    # how often the source began again from its start: a replayed recording's stamps go back
-    round: int = 0
+# What a message says; any damage is a ValueError.
 
 
 def stamp_of(payload: bytes) -> int:
@@ -103,10 +89,7 @@ def stamp_of(payload: bytes) -> int:
         return 0
 
 
-# Deserialisation of received messages; any damage is a ValueError.
-
-
-def decode(message: RawMessage) -> Any:
+def decode(message: Message) -> Any:
     """Message object of rosbags.
 
     Raises ValueError: the bytes are no message of this type.

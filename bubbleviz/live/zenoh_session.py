@@ -158,17 +158,11 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor"
 
 
 class NotConnectedError(InputError):
-    """Nobody answers at the endpoint, or who does accepts no session.
-
-    Attributes
-    ----------
-    why : str
-        And what to do.
-    """
+    """Nobody answers at the endpoint, or who does accepts no session."""
 
     def __init__(self, options: SessionOptions, why: str) -> None:
         super().__init__(f"{options.text}: no Zenoh session: {why}")
-        self.why = why
+        self.why = why  # and what to do
 
 
 @dataclass(frozen=True)
@@ -242,7 +236,6 @@ def open_session(options: SessionOptions) -> Any:
 
 
 def connected(session: Any) -> bool:
-    """Whether a session has anybody to talk to."""
     return bool(session.info.peers_zid() or session.info.routers_zid())
 
 

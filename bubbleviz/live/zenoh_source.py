@@ -13,7 +13,7 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
-from bubbleviz.live.topic_names import RawMessage, TopicNames, is_used, stamp_of
+from bubbleviz.live.topic_names import TopicNames, is_used, stamp_of
 from bubbleviz.live.zenoh_session import (
     TOKENS,
     Announced,
@@ -36,6 +36,7 @@ from bubbleviz.recordings import (
     IMAGE,
     PRESSURE,
     WRENCH,
+    Message,
     are_static_poses,
 )
 
@@ -75,7 +76,6 @@ class ZenohSource(LiveSource):
         self._deliver: Deliver | None = None
 
     def start(self, deliver: Deliver) -> None:
-        """Start; connects as soon as the endpoint is reachable."""
         self._deliver = deliver
         if self._options.listen is not None:
             self._session = open_session(self._options)
@@ -84,7 +84,6 @@ class ZenohSource(LiveSource):
         super().start(deliver)
 
     def stop(self) -> None:
-        """Close the session."""
         with self._gate:
             self._deliver = None
         super().stop()
@@ -235,7 +234,7 @@ class ZenohSource(LiveSource):
         attached = sample.attachment
         attachment = unpack_attachment(None if attached is None else attached.to_bytes())
         sequence = None if attachment is None else attachment.sequence
-        message = RawMessage(
+        message = Message(
             announced.topic,
             kind or announced.type,
             payload,

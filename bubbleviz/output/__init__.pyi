@@ -1,42 +1,28 @@
-from .export_plan import (
-    ExportPlan as ExportPlan,
-)
-from .exporter import (
-    Shape as Shape,
-)
+from .export_plan import ExportPlan as ExportPlan
+from .exporter import Shape as Shape
 from .pose_writer import (
     PoseRow as PoseRow,
     pose_columns as pose_columns,
+    pose_row as pose_row,
     read_poses as read_poses,
     write_poses as write_poses,
 )
 from .results import (
     COLUMNS as COLUMNS,
     NODAL_FIELDS as NODAL_FIELDS,
-    UNKNOWN as UNKNOWN,
     ResultWriter as ResultWriter,
-    add_measured_force as add_measured_force,
     csv_row as csv_row,
     nodal_fields as nodal_fields,
     result_arrays as result_arrays,
     summary_row as summary_row,
+    surface_arrays as surface_arrays,
 )
-from .series import (
-    VtkSeries as VtkSeries,
-)
-from .side_by_side import (
-    Measured as Measured,
-    SideBySide as SideBySide,
-    iou as iou,
-)
+from .series import VtkSeries as VtkSeries
+from .side_by_side import Measured as Measured, SideBySide as SideBySide, iou as iou
 from .table_export import (
     DPI as DPI,
     SIZE_IN as SIZE_IN,
-    Table as Table,
+    FrameTable as FrameTable,
     draw_plots as draw_plots,
-    more_columns as more_columns,
-    table_of as table_of,
 )
-from .video import (
-    open_mp4 as open_mp4,
-)
+from .video import open_mp4 as open_mp4

@@ -39,8 +39,6 @@ _SEVERAL = {"png": ("depth", "pressure")}
 
 @dataclass(frozen=True)
 class ExportPlan:
-    """Kinds of files to make and where."""
-
     out: Path  # a file, or the folder that holds them all
     kinds: tuple[str, ...]  # of `KINDS`
     is_folder: bool
@@ -105,7 +103,7 @@ class ExportPlan:
 
     def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
         write, sensor = _FILES[path.suffix.lower()][1], pipeline.model.sensor.name
-        return TableExporter(path, write, sensor, self.poses or None)
+        return TableExporter(path, write, sensor, self.poses)
 
 
 def _kinds(what: Sequence[str]) -> tuple[str, ...]:

@@ -1,46 +1,27 @@
-"""Interface of the exporters, and the membrane of one frame as files hold it."""
+"""What makes files of frames for other programs, and the membrane of one frame as files hold it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.output.results import UNKNOWN
 from bubbleviz.pipeline import Product
-from bubbleviz.result import Estimate, Result
+from bubbleviz.result import Result
 
 
-class Exporter(Protocol):
-    """Takes the results of frames one after the other and writes files.
+class Exporter:
+    """Takes the results of frames one after the other and writes files."""
 
-    Attributes
-    ----------
-    products : frozenset of Product
-        What each result must hold; nothing else is computed for it.
-    """
-
-    products: frozenset[Product]
+    products: frozenset[Product] = frozenset()  # what each result must hold; no more is computed
 
     def add(self, result: Result) -> None:
         """Take the next frame."""
+        raise NotImplementedError
 
     def finish(self) -> None:
         """Write what needs all frames."""
-
-
-def estimate_of(result: Result) -> Estimate:
-    """The estimate of a result that was processed with the product `estimate`."""
-    if result.estimate is None:
-        raise ValueError("the product estimate was not asked for")
-    return result.estimate
-
-
-def is_known(estimate: Estimate) -> bool:
-    """Whether the estimate has a membrane shape."""
-    return estimate.status not in UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -55,9 +36,8 @@ class Shape:
 
     @classmethod
     def of(cls, mesh: MembraneMesh, result: Result) -> Shape:
-        """Shape of a result that holds an estimate."""
-        estimate = estimate_of(result)
-        if not is_known(estimate):
+        estimate = result.trusted_estimate
+        if estimate is None:
             nothing = np.full(len(mesh.nodes), np.nan)
             return cls(mesh.nodes, nothing, nothing)
         points = mesh.deformed(estimate.motion_m)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,60 +12,34 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import COLUMNS, pose_numbers, read_rows, whole_file, write_rows
 from bubbleviz.result import Result
 
-
-@dataclass(frozen=True)
-class PoseRow:
-    """One line of POSES.csv; NaN where there is no number.
-
-    A `lost` frame has the last good pose. The last two are columns only where the patch by the
-    object was asked for.
-    """
-
-    frame: int
-    time_s: float
-    status: str
-    x_m: float
-    y_m: float
-    z_m: float
-    qx: float
-    qy: float
-    qz: float
-    qw: float
-    fitness: float
-    rmse_m: float
-    stage1_rmse_m: float
-    total_ms: float
-    patch_area_m2: float = np.nan
-    object_patch_area_m2: float = np.nan
-
-    @classmethod
-    def of(cls, result: Result) -> PoseRow:
-        """Line of a frame whose pose was asked for."""
-        if result.pose is None:
-            raise ValueError("the product pose was not asked for")
-        pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
-        one, two = pose.stage_one, pose.stage_two
-        known = np.isfinite(pose.T_B_O).all()
-        numbers = pose_numbers(pose.T_B_O) if known else (np.nan,) * 7
-        return cls(
-            frame=result.frame.index,
-            time_s=result.frame.time_s,
-            status=pose.status,
-            **dict(zip(COLUMNS, numbers, strict=True)),
-            fitness=two.fitness if two else np.nan,
-            rmse_m=two.rmse_m if two else np.nan,
-            stage1_rmse_m=one.rmse_m if one else np.nan,
-            total_ms=result.times_ms["total"],
-            patch_area_m2=patch.area_m2 if patch else np.nan,
-            object_patch_area_m2=by_object.area_m2 if by_object else np.nan,
-        )
-
-    def columns(self, *, areas: bool) -> dict[str, Any]:
-        """Values by column of POSES.csv, with or without the areas of both patches."""
-        return {key: v for key, v in asdict(self).items() if areas or key not in _AREAS}
-
-
+PoseRow = dict[str, Any]
+"""One line of POSES.csv by column; the areas are columns only where that by the object is known."""
 _AREAS = ("patch_area_m2", "object_patch_area_m2")
+
+
+def pose_row(result: Result) -> PoseRow:
+    """Line of a frame whose pose was asked for; NaN where there is no number.
+
+    A `lost` frame has the last good pose.
+    """
+    if result.pose is None:
+        raise ValueError("the product pose was not asked for")
+    pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
+    one, two = pose.stage_one, pose.stage_two
+    known = np.isfinite(pose.T_B_O).all()
+    numbers = pose_numbers(pose.T_B_O) if known else (np.nan,) * 7
+    return {
+        "frame": result.frame.index,
+        "time_s": result.frame.time_s,
+        "status": pose.status,
+        **dict(zip(COLUMNS, numbers, strict=True)),
+        "fitness": two.fitness if two else np.nan,
+        "rmse_m": two.rmse_m if two else np.nan,
+        "stage1_rmse_m": one.rmse_m if one else np.nan,
+        "total_ms": result.times_ms["total"],
+        "patch_area_m2": patch.area_m2 if patch else np.nan,
+        "object_patch_area_m2": by_object.area_m2 if by_object else np.nan,
+    }
 
 
 def write_poses(
@@ -82,17 +55,17 @@ def write_poses(
     rows = list(rows)
     with whole_file(path, overwrite=overwrite) as temporary:
         if form == "csv":
-            areas = any(np.isfinite(row.object_patch_area_m2) for row in rows)
-            write_rows(temporary, [row.columns(areas=areas) for row in rows])
+            areas = any(np.isfinite(row["object_patch_area_m2"]) for row in rows)
+            left = () if areas else _AREAS
+            write_rows(temporary, [{k: v for k, v in r.items() if k not in left} for r in rows])
             return len(rows)
-        lines = [_tum(row) for row in rows if row.status == "ok"]
+        lines = [_tum(row) for row in rows if row["status"] == "ok"]
         temporary.write_text("".join(lines), encoding="utf-8")
         return len(lines)
 
 
 def _tum(row: PoseRow) -> str:
-    numbers = (row.time_s, row.x_m, row.y_m, row.z_m, row.qx, row.qy, row.qz, row.qw)
-    return " ".join(f"{number:.9g}" for number in numbers) + "\n"
+    return " ".join(f"{row[name]:.9g}" for name in ("time_s", *COLUMNS)) + "\n"
 
 
 # POSES.csv of `bubbleviz pose` as more columns of a table.

@@ -54,9 +54,6 @@ is where its level is positive; the last two only where traction was asked for."
 
 _OF_SHEAR = ("traction_pa", "tangential_displacement_m")
 
-UNKNOWN = ("no_data", "not_converged", "implausible")
-"""Statuses of frames about which nothing is known."""
-
 _KNOWN_WITHOUT_DATA = {
     *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
 }
@@ -67,9 +64,7 @@ def summary_row(result: Result) -> dict[str, Any]:
 
     The measured force needs the other frames, see `add_measured_force`; `wrench_n` is for that.
     """
-    estimate, patch = result.estimate, result.patch
-    if estimate is None or patch is None:
-        raise ValueError("the products estimate and patch were not asked for")
+    estimate, patch = result.solution
     sigma = estimate.force_sigma_n
     row: dict[str, Any] = {
         "frame": result.frame.index,
@@ -93,7 +88,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "total_ms": result.times_ms["total"],
         "kappa": np.nan if patch.kappa is None else patch.kappa,
     }
-    if estimate.status in UNKNOWN:
+    if not estimate.trusted:
         for key in row.keys() & COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row | _shear_row(result)
@@ -135,16 +130,14 @@ def nodal_fields(
     mesh: MembraneMesh,
 ) -> dict[str, np.ndarray]:
     """Fields of one frame by key of `NODAL_FIELDS`; NaN where it has no data to tell them."""
-    estimate, patch = result.estimate, result.patch
-    if estimate is None or patch is None:
-        raise ValueError("the products estimate and patch were not asked for")
+    estimate, patch = result.solution
     fields = {
         "displacement_m": estimate.displacement_m,
         "displacement_3d_m": mesh.deformed(estimate.motion_m) - mesh.nodes,
         "contact_pressure_pa": estimate.contact_pressure_pa,
         "patch_level": patch.level,
     }
-    if estimate.status in UNKNOWN:
+    if not estimate.trusted:
         fields = {name: np.full_like(field, np.nan) for name, field in fields.items()}
     traction = result.traction
     if traction is None:
@@ -167,7 +160,7 @@ def result_arrays(
     return {
         **_columns(rows),
         **{name: np.array([each[name] for each in fields]) for name in fields[0]},
-        **_surface(mesh),
+        **surface_arrays(mesh),
     }
 
 
@@ -175,7 +168,8 @@ def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
     return {key: np.array([row[key] for row in rows]) for key in COLUMNS if key in rows[0]}
 
 
-def _surface(mesh: MembraneMesh) -> dict[str, np.ndarray]:
+def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
+    """Arrays of RESULT.npz and TRUTH.npz of the reference surface."""
     return {
         "nodes_m": mesh.nodes,
         "normals": mesh.normals,
@@ -226,8 +220,8 @@ class ResultWriter:
     def add(self, result: Result) -> dict[str, Any]:
         """Add the next frame, with its estimate, patch and pixel mask; returns its row."""
         row = summary_row(result)
-        patch = result.patch
-        if patch is None or patch.pixel_mask is None:
+        _, patch = result.solution
+        if patch.pixel_mask is None:
             raise ValueError("the product pixel_mask was not asked for")
         if patch.pixel_mask.shape != self._shape or len(self.rows) == self._frames:
             raise ValueError("another mask size, or more frames, than announced")
@@ -256,7 +250,7 @@ class ResultWriter:
     def _small_arrays(self, provenance: dict[str, str]) -> dict[str, np.ndarray]:
         return {
             **_columns(self.rows),
-            **_surface(self._mesh),
+            **surface_arrays(self._mesh),
             **{key: np.array(text) for key, text in provenance.items()},
         }
 

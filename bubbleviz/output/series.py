@@ -13,7 +13,7 @@ import numpy as np
 
 from bubbleviz.camera import MembraneView
 from bubbleviz.files import write_ply
-from bubbleviz.output.exporter import Shape, estimate_of, is_known
+from bubbleviz.output.exporter import Exporter, Shape
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
@@ -35,7 +35,6 @@ def write_vtp(
     fields: Mapping[str, np.ndarray],  # mapping of (n,) or (n, 3) array
     time_s: float,  # what ParaView shows as time
 ) -> None:
-    """Triangle mesh with nodal fields."""
     count = len(triangles)
     lines = [
         '<?xml version="1.0"?>',
@@ -57,7 +56,6 @@ def write_vtp(
 
 
 def write_pvd(path: Path, names: Sequence[str], times_s: Sequence[float]) -> None:
-    """ParaView's own index of a series (.pvd)."""
     sets = "".join(
         f"<DataSet timestep={quoteattr(f'{time!r}')} file={quoteattr(name)}/>\n"
         for name, time in zip(names, times_s, strict=True)
@@ -97,26 +95,17 @@ HIGHEST_PRESSURE = 4.0
 some more."""
 
 
-class Series:
+class Series(Exporter):
     """Writes NAME_KIND_000012.SUFFIX into a folder for each frame of a sensor."""
 
     kind = ""
-    products: frozenset[Product] = frozenset()
 
     def __init__(self, folder: Path, name: str, model: SensorModel) -> None:
         self.folder, self.model = folder, model
         self.name = f"{name}_{self.kind}" if self.kind else name
 
     def path(self, result: Result, suffix: str) -> Path:
-        """Where the file of a frame is."""
         return self.folder / f"{self.name}_{result.frame.index:06d}{suffix}"
-
-    def add(self, result: Result) -> None:
-        """Write the file of the next frame."""
-        raise NotImplementedError
-
-    def finish(self) -> None:
-        """Write what needs all frames."""
 
 
 class VtkSeries(Series):
@@ -134,23 +123,20 @@ class VtkSeries(Series):
         self._times: list[float] = []
 
     def add(self, result: Result) -> None:
-        """Write the membrane of the next frame."""
-        if result.patch is None:
-            raise ValueError("the product patch was not asked for")
+        _, patch = result.solution
         mesh, path, time_s = self.model.mesh, self.path(result, ".vtp"), result.frame.time_s
         shape = Shape.of(mesh, result)
         fields = {
             "displacement_m": shape.displacement_m,
             "displacement_vector_m": shape.points_m - mesh.nodes,
             "contact_pressure_pa": shape.contact_pressure_pa,
-            "patch": result.patch.node_mask.astype(np.uint8),
+            "patch": patch.node_mask.astype(np.uint8),
         }
         write_vtp(path, shape.points_m, mesh.triangles, fields, time_s)
         self._names.append(path.name)
         self._times.append(time_s)
 
     def finish(self) -> None:
-        """Write the indices."""
         write_pvd(self.folder / f"{self.name}.pvd", self._names, self._times)
         write_series(self.folder / f"{self.name}.vtp.series", self._names, self._times)
 
@@ -162,7 +148,6 @@ class MembranePly(Series):
     products: frozenset[Product] = frozenset({"estimate"})
 
     def add(self, result: Result) -> None:
-        """Write the membrane of the next frame."""
         shape = Shape.of(self.model.mesh, result)
         values = {
             "displacement_m": shape.displacement_m,
@@ -182,18 +167,17 @@ class PatchPly(Series):
     products: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask", "cloud"})
 
     def add(self, result: Result) -> None:
-        """Write the patch of the next frame."""
         points, pressure = self._patch(result)
         values = {"contact_pressure_pa": pressure}
         write_ply(self.path(result, ".ply"), points, values, comment=_comment(result.frame))
 
     def _patch(self, result: Result) -> tuple[np.ndarray, np.ndarray]:
-        estimate, patch = estimate_of(result), result.patch
+        estimate, patch = result.solution
         cloud, pixels = result.cloud_m, result.cloud_pixels
-        if patch is None or patch.pixel_mask is None or cloud is None or pixels is None:
+        if patch.pixel_mask is None or cloud is None or pixels is None:
             raise ValueError("the products pixel_mask and cloud were not asked for")
         inside = patch.pixel_mask.ravel()[pixels]
-        if not is_known(estimate) or not inside.any():
+        if not estimate.trusted or not inside.any():
             return np.empty((0, 3)), np.empty(0)
         field, chosen = estimate.contact_pressure_pa, pixels[inside]
         return cloud[inside], nodal_at(self.model.view, estimate.motion_m, field, chosen)
@@ -216,7 +200,6 @@ class Pictures(Series):
         raise NotImplementedError
 
     def add(self, result: Result) -> None:
-        """Write the picture of the next frame."""
         from matplotlib import colormaps  # only where pictures are written
         from PIL import Image
 
@@ -227,7 +210,6 @@ class Pictures(Series):
         picture.save(self.path(result, ".png"))
 
     def finish(self) -> None:
-        """Write what the colours stand for."""
         low, high = self.range()
         said = {
             "quantity": self.quantity,
@@ -264,8 +246,8 @@ class PressurePictures(Pictures):
     products: frozenset[Product] = frozenset({"estimate"})
 
     def image(self, result: Result) -> np.ndarray:
-        estimate, view = estimate_of(result), self.model.view
-        if not is_known(estimate):
+        estimate, view = result.trusted_estimate, self.model.view
+        if estimate is None:
             return np.full(view.shape, np.nan)
         pixels = np.arange(view.shape[0] * view.shape[1])
         seen = nodal_at(view, estimate.motion_m, estimate.contact_pressure_pa, pixels)

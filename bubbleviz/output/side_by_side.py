@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera import Intrinsics
-from bubbleviz.diagnostics import numbers_of
+from bubbleviz.diagnostics import Numbers, numbers_of
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
@@ -34,30 +34,16 @@ class Measured:
     """One setting on one frame; NaN where there is no number, or no truth to compare with."""
 
     result: Result  # what it made of the frame
+    numbers: Numbers  # of the result
     mesh: MembraneMesh  # reference surface it did that on
     solver: str
-    status: str
-    # total_ms, solve_ms: depth image in → patch and its pixels out; the solver alone
-    total_ms: float
-    solve_ms: float
-    # force_n, area_m2, residual_m: as in `Patch` and `Estimate`
-    force_n: float
-    area_m2: float
-    residual_m: float
-    force_half_width_n: float = float("nan")  # half of the 95 % interval of the force
     iou: float = float("nan")  # of the patch's pixels with the true ones
     # length of the difference of the force vectors over the length of the true one
     force_error: float = float("nan")
 
 
 class SideBySide:
-    """Measures settings; keeps what they need built.
-
-    Attributes
-    ----------
-    pipelines : dict
-        Kept ready, by setting.
-    """
+    """Measures settings; keeps what they need built."""
 
     def __init__(
         self,
@@ -65,7 +51,7 @@ class SideBySide:
         intrinsics: Intrinsics | None = None,  # of the recording
     ) -> None:
         self._sensor, self._intrinsics = sensor, intrinsics
-        self.pipelines: dict[EstimatorOptions, Pipeline] = {}
+        self.pipelines: dict[EstimatorOptions, Pipeline] = {}  # kept ready, by setting
 
     def keep(self, settings: Collection[EstimatorOptions]) -> None:
         """Drop pipelines built for other settings, whose solvers take a lot of memory."""
@@ -89,27 +75,13 @@ class SideBySide:
         if settled or not pipeline.counts:
             pipeline.settle(frame)
         result = pipeline.process(frame, PRODUCTS, rule)
-        estimate, patch = result.estimate, result.patch
-        if estimate is None or patch is None or patch.pixel_mask is None:
-            raise AssertionError("asked for all of them")
+        estimate, patch = result.solution
         errors: dict[str, float] = {}
-        if truth is not None and estimate.trusted:
+        if truth is not None and estimate.trusted and patch.pixel_mask is not None:
             errors["iou"] = iou(patch.pixel_mask, truth.patch_mask)
             errors["force_error"] = truth.force_error(patch.force_n)
         numbers = numbers_of(result, pipeline.model.gas)
-        return Measured(
-            result,
-            pipeline.mesh,
-            solver=pipeline.estimator.solver_name,
-            status=estimate.status,
-            total_ms=result.times_ms["total"],
-            solve_ms=estimate.solve_ms,
-            force_n=numbers.force_n,
-            area_m2=numbers.area_m2,
-            residual_m=numbers.residual_m,
-            force_half_width_n=numbers.force_half_width_n,
-            **errors,
-        )
+        return Measured(result, numbers, pipeline.mesh, pipeline.estimator.solver_name, **errors)
 
     def _pipeline(self, options: EstimatorOptions) -> Pipeline:
         pipeline = self.pipelines.get(options)

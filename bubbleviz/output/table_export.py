@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import write_rows
-from bubbleviz.output.exporter import estimate_of
+from bubbleviz.output.exporter import Exporter
 from bubbleviz.output.results import add_measured_force, csv_row, summary_row
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
@@ -29,62 +29,72 @@ Table = dict[str, list[Any]]  # values of all frames by column
 Write = Callable[[Table, Path], None]
 
 
-class TableExporter:
-    """Collects a row a frame, and at the end hands the table to a writer.
+class FrameTable:
+    """Collects a row a frame.
 
     Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
-    force, the gas pressure as measured (absolute; NaN where the recording has none) and the
-    iterations of the solver.
+    force, the gas pressure as measured (absolute; NaN where the recording has none), the iterations
+    of the solver and columns of the pose, where those of all frames are known.
     """
 
+    def __init__(
+        self,
+        sensor: str,  # its name
+    ) -> None:
+        self._sensor = sensor
+        self._rows: list[dict[str, Any]] = []
+        self._more: list[dict[str, Any]] = []
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(self, result: Result, pose: Mapping[str, Any] | None = None) -> None:
+        row, measured = summary_row(result), result.frame.gas_pressure_pa
+        more = {
+            "force_magnitude_n": float(np.linalg.norm(row["force_n"])),
+            "gas_pressure_pa": float("nan") if measured is None else measured,
+            "iterations": result.solution[0].iterations,
+        }
+        self._rows.append(row)
+        self._more.append(more | dict(pose or {}))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Numbers of each frame by key of RESULT.npz."""
+        add_measured_force(self._rows)
+        return self._rows
+
+    def columns(self) -> Table:
+        """Plain numbers of all frames by column."""
+        frames = zip(self.rows(), self._more, strict=True)
+        rows = [csv_row(row, self._sensor) | more for row, more in frames]
+        return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+class TableExporter(Exporter):
     products: frozenset[Product] = frozenset({"estimate", "patch"})
 
     def __init__(
         self,
         path: Path,
-        write: Write,  # `write_csv`, `write_parquet` or `bubbleviz.output.table_export.write_plots`
+        write: Write,  # `write_csv`, `write_parquet` or `write_plots`
         sensor: str,  # its name
         # pose columns by frame index, as `bubbleviz.output.pose_writer.read_poses` gives them
-        poses: Mapping[int, dict[str, Any]] | None = None,
+        poses: Mapping[int, dict[str, Any]],
     ) -> None:
-        self._path, self._write, self._sensor, self._poses = path, write, sensor, poses
-        self._summaries: list[dict[str, Any]] = []
-        self._more: list[dict[str, Any]] = []
+        self._path, self._write, self._table = path, write, FrameTable(sensor)
+        columns = next(iter(poses.values()), {})
+        self._poses, self._no_pose = poses, {name: _nothing(v) for name, v in columns.items()}
 
     def add(self, result: Result) -> None:
-        """Take the next frame."""
-        summary = summary_row(result)
-        more = more_columns(result, summary)
-        if self._poses is not None:
-            more |= _pose_columns(self._poses, result.frame.index)
-        self._summaries.append(summary)
-        self._more.append(more)
+        self._table.add(result, self._poses.get(result.frame.index, self._no_pose))
 
     def finish(self) -> None:
-        """Write the table."""
-        self._write(table_of(self._summaries, self._more, self._sensor), self._path)
+        self._write(self._table.columns(), self._path)
 
 
-def more_columns(result: Result, summary: dict[str, Any]) -> dict[str, Any]:
-    """Columns of a table that RESULT.csv does not have, of a frame with its `summary_row`."""
-    measured = result.frame.gas_pressure_pa
-    return {
-        "force_magnitude_n": float(np.linalg.norm(summary["force_n"])),
-        "gas_pressure_pa": float("nan") if measured is None else measured,
-        "iterations": estimate_of(result).iterations,
-    }
-
-
-def table_of(
-    summaries: Sequence[dict[str, Any]],  # the `summary_row` of each frame
-    more: Sequence[dict[str, Any]],  # its other columns
-    sensor: str,  # its name
-) -> Table:
-    """Table of all frames."""
-    frames = [dict(summary) for summary in summaries]
-    add_measured_force(frames)
-    rows = [csv_row(frame, sensor) | columns for frame, columns in zip(frames, more, strict=True)]
-    return {name: [row[name] for row in rows] for name in rows[0]}
+def _nothing(value: Any) -> Any:
+    """What stands for a value of its kind that is not known."""
+    return "" if isinstance(value, str) else np.nan
 
 
 def write_csv(table: Table, path: Path) -> None:
@@ -94,7 +104,6 @@ def write_csv(table: Table, path: Path) -> None:
 
 
 def write_parquet(table: Table, path: Path) -> None:
-    """Write Parquet; integers, doubles and strings."""
     require_parquet(path)
     import pyarrow
     import pyarrow.parquet
@@ -111,13 +120,6 @@ def require_parquet(path: Path) -> None:
         raise InputError(
             f"{path}: Parquet needs pyarrow; {how_to_install('parquet')}, or choose .csv"
         ) from error
-
-
-def _pose_columns(poses: Mapping[int, dict[str, Any]], index: int) -> dict[str, Any]:
-    """Columns of a frame's pose; NaN for a frame without one."""
-    columns = next(iter(poses.values()))
-    nothing = {name: "" if isinstance(value, str) else np.nan for name, value in columns.items()}
-    return poses.get(index, nothing)
 
 
 # A table of frames as plots over time, for print and reports.

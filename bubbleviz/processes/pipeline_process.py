@@ -26,11 +26,6 @@ class PipelineProcess:
 
     The process is started with the first frame. Frames are solved here until it is built, whenever
     something is asked for that depth alone does not tell, and for good once it has died or hung.
-
-    Attributes
-    ----------
-    lost : str
-        How the process ended, when nobody had asked it to; else empty.
     """
 
     def __init__(
@@ -39,7 +34,7 @@ class PipelineProcess:
         pipeline: Pipeline,
         patience_s: float = PATIENCE_S,  # how long a frame may take before the process is ended
     ) -> None:
-        self.lost = ""
+        self.lost = ""  # how the process ended, when nobody had asked it to; else empty
         self._pipeline = pipeline
         self._patience_s = patience_s
         self._worker = WorkerProcess()

@@ -32,8 +32,6 @@ Kind = Literal["returned", "raised", "hung", "died"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a call."""
-
     kind: Kind
     value: Any  # what it returned
     # type and message of the exception, with the line it came from, or how the process ended
@@ -148,10 +146,6 @@ class PeakMemory:
     """Peak of this process's resident memory from the start of the block, less what it had then.
 
     Where the system cannot reset the peak (not Linux), only what exceeds the peak so far counts.
-
-    Attributes
-    ----------
-    increase_bytes : int
     """
 
     increase_bytes = 0

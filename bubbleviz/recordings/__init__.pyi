@@ -1,9 +1,4 @@
-from .bag import (
-    Bag as Bag,
-    Messages as Messages,
-    Topic as Topic,
-    typestore as typestore,
-)
+from .bag import Bag as Bag, Messages as Messages, Topic as Topic, typestore as typestore
 from .colour_topics import (
     STATIC_TRANSFORMS as STATIC_TRANSFORMS,
     TRANSFORMS as TRANSFORMS,
@@ -63,9 +58,7 @@ from .image_folder import (
     read_times as read_times,
     read_wrench as read_wrench,
 )
-from .mcap_file import (
-    McapFile as McapFile,
-)
+from .mcap_file import McapFile as McapFile
 from .message_decoding import (
     COMPRESSED as COMPRESSED,
     decode_cloud as decode_cloud,
@@ -84,29 +77,20 @@ from .message_encoding import (
     ros2_types as ros2_types,
     serialise as serialise,
 )
-from .recorded_colour import (
-    ColourAround as ColourAround,
-)
+from .recorded_colour import ColourAround as ColourAround
 from .recording import (
     Recording as Recording,
     force_of as force_of,
     measured_force as measured_force,
 )
-from .recording_writer import (
-    RecordingWriter as RecordingWriter,
-)
-from .seen_colour import (
-    SeenColour as SeenColour,
-    Texture as Texture,
-    placed as placed,
-)
+from .recording_writer import RecordingWriter as RecordingWriter
+from .seen_colour import SeenColour as SeenColour, Texture as Texture, placed as placed
 from .sensor_matching import (
     AUTO as AUTO,
     check_fits as check_fits,
     checked_sensor as checked_sensor,
     fitting_sensor as fitting_sensor,
     gas_warning as gas_warning,
-    preset_for as preset_for,
     preset_of_size as preset_of_size,
     size_refusal as size_refusal,
 )

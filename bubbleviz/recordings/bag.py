@@ -28,8 +28,6 @@ from bubbleviz.recordings.message_decoding import header_stamp_ns
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a recording."""
-
     # name, type: as in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`
     name: str
     type: str
@@ -66,26 +64,11 @@ def damage(path: Path, what: str) -> Iterator[None]:
 
 
 class Bag:
-    """An open rosbag2 folder, `.mcap`, `.db3` or ROS 1 `.bag`.
-
-    Attributes
-    ----------
-    path : Path
-    topics : tuple of Topic
-        In the order of the recording.
-    size_bytes : int
-        Size of the recording's files.
-    ros1 : bool
-        Whether messages are serialised as in ROS 1.
-    note : str
-        What is missing of the recording, in words; empty when it is whole.
-    inflates : bool
-        Whether messages are compressed one by one, so that the first bytes of one need all of it.
-    """
+    """An open rosbag2 folder, `.mcap`, `.db3` or ROS 1 `.bag`."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.note = ""
+        self.note = ""  # what is missing of the recording, in words; empty when it is whole
         self._storages: list[Storage] = []
         self._open_files = ExitStack()
         try:
@@ -94,7 +77,7 @@ class Bag:
             found = False
         if not found:
             raise InputError(f"{self.path}: no such recording; check the path")
-        self.ros1 = self.path.suffix == ".bag"
+        self.ros1 = self.path.suffix == ".bag"  # whether messages are serialised as in ROS 1
         try:
             with damage(self.path, "the recording"):
                 self._open()
@@ -107,7 +90,6 @@ class Bag:
             raise InputError(f"{self.path}: the recording {what}; record it again")
 
     def close(self) -> None:
-        """Let go of files."""
         self._storages = []
         self._open_files.close()
 
@@ -123,13 +105,15 @@ class Bag:
             return Messages(self, topic, parts)
 
     def _open(self) -> None:
+        # whether messages are compressed one by one, so that the first bytes of one need all of it
         self.inflates = False
         if self.ros1:
             self._open_ros1()
         else:
             self._open_ros2()
-        self.topics = self._find_topics()
+        self.topics = self._find_topics()  # in the order of the recording
         files = [self.path] if self.path.is_file() else self.path.iterdir()
+        # size of the recording's files
         self.size_bytes = sum(file.stat().st_size for file in files if file.is_file())
 
     def _open_ros1(self) -> None:
@@ -216,14 +200,7 @@ def _is_whole_mcap(file: Path) -> bool:
 
 
 class Messages:
-    """Messages of one topic, by position in log-time order; nothing is kept.
-
-    Attributes
-    ----------
-    topic : Topic
-    log_ns : (n,) int64 array
-        When each message was recorded, ns.
-    """
+    """Messages of one topic, by position in log-time order; nothing is kept."""
 
     def __init__(self, bag: Bag, topic: Topic, parts: list[tuple[Storage, np.ndarray]]) -> None:
         self.topic = topic
@@ -232,7 +209,7 @@ class Messages:
         numbered = [np.insert(rows, 3, part, axis=1) for part, (_, rows) in enumerate(parts)]
         rows = np.concatenate(numbered or [np.empty((0, 4), np.int64)])
         self._rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        self.log_ns = self._rows[:, 0].copy()
+        self.log_ns = self._rows[:, 0].copy()  # (n,) int64, when each message was recorded, ns
 
     def __len__(self) -> int:
         return len(self.log_ns)

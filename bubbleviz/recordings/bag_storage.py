@@ -47,11 +47,9 @@ class FilePart:
         self._file, self._start, self._at = file, start, 0
 
     def seek(self, at: int) -> None:
-        """Continue at a byte."""
         self._at = at
 
     def read(self, count: int) -> bytes:
-        """As many bytes as asked for, fewer at the end."""
         self._file.seek(self._start + self._at)
         data = self._file.read(max(0, min(count, self.size - self._at)))
         self._at += len(data)
@@ -59,8 +57,6 @@ class FilePart:
 
 
 class LazyChunk:
-    """A compressed chunk as a file."""
-
     def __init__(
         self,
         packed: FilePart,  # the compressed bytes
@@ -82,15 +78,12 @@ class LazyChunk:
 
     @property
     def memory(self) -> int:
-        """Bytes held."""
         return len(self._out)
 
     def seek(self, at: int) -> None:
-        """Continue at a byte."""
         self._at = at
 
     def read(self, count: int) -> bytes:
-        """As many bytes as asked for, fewer at the end."""
         stop = min(self._at + count, self.size)
         if stop > len(self._out):
             # where most of it is wanted take all, which also checks the CRC
@@ -193,11 +186,9 @@ class Ros1Storage:
         self._cache = ChunkCache(self._load)
 
     def entries(self, channel: int) -> np.ndarray:
-        """Positions of the messages of a connection."""
         return table_of([tuple(entry) for entry in self._reader.indexes.get(channel, [])])
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
-        """Payload of a message, or its first `limit` bytes."""
         # imported by the reader already
         from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
 
@@ -235,12 +226,10 @@ class SqliteStorage:
         self._database = reader.dbconn
 
     def entries(self, channel: int) -> np.ndarray:
-        """Positions of the messages of a topic."""
         query = "SELECT timestamp, 0, id FROM messages WHERE topic_id = ?"
         return table_of(self._database.execute(query, (channel,)).fetchall())
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
-        """Payload of a message, or its first `limit` bytes (without reading the rest)."""
         with self._database.blob_open("main", "messages", "data", offset, False) as blob:
             size = blob.length()
             if size > MAX_SIZE:
@@ -285,11 +274,6 @@ class McapStorage:
 
     A file without its end (its recorder was killed, the disk was full) or without message indexes
     is walked record by record: that reads no chunk but those without an index or with new topics.
-
-    Attributes
-    ----------
-    lost_bytes : int
-        Bytes behind the last whole chunk of a file without its end.
     """
 
     def __init__(
@@ -301,7 +285,7 @@ class McapStorage:
         self._cache = ChunkCache(self._load)
         self._places: list[_ChunkPlace] = []
         self._found: dict[int, list[tuple[int, int, int]]] = {}  # messages without an index
-        self.lost_bytes = 0
+        self.lost_bytes = 0  # bytes behind the last whole chunk of a file without its end
         chunks = [] if reader is None else reader.chunks
         if chunks and all(chunk.message_index_offsets for chunk in chunks):
             self._places = [
@@ -318,7 +302,6 @@ class McapStorage:
         ]
 
     def entries(self, channel: int) -> np.ndarray:
-        """Positions of the messages of a channel, in file order where all have an index."""
         numbers: list[int] = []
         blocks: list[bytes] = []
         for number, place in enumerate(self._places):
@@ -332,7 +315,6 @@ class McapStorage:
         return np.concatenate([rows, table_of(self._found.get(channel, []))])
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
-        """Payload of a message, or its first `limit` bytes."""
         with self._cache.at(chunk, offset) as data:
             head = data.read(_MESSAGE.size + (limit or 0))
             opcode, length, *_ = _MESSAGE.unpack_from(head)

@@ -43,7 +43,6 @@ class StaticPoses:
     parents: Mapping[str, tuple[str, np.ndarray]] = field(default_factory=dict)
 
     def after(self, message: Any) -> StaticPoses:
-        """These and those of a `tf2_msgs/TFMessage`, which win."""
         told = {
             _bare(each.child_frame_id): (_bare(each.header.frame_id), pose_of(each.transform))
             for each in message.transforms

@@ -113,12 +113,6 @@ class KeptFrames:
 
     The first frames are kept, as several steps of a calibration look at those without contact;
     frames beyond are read again.
-
-    Attributes
-    ----------
-    name : str
-    path : Path or None
-        Of the source, where it is a file.
     """
 
     def __init__(
@@ -129,7 +123,7 @@ class KeptFrames:
         self._source, self._limit, self._left = source, limit_bytes, limit_bytes
         self._frames: dict[int, Frame] = {}
         self.name = source.name
-        self.path: Path | None = getattr(source, "path", None)
+        self.path: Path | None = getattr(source, "path", None)  # of the source, where it is a file
 
     @property
     def times_s(self) -> np.ndarray:
@@ -150,7 +144,6 @@ class KeptFrames:
         return frame
 
     def close(self) -> None:
-        """Forget the frames."""
         self._frames.clear()
         self._left = self._limit
 
@@ -160,8 +153,6 @@ class KeptFrames:
 
 @dataclass(frozen=True)
 class Gap:
-    """Missing frames."""
-
     after_frame: int  # index of the last frame before the gap
     missing: int  # number of frames missing there
     duration_s: float  # time between the frames on either side, s
@@ -198,15 +189,6 @@ class TimeAxis:
     """Places of frames from 0 to 1, linear in their times.
 
     Where time does not go on, as in a replay that began again, a frame follows after a usual step.
-
-    Attributes
-    ----------
-    places : (F,) array
-        Place of each frame.
-    span_s : float
-        Time from the first frame to the last, s.
-    step : float
-        Usual distance of one frame from the next.
     """
 
     def __init__(
@@ -217,9 +199,9 @@ class TimeAxis:
         usual_s = usual_step(steps) or 1.0
         after_s = np.zeros(len(times_s))
         np.cumsum(np.where(steps > 0, steps, usual_s), out=after_s[1:])
-        self.span_s = float(after_s.max(initial=0.0))
-        self.places = after_s / (self.span_s or 1.0)
-        self.step = usual_s / (self.span_s or 1.0)
+        self.span_s = float(after_s.max(initial=0.0))  # time from the first frame to the last, s
+        self.places = after_s / (self.span_s or 1.0)  # (F,), place of each frame
+        self.step = usual_s / (self.span_s or 1.0)  # usual distance of one frame from the next
         self._between = 0.5 * (self.places[1:] + self.places[:-1])
 
     def __len__(self) -> int:

@@ -43,15 +43,7 @@ class ImageFolder:
     Those of a folder `color` (`colour`, `rgb`) in it, JPEG or PNG, are the colour images of the
     depth images with the same last number; `intrinsics.toml` or `.json` there is of their camera.
 
-    Attributes
-    ----------
-    whole_millimetres : bool
-        Whether whole numbers of mm hold the depths.
-
-    Raises
-    ------
-    InputError
-        No images, or images and times do not fit together.
+    Raises InputError: no images, or images and times do not fit together.
     """
 
     def __init__(
@@ -95,6 +87,7 @@ class ImageFolder:
         self._colour = self._find_colour()
         first = self._pixels(self._files[0])
         self._shape = first.shape
+        # whether whole numbers of mm hold the depths
         self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
         self._check()
 
@@ -288,7 +281,6 @@ def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
 
 
 def _columns(path: str | Path, count: int) -> np.ndarray:
-    """First columns of a CSV with or without a header, (n, count)."""
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
@@ -324,7 +316,6 @@ def _size(shape: Sequence[int]) -> str:
 
 
 def _read(path: Path) -> np.ndarray:
-    """Array of an image file."""
     try:
         if path.suffix.lower() == ".npy":
             return np.asarray(np.load(path, allow_pickle=False))

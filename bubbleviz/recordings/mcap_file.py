@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, Literal
 import bubbleviz
 from bubbleviz.errors import InputError
 from bubbleviz.files import cannot_write, refuse_existing
-from bubbleviz.recordings.message_encoding import ros2_types
+from bubbleviz.recordings.message_encoding import Message, ros2_types
 
 CHUNK_BYTES = 4 << 20
 """Messages of a chunk before compression: it is closed early, by `sync`, where the data is slow."""
@@ -19,8 +19,6 @@ CHUNK_BYTES = 4 << 20
 
 @dataclass(frozen=True)
 class Kept:
-    """What is in a file, whole chunks only."""
-
     size_bytes: int = 0
     messages: int = 0
     duration_s: float = 0.0  # from the first message to the last
@@ -33,20 +31,7 @@ class McapFile:
     is never lost, and an unfinished file is one that `Recording` and `mcap recover` open up to its
     last whole chunk.
 
-    Attributes
-    ----------
-    path : Path
-    count : int
-        Messages written.
-    synced_bytes : int
-        Size up to which the file survives whatever happens.
-    kept : Kept
-        What a full disk leaves of it.
-
-    Raises
-    ------
-    InputError
-        The path exists or cannot be written.
+    Raises InputError: the path exists or cannot be written.
     """
 
     def __init__(
@@ -73,9 +58,9 @@ class McapFile:
             self._stream = self._file.open("xb")
         except OSError as error:
             raise cannot_write(self.path, error) from error
-        self.count = 0
-        self.synced_bytes = 0
-        self.kept = Kept()
+        self.count = 0  # messages written
+        self.synced_bytes = 0  # size up to which the file survives whatever happens
+        self.kept = Kept()  # what a full disk leaves of it
         self._first_ns = self._last_ns = 0
         self._channels: dict[tuple[str, str], int] = {}
         self._counts: dict[tuple[str, str], int] = {}
@@ -87,12 +72,9 @@ class McapFile:
         self.sync()
         _sync_folder(self._file.parent)
 
-    def write(self, message: tuple[str, str, bytes, int], log_ns: int, sequence: int = 0) -> None:
-        """Append topic, type, payload and stamp in ns, logged at a time, ns since 1970.
-
-        Raises OSError: writing failed.
-        """
-        topic, kind, payload, stamp_ns = message
+    def write(self, message: Message, log_ns: int) -> None:
+        """Append a message, logged at a time, ns since 1970; OSError if that fails."""
+        topic, kind = message.topic, message.type
         if (topic, kind) not in self._channels:
             self._channels[topic, kind] = self._new_channel(topic, kind)
             self._counts[topic, kind] = 0
@@ -100,9 +82,9 @@ class McapFile:
         self._writer.add_message(
             self._channels[topic, kind],
             log_time=log_ns,
-            publish_time=max(stamp_ns, 0) or log_ns,
-            sequence=sequence & 0xFFFF_FFFF,
-            data=payload,
+            publish_time=max(message.stamp_ns, 0) or log_ns,
+            sequence=(message.sequence or 0) & 0xFFFF_FFFF,
+            data=message.payload,
         )
         self._counts[topic, kind] += 1
         self._first_ns = min(self._first_ns, log_ns) if self.count else log_ns
@@ -125,14 +107,17 @@ class McapFile:
     def close(self) -> None:
         """Finish the file, with the index that makes it quick to open."""
         self._writer.flush()
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(self._information())})
+        self._writer.add_metadata(
+            "rosbag2", {"serialized_metadata": json.dumps(self._information())}
+        )
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
         self.synced_bytes = self._stream.tell()
         self._stream.close()
         if self._folder is not None:
-            text = _yaml({"rosbag2_bagfile_information": self._information()})
+            content = {"rosbag2_bagfile_information": self._information()}
+            text = json.dumps(content, indent=2)
             (self._folder / "metadata.yaml").write_text(text, "utf-8")
 
     def discard(self) -> None:
@@ -195,18 +180,6 @@ class McapFile:
             "custom_data": None,
             "ros_distro": "bubbleviz",
         }
-
-
-def _yaml(content: dict[str, Any]) -> str:
-    from ruamel.yaml import YAML  # rosbags brings it and reads with it
-
-    stream = io.StringIO()
-    writer = YAML(typ="safe")
-    writer.default_flow_style = False
-    writer.width = 1000
-    writer.representer.ignore_aliases = lambda _: True
-    writer.dump(content, stream)
-    return stream.getvalue()
 
 
 def _sync_folder(folder: Path) -> None:

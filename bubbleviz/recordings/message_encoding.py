@@ -34,12 +34,15 @@ COLOUR_NAMES = {
 
 
 class Message(NamedTuple):
-    """A serialised message: topic, type as `sensor_msgs/msg/Image`, CDR bytes, stamp in ns."""
-
+    # topic, type: as in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`
     topic: str
     type: str
-    payload: bytes
-    stamp_ns: int
+    payload: bytes  # CDR with its encapsulation header; of a live source it may be garbage
+    stamp_ns: int = 0  # header stamp, ns; 0 where it is unset or cannot be read
+    arrival_ns: int = 0  # when it arrived here, ns since 1970; 0 for one that did not
+    sequence: int | None = None  # the publisher's own count, where the transport has one
+    # how often the source began again from its start: a replayed recording's stamps go back
+    round: int = 0
 
     def later(self, later_ns: int) -> Message:
         """The same message, stamped later.
@@ -55,7 +58,6 @@ class Message(NamedTuple):
 
 
 def ros2_types() -> Any:
-    """Message types of ROS 2 by name, as rosbags has them."""
     return typestore(ros1=False)
 
 
@@ -75,7 +77,6 @@ def make_wrench(header: Any, values: np.ndarray) -> Any:
 
 
 def serialise(message: Any, kind: str) -> bytes:
-    """CDR of a message object of rosbags."""
     return bytes(ros2_types().serialize_cdr(message, kind))
 
 

@@ -34,19 +34,7 @@ class ColourAround:
 
 
 class RecordedColour:
-    """Colour images beside the depth images of a recording; only headers are read here.
-
-    Attributes
-    ----------
-    topic : Topic
-    images : Series of ColourImage
-    camera : ColourCamera
-    encoding : str
-    size : (int, int)
-        Width and height, pixels.
-    rate_hz : float or None
-        One over the median period; None for fewer than two images.
-    """
+    """Colour images beside the depth images of a recording; only headers are read here."""
 
     def __init__(
         self,
@@ -68,8 +56,10 @@ class RecordedColour:
         self.topic, self.camera = topic, find_camera(bag, topic, depth)
         self.images = recorded_series(messages, image, by_log=by_log, laps=laps)
         first = EncodedImage.of(messages.message(0))
+        # size: width and height, pixels
         self.encoding, self.size = first.encoding, first.size
         step = usual_step(np.diff(messages.log_ns))
+        # one over the median period; None for fewer than two images
         self.rate_hz = None if step is None else 1e9 / step
 
     def __len__(self) -> int:

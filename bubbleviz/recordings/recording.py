@@ -59,32 +59,7 @@ class Recording:
         message type that are nearest by name (and for the camera info: of the image's size), so
         that two sensors in one recording are told apart by `depth_topic` alone.
 
-    Attributes
-    ----------
-    name : str
-        File name.
-    path : Path
-    bag : Bag
-        The recording by topics.
-    times_s : (F,) float array
-        Time of each frame since the first, s.
-    stamps_ns : (F,) int64 array
-        The stamps they come from, ns.
-    size : (int, int)
-        Width and height of the depth images, pixels.
-    encoding : str
-        Encoding of the depth images; `points` where they are point clouds.
-    intrinsics : Intrinsics or None
-    depth_topic : Topic
-    colour : RecordedColour or None
-        The colour images of the same sensor.
-    remark : str
-        What the user should know about it, or what lies beside it; empty for nothing.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or truncated, or has no depth images.
+    Raises InputError: the file is missing, damaged or truncated, or has no depth images.
     """
 
     def __init__(
@@ -98,10 +73,11 @@ class Recording:
         colour_topic: str | None = None,
     ) -> None:
         self._lock = threading.Lock()
-        self.bag = Bag(path)
+        self.bag = Bag(path)  # the recording by topics
+        # what the user should know about it, or what lies beside it; empty for nothing
         self.remark = self.bag.note
         self.path = self.bag.path
-        self.name = self.path.name or str(self.path)
+        self.name = self.path.name or str(self.path)  # file name
         try:
             self.depth_topic = find_depth(self.bag, depth_topic)
             self._unit_m = metres_per_unit(self.bag, self.depth_topic)
@@ -109,7 +85,7 @@ class Recording:
             _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
             self.intrinsics: Intrinsics | None = intrinsics
             self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
-            self.colour = self._colour(colour_topic)
+            self.colour = self._colour(colour_topic)  # the colour images of the same sensor
         except BaseException:
             self.bag.close()
             raise
@@ -147,7 +123,6 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Let go of files."""
         with self._lock:
             self.bag.close()
 
@@ -158,7 +133,6 @@ class Recording:
 
     @property
     def has_wrench(self) -> bool:
-        """Whether a wrench was recorded."""
         return WRENCH in self._series
 
     def gas_pressures_pa(self) -> np.ndarray:
@@ -239,7 +213,8 @@ class Recording:
         if len(self._images) == 0:
             raise InputError(f"{self.path}: the index lists no depth images; record it again")
         first = self._images.message(0)
-        self.size = self._size_of(first, info_topic)
+        self.size = self._size_of(first, info_topic)  # width and height of the depth images, pixels
+        # encoding of the depth images; `points` where they are point clouds
         self.encoding = encoding_of(first)
         stamps = without_garbage(_header_stamps(self._images), self._images.log_ns)
         self._by_log = not stamps.all()
@@ -250,7 +225,8 @@ class Recording:
         times = stamps if self._laps is None else laps.times_ns(stamps)
         self._order = np.argsort(times, kind="stable")
         self._keys = laps.keys(stamps, laps.number)[self._order]
-        self.stamps_ns = times[self._order]
+        self.stamps_ns = times[self._order]  # (F,) int64, the stamps they come from, ns
+        # (F,), time of each frame since the first, s
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
     def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:

@@ -13,15 +13,12 @@ from bubbleviz.recordings.frame import Frame
 
 @dataclass(frozen=True)
 class SeenColour:
-    """What the colour camera saw at the time of a frame."""
-
     rgb: np.ndarray | None = None  # (H, W, 3) uint8
     camera: ColourCamera = field(default_factory=ColourCamera)
     reason: str = ""  # why there is no image, in a few words; empty where there is one
 
     @classmethod
     def of(cls, frame: Frame) -> SeenColour:
-        """Decode the colour image of a frame."""
         if frame.find_colour is None:
             return cls(reason=frame.no_colour)
         try:
@@ -51,7 +48,6 @@ class Texture:
 
     @classmethod
     def of(cls, colour: SeenColour, nodes_m: np.ndarray, depth: DepthCamera) -> Texture:
-        """Texture of nodes (n, 3) in B, m, whose depth camera is `depth`."""
         camera = placed(colour.camera, depth)
         if colour.rgb is None or camera is None:
             nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)

@@ -38,12 +38,12 @@ def size_refusal(
 
 
 def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
-    """Name and sensor for a recording: as given, or `preset_for` it for `auto` and None.
+    """Name and sensor for a recording: as given, or the preset of its size for `auto` and None.
 
     Raises InputError: there is no such sensor, or it does not fit the recording.
     """
     if name is None or str(name) == AUTO:
-        name = preset_for(recording)
+        name = preset_of_size(recording.size, str(recording.path))
     sensor = load_sensor(name)
     shown = sensor.name if isinstance(name, Sensor) else str(name)
     check_fits(recording, sensor, shown)
@@ -68,14 +68,6 @@ def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sens
     """`fitting_sensor` of a recording that is not open yet."""
     with Recording(path) as recording:
         return fitting_sensor(recording, name)
-
-
-def preset_for(recording: Recording) -> str:
-    """Name of the one sensor preset whose camera has the recording's image size.
-
-    Raises InputError: None has, or several have.
-    """
-    return preset_of_size(recording.size, str(recording.path))
 
 
 def preset_of_size(

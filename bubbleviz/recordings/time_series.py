@@ -241,14 +241,10 @@ class Laps:
     ----------
     stamps_ns, log_ns : (n,) int64 array
         Header stamps and log times of the depth images, in the order of their arrival.
-
-    Attributes
-    ----------
-    number : (n,) int array
-        Lap of each image; all 0 where no replay began again.
     """
 
     def __init__(self, stamps_ns: np.ndarray, log_ns: np.ndarray) -> None:
+        # (n,) int, lap of each image; all 0 where no replay began again
         self.number = _lap_numbers(stamps_ns)
         self._starts_ns = _start_of_laps(stamps_ns, log_ns, self.number)
         self._apart_ns = int(np.ptp(stamps_ns)) + SILENT_NS

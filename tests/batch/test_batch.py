@@ -61,8 +61,9 @@ def table_of(out):
 
 
 def hidden_in(out):
-    """Temporary files."""
-    return [path.name for path in out.rglob(".*") if path.name != ".batch.lock"]
+    """Temporary files and folders, some of which may go while they are listed."""
+    there = [name for _, folders, files in os.walk(out) for name in (*folders, *files)]
+    return [name for name in there if name.startswith(".") and name != ".batch.lock"]
 
 
 def lives(process):

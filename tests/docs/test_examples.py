@@ -96,8 +96,8 @@ class UntilArrived:
     def __init__(self, out, stream, arrived):
         self.out, self.stream, self.arrived = out, stream, arrived
 
-    def put(self, topic, kind, payload, stamp_ns):
-        self.out.put(topic, kind, payload, stamp_ns)
+    def put(self, message):
+        self.out.put(message)
         if WRENCH in self.arrived:
             self.stream.close()
 

@@ -58,7 +58,7 @@ def over_zenoh(messages, domain, eventually):
 
         def sent():
             for message in messages:
-                out.put(*message)
+                out.put(message)
             return len(got) == len(messages)
 
         try:

@@ -30,8 +30,8 @@ from wire import (
 )
 
 from bubbleviz.camera import Intrinsics
-from bubbleviz.live import WAIT_NS, FrameAssembler, RawMessage, TopicNames, stamp_of
-from bubbleviz.recordings import Frame
+from bubbleviz.live import WAIT_NS, FrameAssembler, TopicNames, stamp_of
+from bubbleviz.recordings import Frame, Message
 
 
 def test_a_frame_is_what_was_sent():
@@ -231,7 +231,7 @@ def test_whatever_bytes_arrive_nothing_is_raised(kind, changes, cut, tail):
     payload = bytes(data[:cut]) + tail
     assembler = FrameAssembler()
     for k in range(2):
-        assembler.push(RawMessage("/t/depth", kind, payload, stamp_of(payload), NOW + k * PERIOD))
+        assembler.push(Message("/t/depth", kind, payload, stamp_of(payload), NOW + k * PERIOD))
     assembler.push(depth(NOW + 2 * PERIOD, topic="/t/depth2"))
     assembler.flush()
     assert assembler.counters.received == 3
@@ -241,7 +241,7 @@ def test_whatever_bytes_arrive_nothing_is_raised(kind, changes, cut, tail):
 @given(st.sampled_from(sorted(GOOD)), st.binary(max_size=300))
 def test_pure_noise_is_undecodable(kind, noise):
     assembler = FrameAssembler()
-    assembler.push(RawMessage("/t", kind, b"\x07" + noise, stamp_of(noise), NOW))
+    assembler.push(Message("/t", kind, b"\x07" + noise, stamp_of(noise), NOW))
     assert assembler.counters.undecodable == 1
 
 

@@ -31,7 +31,6 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
     FrameAssembler,
-    RawMessage,
     Recorder,
     SessionOptions,
     TopicNames,
@@ -39,7 +38,7 @@ from bubbleviz.live import (
     open_stream,
 )
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Recording
+from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Message, Recording
 from bubbleviz.sensor import with_colour_delay
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
@@ -177,7 +176,7 @@ def test_a_robot_sends_colour_only_to_who_asks(small_sensor):
     """Announced, but not subscribed to before; found also when it is asked for later."""
     port, topics = free_port(), {"depth/image": 0, "color/image_raw": 1}
     kind = f"sensor_msgs::msg::dds_::Image_/{HASH}"
-    heard: list[RawMessage] = []
+    heard: list[Message] = []
     with open_session(str(port)) as robot:
         tokens = [
             robot.liveliness().declare_token(
@@ -250,7 +249,7 @@ def test_a_replay_plays_colour_until_the_last_who_asked_lets_go(
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
     for forget in [stream.follow_colour() for _ in range(asked)][:let_go]:
         forget()
-    heard: list[RawMessage] = []
+    heard: list[Message] = []
     stream.listen(heard.append)
     played(stream)
     assert any(message.topic == COLOUR for message in heard) is comes
@@ -327,11 +326,11 @@ def test_a_robot_that_told_the_pose_long_ago_tells_it_again(ours, small_sensor):
     """As rmw_zenoh does for transient-local topics; our own publisher does the same."""
     port, pose = free_port(), static_pose("", "lens", (0.01, 0.02, 0.03))
     place, held = f"tcp/127.0.0.1:{port}", ExitStack()
-    heard: list[RawMessage] = []
+    heard: list[Message] = []
     with held:
         if ours:
             out = held.enter_context(ZenohPublisher(SessionOptions("out", listen=place)))
-            out.put(pose.topic, pose.type, pose.payload)
+            out.put(pose)
         else:
             robot, kind = (
                 held.enter_context(open_session(str(port))),
@@ -370,7 +369,7 @@ def realsense_file(tmp_path_factory):
 def test_colour_of_a_realsense_camera_asked_for_later(realsense_file, small_sensor):
     """After a few images the file begins again, with colour; let go of, that comes no more."""
     stream = open_stream(f"realsense:{realsense_file}?loop=1", small_sensor)
-    heard: list[RawMessage] = []
+    heard: list[Message] = []
     let_go: list[Callable[[], None]] = []
 
     def ask(message):

@@ -5,8 +5,8 @@ import pytest
 from streams import frames_of, recorded
 from wire import NOW, PERIOD, PRESSURE, SECOND, WRENCH, arrived, depth, gas, grey, pressure, wrench
 
-from bubbleviz.live import FrameAssembler, RawMessage
-from bubbleviz.recordings import Recording
+from bubbleviz.live import FrameAssembler
+from bubbleviz.recordings import Message, Recording
 
 MS = 1_000_000
 
@@ -23,7 +23,7 @@ def of_another_clock():
 
 def with_jitter():
     """Stamps and arrivals of every topic waver, each at its own rate."""
-    rng, found = np.random.default_rng(0), list[RawMessage]()
+    rng, found = np.random.default_rng(0), list[Message]()
     for k in range(20):
         stamp = NOW + k * PERIOD + int(rng.integers(0, 4 * MS))
         found.append(depth(stamp, k, stamp + 9 * MS))

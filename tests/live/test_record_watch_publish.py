@@ -367,7 +367,7 @@ def test_a_soak_without_a_solved_frame_says_so(small_sensor_file, tmp_path):
 
 def test_the_soak_sees_what_is_missing(tmp_path):
     """The count that decides is not blind: a file with a hole has a hole."""
-    messages = [replace(depth(NOW + k * PERIOD, k), sequence=k) for k in (5, 6, 8, 8, 9)]
+    messages = [depth(NOW + k * PERIOD, k)._replace(sequence=k) for k in (5, 6, 8, 8, 9)]
     path = recorded(tmp_path / "rec.mcap", messages)
     assert sequences(path).tolist() == [5, 6, 8, 8, 9]
 

@@ -19,8 +19,8 @@ from wire import HEIGHT, IMAGE, NOW, PERIOD, WIDTH, camera_info, depth, gas, ima
 
 from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
-from bubbleviz.live import RawMessage, Recorder
-from bubbleviz.recordings import MARKERS, McapFile, Recording
+from bubbleviz.live import Recorder
+from bubbleviz.recordings import MARKERS, McapFile, Message, Recording
 
 INFO = "sensor_msgs/msg/CameraInfo"
 
@@ -32,7 +32,7 @@ def record(path, frames=50, recorder=None):
         stamp = NOW + k * PERIOD
         recorder.push(depth(stamp, k))
         recorder.push(gas(stamp, 1e5 + k))
-        recorder.push(RawMessage("/cam/camera_info", INFO, camera_info(stamp), stamp, stamp))
+        recorder.push(Message("/cam/camera_info", INFO, camera_info(stamp), stamp, stamp))
     recorder.mark("grasp")
     status = recorder.stop()
     assert (status.problem, status.messages) == ("", 3 * frames + 1)
@@ -131,7 +131,7 @@ def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path):
     for k in range(30):
         noise = rng.integers(1, 60_000, HEIGHT * WIDTH, dtype="<u2").view(np.uint8)
         stamp = NOW + k * PERIOD
-        file.write(("/cam/depth", IMAGE, image(stamp, data=noise), stamp), log_ns=stamp)
+        file.write(Message("/cam/depth", IMAGE, image(stamp, data=noise), stamp), log_ns=stamp)
         if k % 7 == 6:
             file.sync()
     file.close()

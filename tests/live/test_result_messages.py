@@ -18,7 +18,6 @@ from bubbleviz.live import (
     Counters,
     LiveSource,
     LiveStream,
-    RawMessage,
     ResultMessages,
     Status,
     status_of,
@@ -51,7 +50,7 @@ def pressed(small_sensor, pipeline):
 
 
 def decoded(messages):
-    return {topic: STORE.deserialize_cdr(payload, kind) for topic, kind, payload, _ in messages}
+    return {m.topic: STORE.deserialize_cdr(m.payload, m.type) for m in messages}
 
 
 def test_patch_and_force_are_what_was_estimated(pipeline, pressed):
@@ -115,8 +114,11 @@ def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(pipeline,
     messages = ResultMessages(pipeline.mesh)
     assert decoded(messages.of(result)) == {}
     counters = Counters()
-    _, kind, payload, _ = messages.diagnostics(0, Status("live", 0.01), counters, result)
-    assert STORE.deserialize_cdr(payload, kind).status[0].message == "implausible: another sensor"
+    said = messages.diagnostics(0, Status("live", 0.01), counters, result)
+    assert (
+        STORE.deserialize_cdr(said.payload, said.type).status[0].message
+        == "implausible: another sensor"
+    )
 
 
 def test_diagnostics_tell_state_and_counts(pipeline, pressed):
@@ -130,9 +132,9 @@ def test_diagnostics_tell_state_and_counts(pipeline, pressed):
         (Status("connecting", None), None),
         (Status("stale", 3.0), pressed),
     ):
-        _, kind, payload, _ = messages.diagnostics(5_000_000_000, status, counters, result)
-        assert kind == DIAGNOSTICS
-        (entry,) = STORE.deserialize_cdr(payload, kind).status
+        said = messages.diagnostics(5_000_000_000, status, counters, result)
+        assert said.type == DIAGNOSTICS
+        (entry,) = STORE.deserialize_cdr(said.payload, said.type).status
         levels[entry.message] = entry.level
         values = {pair.key: pair.value for pair in entry.values}
         assert (values["undecodable"], values["problem"]) == ("2", "/cam: garbage")
@@ -201,12 +203,13 @@ class Weather(LiveSource):
     def send(self):
         now = time.time_ns()
         frame = self.simulation[self.sent % len(self.simulation)]
-        for topic, kind, payload, stamp in self.messages.of(frame, now):
-            if kind.endswith("FluidPressure"):
-                content = STORE.deserialize_cdr(payload, kind)
+        for message in self.messages.of(frame, now):
+            if message.type.endswith("FluidPressure"):
+                content = STORE.deserialize_cdr(message.payload, message.type)
                 content.fluid_pressure -= 800.0
-                payload = bytes(STORE.serialize_cdr(content, kind))
-            self.deliver(RawMessage(topic, kind, payload, stamp, now, self.sent))
+                payload = bytes(STORE.serialize_cdr(content, message.type))
+                message = message._replace(payload=payload)
+            self.deliver(message._replace(arrival_ns=now, sequence=self.sent))
         self.sent += 1
 
 

@@ -88,8 +88,8 @@ def test_without_contact_the_wrench_is_zero(eyes):
     assert result.traction.status == "no_contact"
     assert topics(eyes, result) & SHEAR_TOPICS == {"traction_wrench"}
     (message,) = (
-        STORE.deserialize_cdr(payload, kind)
-        for topic, kind, payload, _ in ResultMessages(eyes.pipeline.mesh).of(result)
-        if topic.endswith("traction_wrench")
+        STORE.deserialize_cdr(each.payload, each.type)
+        for each in ResultMessages(eyes.pipeline.mesh).of(result)
+        if each.topic.endswith("traction_wrench")
     )
     assert not vector(message.wrench.force).any() and not vector(message.wrench.torque).any()

@@ -32,14 +32,13 @@ from bubbleviz.errors import InputError
 from bubbleviz.live import (
     LiveSession,
     LiveStream,
-    RawMessage,
     Replay,
     SensorPlace,
     SessionPreset,
     load_session,
     open_stream,
 )
-from bubbleviz.recordings import Recording
+from bubbleviz.recordings import Message, Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, finger_pose, grip_poses, oversized_nut
 
@@ -66,7 +65,7 @@ def test_the_simulation_streams_stamped_with_the_present(small_sensor):
 
 
 def test_every_round_shows_the_same_stamped_anew(small_sensor, eventually):
-    seen: list[RawMessage] = []
+    seen: list[Message] = []
     stream = open_stream("synthetic:?rate=100&frames=3&encoding=16UC1", small_sensor)
     stream.listen(seen.append)
     with stream:
@@ -97,7 +96,7 @@ def test_on_the_fly_is_the_same_simulation(small_sensor):
 
 
 def test_newest_wins_and_what_is_passed_by_is_counted(small_sensor, eventually):
-    seen: list[RawMessage] = []
+    seen: list[Message] = []
     stream = open_stream("synthetic:?rate=200&frames=3", small_sensor)
     stream.listen(seen.append)
     with stream:
@@ -140,7 +139,7 @@ def test_who_waits_for_a_frame_is_called_off(small_sensor):
 
 
 def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(recording, eventually):
-    got: list[RawMessage] = []
+    got: list[Message] = []
     source = Replay(recording, speed=2.0)
     source.start(got.append)
     eventually(lambda: source.link() == "ended")
@@ -296,7 +295,7 @@ def realsense_file(tmp_path_factory):
 
 
 def test_a_file_of_the_realsense_sdk_is_played_and_looped(realsense_file, small_sensor):
-    messages: list[RawMessage] = []
+    messages: list[Message] = []
     stream = open_stream(f"realsense:{realsense_file}", small_sensor)
     stream.listen(messages.append)
     frame = played(stream)

@@ -12,8 +12,8 @@ from bubbleviz.api.watching import Watcher
 from bubbleviz.calibration import COLLECTED, LAG
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.cli.command_line import main
-from bubbleviz.diagnostics import ShearTally, shear_line
-from bubbleviz.live import LiveSource, LiveStream, OfferedTopic, RawMessage
+from bubbleviz.diagnostics import ShearSummary, shear_line
+from bubbleviz.live import LiveSource, LiveStream, OfferedTopic
 from bubbleviz.recordings import Frame, FrameMessages
 from bubbleviz.sensor_model import SensorModel
 from tests.shear.drag import Eyes, sensor, stuck
@@ -35,9 +35,9 @@ class HandedSource(LiveSource):
 
     def hand(self, frame):
         stamp = NOW + round(1e9 * frame.time_s)
-        for topic, kind, payload, at in self.messages.of(frame, stamp):
-            self.found[OfferedTopic(topic, kind)] = None
-            self.deliver(RawMessage(topic, kind, payload, at, stamp))
+        for message in self.messages.of(frame, stamp):
+            self.found[OfferedTopic(message.topic, message.type)] = None
+            self.deliver(message._replace(arrival_ns=stamp))
 
     def topics(self):
         return tuple(self.found)
@@ -74,17 +74,17 @@ def watched(*frames):
 @pytest.mark.long
 def test_force_torque_and_slip_are_those_of_the_puck():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
-    tally, truth, said = ShearTally(), stuck("puck", 0.004, 0.001, 8.0), []
+    summary, truth, said = ShearSummary(), stuck("puck", 0.004, 0.001, 8.0), []
     free = range(COLLECTED + 1)  # at the first the source is not known to have colour
     for watcher, result in watched(*(frame_of(k) for k in (*free, *range(TOUCHED, HELD + 3)))):
-        tally.add(result)
+        summary.add(result)
         said.append(watcher.texture.words)
     assert said[1].endswith(f"Collecting images without contact: 1 of {COLLECTED}")
     assert watcher.texture.words == f"{COLLECTED - LAG} images without contact"
     np.testing.assert_allclose(
         result.traction.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
     )
-    summary = tally.summary(watcher.texture.words)
+    summary.reference = watcher.texture.words
     assert summary.status["no_contact"] >= COLLECTED - LAG and summary.status["ok"] >= 3
     assert summary.max_force_n == pytest.approx(np.linalg.norm(truth.force_n), rel=0.05)
     assert 0.0 < summary.max_force_sigma_n < 0.1 * summary.max_force_n
@@ -109,15 +109,15 @@ def test_images_before_a_contact_are_left_out_as_colour_shows_it_first():
 
 
 def test_without_colour_it_is_depth_alone_and_says_so():
-    eyes, tally, truth = Eyes(), ShearTally(), stuck("puck", 0.004, 0.001, 8.0)
+    eyes, summary, truth = Eyes(), ShearSummary(), stuck("puck", 0.004, 0.001, 8.0)
     seen = [eyes.rest(), eyes.see(truth), eyes.see(truth, 1)]
     lens = eyes.pipeline.camera.intrinsics
     for watcher, result in watched(*(replace(frame, intrinsics=lens) for frame in seen)):
-        tally.add(result)
+        summary.add(result)
         assert watcher.texture.words == "Depth alone: no colour images in this source"
     assert result.traction.status == "depth_alone"
     assert shear_line(result).startswith("depth alone: no optical flow")
-    summary = tally.summary(watcher.texture.words)
+    summary.reference = watcher.texture.words
     assert summary.status == {"no_contact": 1, "depth_alone": 2}
     assert summary.max_force_n is None
     assert summary.to_text().endswith("Depth alone: no colour images in this source")

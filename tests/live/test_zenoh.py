@@ -26,6 +26,7 @@ from bubbleviz.live import (
     zenoh_session,
     zenoh_session as zenoh_keys,
 )
+from bubbleviz.recordings import Message
 
 SHORT, FULL = 2, 20
 """How often the robot is killed: in `make test`, and in `make test-all`."""
@@ -197,7 +198,7 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor, eventually):
             )
             endpoint = f"tcp/127.0.0.1:{port}"
             with ZenohPublisher(SessionOptions("us", connect=endpoint)) as out:
-                eventually(lambda: (out.put("/bubbleviz/depth", IMAGE, b"result"), got)[1])
+                eventually(lambda: (out.put(Message("/bubbleviz/depth", IMAGE, b"result")), got)[1])
             assert got[0] == b"result"
             subscriber.undeclare()
         for token in tokens:

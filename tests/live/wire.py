@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
-from bubbleviz.live import RawMessage
+from bubbleviz.recordings import Message
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HEIGHT, WIDTH = 48, 64
@@ -108,9 +108,7 @@ def compressed_depth(stamp, k=0):
 
 def arrived(topic, kind, payload, stamp, arrival=None):
     """As the source of a robot on this clock delivers it, a millisecond after its stamp."""
-    return RawMessage(
-        topic, kind, payload, stamp, stamp + 1_000_000 if arrival is None else arrival
-    )
+    return Message(topic, kind, payload, stamp, stamp + 1_000_000 if arrival is None else arrival)
 
 
 def depth(stamp, k=0, arrival=None, topic="/cam/depth"):

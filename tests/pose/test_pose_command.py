@@ -2,7 +2,6 @@
 
 import csv
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.files import read_path
-from bubbleviz.output import PoseRow, read_poses, write_poses
+from bubbleviz.output import pose_row, read_poses, write_poses
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Result
@@ -121,7 +120,7 @@ def test_tum_has_the_good_poses_only(tmp_path):
     T[:3, 3] = [0.01, 0.02, 0.03]
     frame = Frame(7, 0.25, np.zeros((2, 2), np.float32))
     rows = [
-        PoseRow.of(Result(frame, pose=Pose(status, T), times_ms={"total": 5.0}))
+        pose_row(Result(frame, pose=Pose(status, T), times_ms={"total": 5.0}))
         for status in ("ok", "lost")
     ]
     assert write_poses(tmp_path / "a.tum", rows, "tum") == 1
@@ -132,8 +131,7 @@ def test_tum_has_the_good_poses_only(tmp_path):
     assert np.allclose(poses[0], T)
     assert (tmp_path / "a.csv").read_text().splitlines()[0] == HEADER
     known = [
-        replace(row, object_patch_area_m2=area)
-        for row, area in zip(rows, (6e-4, np.nan), strict=True)
+        row | {"object_patch_area_m2": area} for row, area in zip(rows, (6e-4, np.nan), strict=True)
     ]
     assert write_poses(tmp_path / "b.csv", known, "csv") == 2
     assert [row.split(",")[-1] for row in (tmp_path / "b.csv").read_text().splitlines()] == [
@@ -143,6 +141,6 @@ def test_tum_has_the_good_poses_only(tmp_path):
 
 def test_a_pose_that_nobody_asked_for_is_no_row():
     with pytest.raises(ValueError, match="not asked for"):
-        PoseRow.of(Result(Frame(0, 0.0, np.zeros((2, 2), np.float32))))
+        pose_row(Result(Frame(0, 0.0, np.zeros((2, 2), np.float32))))
     pipeline = Pipeline.of(load_sensor(PRESET))
     assert pipeline.tracker is None

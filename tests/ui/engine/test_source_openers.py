@@ -12,7 +12,7 @@ from window_driver import run_bubbleviz
 
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.cli.command_line import main
-from bubbleviz.live import RawMessage, Recorder
+from bubbleviz.live import Recorder
 from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import sensor_to_toml
@@ -77,7 +77,7 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     for k, frame in enumerate(source):
         at = begun + round(source.times_s[k] * 1e9)
         for message in FrameMessages().of(frame, at):
-            recorder.push(RawMessage(message.topic, message.type, message.payload, at, at))
+            recorder.push(message._replace(stamp_ns=at, arrival_ns=at))
         if k in (3, 7):
             recorder.mark("slipped here" if k == 7 else "marker at frame 3", at)
     assert not recorder.stop().problem

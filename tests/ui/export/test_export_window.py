@@ -96,8 +96,8 @@ def test_a_table_of_the_range_on_the_timeline_with_poses_that_were_found(bench, 
     with (tmp_path / "poses.csv").open() as file:
         rows = list(csv.DictReader(file))
     row = window.pose.session.rows[8]
-    assert rows[8]["pose_status"] == row.status and not rows[0]["pose_status"]
-    assert np.isclose(float(rows[8]["pose_x_m"]), row.x_m, equal_nan=True)
+    assert rows[8]["pose_status"] == row["status"] and not rows[0]["pose_status"]
+    assert np.isclose(float(rows[8]["pose_x_m"]), row["x_m"], equal_nan=True)
 
 
 SERIES = {

@@ -6,7 +6,7 @@ import pytest
 from fakes import SpeckledSource, record, small_sensor
 
 from bubbleviz.calibration import COLLECTED, LAG
-from bubbleviz.live import RawMessage
+from bubbleviz.recordings import Message
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -20,7 +20,7 @@ def connected(live, frames, options):
     path, name = record(live.folder / "played.mcap", frames), live.folder / "dome.toml"
     name.write_text(sensor_to_toml(RUBBER), encoding="utf-8")
     live.connect(single(f"replay:{path}?{options}", str(name)))
-    heard: list[RawMessage] = []
+    heard: list[Message] = []
     live.run.session.sensors[0].stream.listen(heard.append)
     return heard
 

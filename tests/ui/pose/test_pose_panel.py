@@ -214,7 +214,7 @@ def test_poses_that_were_forgotten_are_brought_back(bench):
     assert np.array_equal(bench.window.scene.object.place, place)
     bench.seek(3)  # tracked on
     bench.wait(lambda: 3 in session.rows)
-    assert session.rows[3].status == "ok"
+    assert session.rows[3]["status"] == "ok"
     bench.key(Qt.Key.Key_Z, CTRL | SHIFT)
     bench.wait(lambda: bench.text("state") == "not fitted yet")
     assert not session.rows and not bench.panel.track.isChecked()
@@ -310,7 +310,7 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypa
         for curve in curves.iterations:
             drawn = curve.line.getOriginalDataset()[1]
             assert (drawn is None or len(drawn) == 0) == (frame == 1)
-    assert [row.status for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
+    assert [row["status"] for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
     for curve in curves.frames:
         drawn = curve.line.getOriginalDataset()[1]
         assert np.isfinite(drawn).tolist() == [True, False, True, False, True]

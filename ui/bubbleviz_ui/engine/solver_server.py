@@ -17,7 +17,14 @@ from bubbleviz.errors import InputError
 from bubbleviz.output import Measured, SideBySide
 from bubbleviz.pipeline import LOOKS, Pipeline, Product
 from bubbleviz.processes import PipelineProcess
-from bubbleviz.recordings import Frame, FrameSource, Recording, check_fits, gas_warning, preset_for
+from bubbleviz.recordings import (
+    Frame,
+    FrameSource,
+    Recording,
+    check_fits,
+    gas_warning,
+    preset_of_size,
+)
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
@@ -134,7 +141,7 @@ def sensor_for(path: Path, present: Sensor) -> Sensor:
     with Recording(path) as opened:
         if opened.size == (present.camera.width, present.camera.height):
             return present
-        return load_sensor(preset_for(opened))
+        return load_sensor(preset_of_size(opened.size, str(opened.path)))
 
 
 def synthetic(sensor: Sensor) -> FrameSource:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import Empty, Full, Queue
@@ -303,7 +303,7 @@ class Exporting(QObject):
             # with the first export: the window starts without the writers of all kinds
             from bubbleviz_ui.export.file_export import export_to_files
 
-            poses = {frame: pose_columns(asdict(row)) for frame, row in self._poses().items()}
+            poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
             how = (FrameOptions(*choices.rule), choices.options, poses)
             job = partial(export_to_files, open_source, sensor, frames, path, kind.what, *how)
         self._jobs.run(job, partial(self._on_done, path))

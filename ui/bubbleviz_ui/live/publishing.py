@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.live import LiveStream, RawMessage, ResultMessages
+from bubbleviz.live import LiveStream, ResultMessages
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import RESULTS, Message
@@ -132,7 +132,7 @@ class Publishing(QObject):
         """Publish a message, in any thread."""
         with self._lock:
             if self._publisher is not None:
-                self._publisher.put(*message)
+                self._publisher.put(message)
 
     def close(self) -> None:
         """Stop, and wait until it is done."""
@@ -160,12 +160,7 @@ class _Sender:
     def __call__(self, message: Message) -> None:
         self._publishing.put(message)
         if self._recorder.recording:
-            self._recorder.push(_raw(message))
-
-
-def _raw(message: Message) -> RawMessage:
-    topic, kind, payload, stamp = message
-    return RawMessage(topic, kind, payload, stamp, time.time_ns())
+            self._recorder.push(message._replace(arrival_ns=time.time_ns()))
 
 
 def _publisher(endpoint: str) -> ZenohPublisher:

@@ -28,7 +28,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.requests import Compared, ComparedOptions, CompareRequest, Failed
 from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import tangential_text
+from bubbleviz_ui.model.source_facts import force_text, tangential_text
 from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind, bind_member, options, watch_controls
 from bubbleviz_ui.panels.kappa_panel import HIGHEST
@@ -41,13 +41,13 @@ BLOCKS = 16
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
-    "status": ("Status", lambda m, u: m.status),
-    "total": ("Total time", lambda m, u: u.duration.text(m.total_ms)),
-    "solve": ("Solver time", lambda m, u: u.duration.text(m.solve_ms)),
-    "force": ("Force", lambda m, u: u.force.with_interval(m.force_n, m.force_half_width_n)),
+    "status": ("Status", lambda m, u: m.numbers.status),
+    "total": ("Total time", lambda m, u: u.duration.text(m.numbers.total_ms)),
+    "solve": ("Solver time", lambda m, u: u.duration.text(m.numbers.solve_ms)),
+    "force": ("Force", lambda m, u: force_text(m.result, u)),
     "tangential": ("Tangential force", lambda m, u: tangential_text(m.result, u)),
-    "area": ("Patch area", lambda m, u: u.area.text(m.area_m2)),
-    "residual": ("Residual", lambda m, u: u.fine_length.text(m.residual_m)),
+    "area": ("Patch area", lambda m, u: u.area.text(m.numbers.area_m2)),
+    "residual": ("Residual", lambda m, u: u.fine_length.text(m.numbers.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
     "iou": ("Patch IoU", lambda m, u: NOTHING if math.isnan(m.iou) else f"{m.iou:.2f}"),
     "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),

@@ -476,8 +476,8 @@ class PosePanel(QWidget):
             curves.clear_iterations()
         rows = [self.session.rows[k] for k in sorted(self.session.rows)]
         if rows:
-            numbers, times = np.array([(row.frame, row.time_s) for row in rows]).T
-            values = np.array([(row.fitness, row.rmse_m) for row in rows])
+            numbers, times = np.array([(row["frame"], row["time_s"]) for row in rows]).T
+            values = np.array([(row["fitness"], row["rmse_m"]) for row in rows])
             curves.draw_frames(numbers, times, values)
 
     def _made_curves(self) -> Curves:

@@ -12,7 +12,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import angles_of_pose, pose_matrix, pose_numbers
-from bubbleviz.output import PoseRow, write_poses
+from bubbleviz.output import PoseRow, pose_row, write_poses
 from bubbleviz.pose import open_axes
 from bubbleviz.result import ObjectPatch, Pose, Result, Stage
 from bubbleviz.rigid_object import RigidObject
@@ -304,5 +304,5 @@ class PoseSession(QObject):
         if result.pose is None or result.pose is self._shown:
             return  # a frame that is settled keeps its pose, though it was reset meanwhile
         self.pose = self._shown = result.pose
-        self.rows[result.frame.index] = PoseRow.of(result)
+        self.rows[result.frame.index] = pose_row(result)
         self.changed.emit()
