@@ -229,7 +229,7 @@ def test_nothing_of_a_window_is_imported(folder, tmp_path):
         "import sys; from bubbleviz.cli.command_line import main\n"
         "main(sys.argv[1:], standalone_mode=False); "
         "heavy = ('PySide6', 'vtkmodules', 'pyvista', 'pyvistaqt', 'pyqtgraph', 'bubbleviz_ui', "
-        "'bubbleviz.pose'); "  # Open3D itself casts the rays, and loads its registration anyway
+        "'matplotlib', 'pandas', 'bubbleviz.pose'); "
         "print('LOADED', [m for m in heavy if m in sys.modules])"
     )
     words = ["estimate", str(folder / "rec.mcap"), "--sensor", PRESET, "--frames", "0:2", "--out"]
