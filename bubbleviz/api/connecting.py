@@ -36,7 +36,7 @@ class Stream:
     @property
     def ended(self) -> bool:
         """Whether the source has no more frames."""
-        return self.live.source.link() == "ended"
+        return self.live.source.link == "ended"
 
     @property
     def counters(self) -> Counters:
@@ -104,5 +104,5 @@ def sensor_of(source: str, sensor: str | Path | Sensor) -> Sensor:
 
 def offered(stream: LiveStream) -> str:
     """Topics that a source has, in words."""
-    topics = ", ".join(topic.name for topic in stream.topics())
+    topics = ", ".join(topic.name for topic in stream.source.topics)
     return f"topics there: {topics}" if topics else "no topics were found"

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ from bubbleviz.wording import count_of
 if TYPE_CHECKING:
     from bubbleviz.live import OfferedTopic, SessionOptions, ZenohPublisher
 
-_LOOK_S = 0.1  # s between looks at the stream; chosen
+_LOOK_S = 0.05  # s between looks at a source; chosen
 _LINGER_S = 0.5
 """How long the session stays open after the last message, so that it goes out."""
 _SETTLE_S = 0.3
@@ -135,31 +135,34 @@ def _wait(
     """Wait until recording ends; returns when the first message came (`time.monotonic`)."""
     began, first = time.monotonic(), None
     with tqdm(unit=" messages", disable=None, file=sys.stderr) as bar:  # only on a terminal
-        while not stop.wait(_LOOK_S if first is None else 0.5 * _LOOK_S):
+        for first in _looks(stop, duration_s, lambda: stream.counters().received > 0):
             status = recorder.status()
-            if status is None or status.problem:
-                return first
+            if status is None or status.problem or stream.source.link == "ended":
+                break
             stream.take()  # frees the slot of a frame that is not solved here
             bar.n = status.messages
             bar.set_postfix_str(f"{status.size_bytes / 1e6:.1f} MB, {stream.status().text}")
-            now = time.monotonic()
-            if first is None and stream.counters().received:
-                first = now
-            if stream.source.link() == "ended":
-                return first
-            if duration_s is None:
-                continue
-            if now - (first or now) >= duration_s:
-                return first
-            if first is None and now - began > patience:
-                return None
+            if first is None and duration_s is not None and time.monotonic() - began > patience:
+                break
     return first
+
+
+def _looks(
+    stop: threading.Event, duration_s: float | None, began: Callable[[], bool]
+) -> Iterator[float | None]:
+    """When it began (`time.monotonic`), over and over, until it is stopped or so old."""
+    first: float | None = None
+    while not stop.wait(_LOOK_S):
+        first = first or (time.monotonic() if began() else None)
+        yield first
+        if duration_s and first and time.monotonic() - first >= duration_s:
+            return
 
 
 def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
     if status.problem:
         raise InputError(status.problem)
-    problem, lost = stream.source.problem(), stream.source.link() == "lost"
+    problem, lost = stream.source.problem, stream.source.link == "lost"
     if problem and not (lost and status.messages):  # what came before it was lost is in the file
         raise InputError(f"--source {source}: {problem}")
     if not status.messages:
@@ -224,7 +227,7 @@ def publish(
     sent: Counter[str] = Counter()
     live = open_stream(source, _simulated(sensor), any_size=True).source
     live.follow_colour()
-    topics = live.topics()
+    topics = live.topics
     if wait and not topics:
         raise InputError(f"--source {source}: its topics come with its messages; leave --wait out")
     with (
@@ -240,10 +243,8 @@ def publish(
             _wait_for_subscriber(publisher, topics, stop)
         live.start(send)
         try:
-            began = None
-            while not stop.wait(0.02) and live.link() != "ended":
-                began = began or (time.monotonic() if sent else None)
-                if duration_s and began and time.monotonic() - began >= duration_s:
+            for _ in _looks(stop, duration_s, lambda: bool(sent)):
+                if live.link == "ended":
                     break
         finally:
             live.stop()

@@ -8,11 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import threadpool_limits
 
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
@@ -595,21 +596,9 @@ def _missing(library: str, extra: str = "notebook") -> InputError:
     return InputError(f"{library} is not installed; run {how_to_install(extra)}")
 
 
-# BLAS threads of a call, in a process that is not ours.
+OneBlasThread = partial(threadpool_limits, limits=1, user_api="blas")
+"""A context in which BLAS uses one thread; what was set before comes back.
 
-
-class OneBlasThread:
-    """A context in which BLAS uses one thread; what was set before comes back.
-
-    The solver's matrices are small: threads that wait for each other cost more than they save. The
-    command line sets `OPENBLAS_NUM_THREADS` before NumPy is loaded, which a library cannot.
-    """
-
-    def __init__(self) -> None:
-        self._blas = ThreadpoolController().select(user_api="blas")
-
-    def __enter__(self) -> None:
-        self._limiter = self._blas.limit(limits=1)
-
-    def __exit__(self, *_: object) -> None:
-        self._limiter.restore_original_limits()
+The solver's matrices are small: threads that wait for each other cost more than they save. The
+command line sets `OPENBLAS_NUM_THREADS` before NumPy is loaded, which a library cannot.
+"""

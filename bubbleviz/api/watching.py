@@ -103,7 +103,7 @@ class Watcher:
         check = partial(stream.check_size, f"--source {source}", sensor.name)
         first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
         if first is None:
-            seen = stream.source.problem() or stream.counters().problem or offered(stream)
+            seen = stream.source.problem or stream.counters().problem or offered(stream)
             raise InputError(f"--source {source}: no depth image arrived; {seen}")
         pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver, friction))
         pipeline.prepare(PRODUCTS)
@@ -120,7 +120,7 @@ class Watcher:
     @property
     def ended(self) -> bool:
         """Whether the source has no more frames."""
-        return self.stream.source.link() == "ended"
+        return self.stream.source.link == "ended"
 
     def step(self, timeout_s: float) -> Result | None:
         """Solve the newest frame; None when none came in time."""
@@ -140,10 +140,9 @@ class Watcher:
 
     def results(self, timeout_s: float | None) -> Iterator[FrameResult]:
         """What was found in the newest frame, over and over, until the source ends."""
-        one_thread = OneBlasThread()
 
         def step(wait_s: float) -> Result | None:
-            with one_thread:
+            with OneBlasThread():
                 return self.step(wait_s)
 
         for result in self.stream.each(step, timeout_s):
@@ -165,7 +164,7 @@ def _first_frame(
     deadline: float | None = None
     while not stop.is_set():
         frame = stream.take(0.1) or frame
-        now, ended = time.monotonic(), stream.source.link() == "ended"
+        now, ended = time.monotonic(), stream.source.link == "ended"
         if frame is None:
             check()
             if ended or now - began > patience:
@@ -341,7 +340,7 @@ def _until_over(
 def _tell_silence(stream: LiveStream, told: bool) -> bool:
     """Say, once an outage, that no depth images come; whether they still do not."""
     silent_s = stream.status().silent_s or 0.0
-    if silent_s < STOPPED_AFTER_S or stream.source.link() == "ended":
+    if silent_s < STOPPED_AFTER_S or stream.source.link == "ended":
         return False
     if not told:
         said = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"

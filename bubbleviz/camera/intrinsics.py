@@ -113,11 +113,11 @@ def _brown_conrady_slopes(
 
 
 def _undistort(
-    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...], most_steps: int = 10
+    x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Inverse of `_brown_conrady` by Newton's method, from the distorted point itself."""
     x0, y0 = x, y
-    for _ in range(most_steps):
+    for _ in range(10):  # more than any lens needs
         xx, xy, yy = _brown_conrady_slopes(x, y, coefficients)
         xd, yd = _brown_conrady(x, y, coefficients)
         ex, ey = x0 - xd, y0 - yd

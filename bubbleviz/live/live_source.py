@@ -35,9 +35,10 @@ class LiveSource:
         name: str,  # what the window's title shows
     ) -> None:
         self.name = name
-        self._link: Link = "connecting"
-        self._offered: tuple[OfferedTopic, ...] = ()
-        self._missed, self._problem = 0, ""
+        self.link: Link = "connecting"
+        self.topics: tuple[OfferedTopic, ...] = ()  # found so far, of the types used here
+        self.missed = 0  # messages lost on the way, by the publishers' sequence numbers
+        self.problem = ""  # failure of the source itself as text; empty without one
         self._with_colour = False
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
@@ -54,27 +55,11 @@ class LiveSource:
         self._stopped.set()
         if self._thread not in (None, threading.current_thread()):
             self._thread.join(self.closing_s)
-        self._link = "ended"
+        self.link = "ended"
 
     def follow_colour(self, on: bool = True) -> None:
         """Deliver colour images, too, from now on, or no more; they are many bytes."""
         self._with_colour = on
-
-    def link(self) -> Link:
-        """How the connection stands."""
-        return self._link
-
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        """Topics found so far, of the types that are used here."""
-        return self._offered
-
-    def missed(self) -> int:
-        """Messages lost on the way, by the publishers' sequence numbers; 0 without those."""
-        return self._missed
-
-    def problem(self) -> str:
-        """Failure of the source itself as text; empty without one."""
-        return self._problem
 
     def _run(self, deliver: Deliver) -> None:
         """Deliver until the end, or until `_wait_until` says no."""
@@ -88,9 +73,9 @@ class LiveSource:
         try:
             self._run(deliver)
         except BaseException as error:  # shown by whoever looks at the source
-            self._problem = " ".join(str(error).split()) or type(error).__name__
+            self.problem = " ".join(str(error).split()) or type(error).__name__
         finally:
-            self._link = "ended"
+            self.link = "ended"
 
 
 # URIs of live sources: `scheme:place?option=value&…`.

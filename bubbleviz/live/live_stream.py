@@ -13,7 +13,7 @@ import numpy as np
 
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.live.assembler import Counters, FrameAssembler
-from bubbleviz.live.live_source import Link, LiveSource, OfferedTopic
+from bubbleviz.live.live_source import Link, LiveSource
 from bubbleviz.recordings import NO_COLOUR, Frame, Message, size_refusal
 
 # How a live source is doing.
@@ -93,7 +93,7 @@ class LiveStream:
         self._listeners: tuple[Listener, ...] = ()
         self._colour_followers: set[object] = set()
         self._last_frame_ns: int | None = None
-        self._outages: tuple[Outage, ...] = ()
+        self.outages: tuple[Outage, ...] = ()  # in which it was stale, as far as they are over
         self._wrong_before = 0
 
     def __enter__(self) -> LiveStream:
@@ -155,7 +155,7 @@ class LiveStream:
         deadline = time.monotonic() + timeout_s
         while True:
             frame = self._take(min(max(deadline - time.monotonic(), 0.0), self._patience_s()))
-            ended = self.source.link() == "ended"
+            ended = self.source.link == "ended"
             if frame is None:
                 with self._lock:  # at the end there is nothing left to wait for
                     self._put(self._assembler.flush(None if ended else time.time_ns()))
@@ -187,7 +187,7 @@ class LiveStream:
         problem = self._problem()
         if problem:  # of several sources, which
             problem = f"{problem} ({self.name})"
-        return status_of(self.source.link(), silent, problem)
+        return status_of(self.source.link, silent, problem)
 
     def each(
         self,
@@ -202,7 +202,7 @@ class LiveStream:
         """
         wait_s = LOOK_S if timeout_s is None else timeout_s
         while True:
-            ended = self.source.link() == "ended"  # first: a frame may come before the end is seen
+            ended = self.source.link == "ended"  # first: a frame may come before the end is seen
             asked_s = time.monotonic()
             made = take(wait_s)
             waited = time.monotonic() - asked_s >= wait_s
@@ -224,16 +224,11 @@ class LiveStream:
 
     def _problem(self) -> str:
         """Why none comes, where that is known."""
-        return self.source.problem() or self._size_refused()
-
-    @property
-    def outages(self) -> tuple[Outage, ...]:
-        """Times in which it was stale, as far as they are over."""
-        return self._outages
+        return self.source.problem or self._size_refused()
 
     def counters(self) -> Counters:
         """The counts so far; the window asks for them and waits for no image to be decoded."""
-        return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed())
+        return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed)
 
     def check_size(
         self,
@@ -246,7 +241,7 @@ class LiveStream:
         """
         with self._lock:
             counters, own = self._assembler.counters, self._assembler.size
-            enough = 1 if self.source.link() == "ended" else SEVERAL
+            enough = 1 if self.source.link == "ended" else SEVERAL
             wrong = counters.frames == 0 and counters.wrong_size >= enough
             size = self._assembler.other_size
         if wrong and size is not None and own is not None:
@@ -263,9 +258,6 @@ class LiveStream:
             f"{own[0]}×{own[1]}; choose the sensor file of this camera"
         )
 
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        return self.source.topics()
-
     def _patience_s(self) -> float:
         """Time until the pending frame must be checked again, s."""
         until = self._assembler.waits_until_ns
@@ -279,7 +271,7 @@ class LiveStream:
 
     def _no_colour(self) -> str:
         """Why frames have no colour images."""
-        topic = self._assembler.colour_topic(self.source.topics())
+        topic = self._assembler.colour_topic(self.source.topics)
         if not topic:
             return NO_COLOUR
         if not self._colour_followers:
@@ -293,7 +285,7 @@ class LiveStream:
             self._wrong_before = self._assembler.counters.wrong_size
             before, self._last_frame_ns = self._last_frame_ns, frame.arrival_ns
             if before is not None and frame.arrival_ns - before > 1e9 * STALE_AFTER_S:
-                self._outages = (*self._outages, (before, frame.arrival_ns))
+                self.outages = (*self.outages, (before, frame.arrival_ns))
             with self._changed:
                 self._skipped += self._newest is not None
                 self._newest = frame
@@ -308,11 +300,10 @@ SAME_CLOCK_NS = 5_000_000_000
 
 
 class LatencyReport(NamedTuple):
-    """Ages of the last frames, s; `from_stamp` tells whether since the stamp, or since arrival."""
+    """Ages of the last frames, s."""
 
     median_s: float
     p95_s: float
-    from_stamp: bool
 
 
 class LatencyMeter:
@@ -320,12 +311,11 @@ class LatencyMeter:
 
     def __init__(self, window: int = 600) -> None:
         self._ages: deque[float] = deque(maxlen=window)
-        self._from_stamp = True
 
     def add(self, frame: Frame, now_ns: int) -> None:
         """Take note of a live frame that is here now."""
-        self._from_stamp = abs(frame.arrival_ns - frame.stamp_ns) < SAME_CLOCK_NS
-        since = frame.stamp_ns if self._from_stamp else frame.arrival_ns
+        same_clock = abs(frame.arrival_ns - frame.stamp_ns) < SAME_CLOCK_NS
+        since = frame.stamp_ns if same_clock else frame.arrival_ns
         self._ages.append((now_ns - since) * 1e-9)
 
     @property
@@ -338,4 +328,4 @@ class LatencyMeter:
         if not self._ages:
             return None
         median, p95 = np.percentile(np.array(self._ages), [50.0, 95.0])
-        return LatencyReport(float(median), float(p95), self._from_stamp)
+        return LatencyReport(float(median), float(p95))

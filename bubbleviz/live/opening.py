@@ -154,8 +154,8 @@ def _image_size(
     deadline = time.monotonic() + patience_s
     while (frame := stream.take(LOOK_S)) is None:
         waiting(stream)
-        if stream.source.link() == "ended" or time.monotonic() > deadline:
-            why = stream.source.problem() or stream.counters().problem or "give --sensor"
+        if stream.source.link == "ended" or time.monotonic() > deadline:
+            why = stream.source.problem or stream.counters().problem or "give --sensor"
             raise InputError(f"--source {text}: no depth image arrived; {why}")
     height, width = frame.depth_m.shape
     return width, height

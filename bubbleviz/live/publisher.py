@@ -35,7 +35,7 @@ from bubbleviz.recordings import (
     ros2_types,
     serialise,
 )
-from bubbleviz.result import Estimate, Patch, Result, Traction
+from bubbleviz.result import Estimate, Patch, Result
 
 _STATIC_KEPT = 100  # messages of a topic; chosen: robots have a few
 _COUNTED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
@@ -137,7 +137,9 @@ def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]
         yield "traction_wrench", WRENCH, make_wrench(header, np.zeros(6))
     if traction.status != "ok":
         return
-    wrench, sigma = _wrenches(traction)
+    origin = np.zeros(3)
+    wrench = np.concatenate([traction.force_n, traction.torque_about(origin)])
+    sigma = np.concatenate([traction.force_sigma_n, traction.torque_sigma_about(origin)])
     yield "traction_wrench", WRENCH, make_wrench(header, wrench)
     yield "traction_wrench_sigma", WRENCH, make_wrench(header, sigma)
     yield "traction_center", POINT, _point(header, traction.center_m)
@@ -145,15 +147,6 @@ def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]
         number = ros2_types().types[NUMBER]
         yield "slip_share", NUMBER, number(float(slip.share))
         yield "slip_share_sigma", NUMBER, number(float(slip.share_sigma))
-
-
-def _wrenches(traction: Traction) -> tuple[np.ndarray, np.ndarray]:
-    """Force and torque about B's origin, and their standard deviations, (6,) each."""
-    origin = np.zeros(3)
-    return (
-        np.concatenate([traction.force_n, traction.torque_about(origin)]),
-        np.concatenate([traction.force_sigma_n, traction.torque_sigma_about(origin)]),
-    )
 
 
 def _point(header: Any, point_m: np.ndarray) -> Any:

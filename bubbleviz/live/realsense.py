@@ -57,14 +57,14 @@ class RealSenseLive(LiveSource):
             try:
                 again = self._stream(deliver, played)
             except RuntimeError as error:  # all the SDK raises
-                self._problem = " ".join(str(error).split())[:160]
-            if again or (self._file is not None and self._loop and not self._problem):
+                self.problem = " ".join(str(error).split())[:160]
+            if again or (self._file is not None and self._loop and not self.problem):
                 played += 1
                 continue
             if self._file is not None:
                 break
-            if self._link == "up":
-                self._link = "lost"
+            if self.link == "up":
+                self.link = "lost"
             lasted = time.monotonic() - before
             wait = _BACK_OFF_S[0] if lasted > 5.0 else min(2.0 * wait, _BACK_OFF_S[1])
             self._wait_until(time.monotonic() + wait)
@@ -134,18 +134,18 @@ class RealSenseLive(LiveSource):
                 arrival_ns = time.time_ns()
             if not picture.colour:
                 if last is not None:
-                    self._missed += max(picture.number - last.number - 1, 0)
+                    self.missed += max(picture.number - last.number - 1, 0)
                 last = picture
             for made in to_messages.of(picture):
                 self._offer(OfferedTopic(made.topic, made.type))
                 number = picture.number
                 deliver(made._replace(arrival_ns=arrival_ns, sequence=number, round=played))
-            self._link, self._problem = "up", ""
+            self.link, self.problem = "up", ""
         return False
 
     def _offer(self, topic: OfferedTopic) -> None:
-        if topic not in self._offered:
-            self._offered = (*self._offered, topic)
+        if topic not in self.topics:
+            self.topics = (*self.topics, topic)
 
     def _receiver(self, pictures: queue.Queue[_Picture], enough: threading.Event) -> Any:
         """Callback for the SDK's thread; playback of a recording is paced by it."""

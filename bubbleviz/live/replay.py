@@ -7,8 +7,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
 from bubbleviz.live.topic_names import TYPES, TopicNames, stamp_of
@@ -35,11 +33,10 @@ class Replay(LiveSource):
         *,
         speed: float = 1.0,  # times faster than recorded
         loop: bool = False,  # begin again at the end; else the source ends there
-        realtime: bool = True,  # false delivers everything at once, as fast as it is read
     ) -> None:
         self._bag = Bag(path)
         super().__init__(self._bag.path.name)
-        self._speed, self._loop, self._realtime = speed, loop, realtime
+        self._speed, self._loop = speed, loop
         self._streams: list[Messages] = [
             self._bag.messages(topic)
             for topic in self._bag.topics
@@ -48,14 +45,14 @@ class Replay(LiveSource):
         if not any(len(stream) for stream in self._streams if stream.topic.type in TYPES):
             self._bag.close()
             raise InputError(f"{path}: has none of the messages used here; see bubbleviz info")
-        self._offered = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
+        self.topics = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
 
     def stop(self) -> None:
         super().stop()
         self._bag.close()
 
     def _run(self, deliver: Deliver) -> None:
-        self._link = "up"
+        self.link = "up"
         rows = sorted(
             (int(log_ns), number, k)
             for number, stream in enumerate(self._streams)
@@ -66,7 +63,7 @@ class Replay(LiveSource):
             start = time.monotonic()
             for log_ns, number, k in rows:
                 due = start + (log_ns - rows[0][0]) * 1e-9 / self._speed
-                if not self._wait_until(due if self._realtime else start):
+                if not self._wait_until(due):
                     return
                 stream = self._streams[number]
                 if self._with_colour or not colour.is_colour(stream.topic.name, stream.topic.type):
@@ -116,10 +113,9 @@ class SyntheticLive(LiveSource):
         # does not stutter; else each when it is due, late where simulating is slower than the rate
         ahead: bool = True,
         messages: FrameMessages | None = None,  # how frames become messages
-        rounds: int | None = None,  # None streams until stopped
     ) -> None:
         super().__init__(name)
-        self._make, self._rate, self._ahead, self._rounds = make, rate_hz, ahead, rounds
+        self._make, self._rate, self._ahead = make, rate_hz, ahead
         self._messages = messages or FrameMessages()
 
     def _run(self, deliver: Deliver) -> None:
@@ -130,21 +126,15 @@ class SyntheticLive(LiveSource):
                 if self._stopped.is_set():
                     return
                 messages_of(k)
-            self._offered = tuple(OfferedTopic(m.topic, m.type) for m in messages_of(0))
-            self._link = "up"
-            self._stream(deliver, messages_of, len(simulation))
+            self.topics = tuple(OfferedTopic(m.topic, m.type) for m in messages_of(0))
+            self.link = "up"
+            start, epoch, sent = time.monotonic(), time.time_ns(), 0
+            while self._wait_until(start + sent / self._rate):
+                messages = messages_of(sent % len(simulation))
+                later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
+                for message in messages:
+                    now = message.later(later_ns)
+                    deliver(now._replace(arrival_ns=time.time_ns(), sequence=sent))
+                sent += 1
         finally:
             simulation.close()
-
-    def _stream(
-        self, deliver: Deliver, messages_of: Callable[[int], list[Message]], frames: int
-    ) -> None:
-        start, epoch, sent = time.monotonic(), time.time_ns(), 0
-        total = np.inf if self._rounds is None else self._rounds * frames
-        while sent < total and self._wait_until(start + sent / self._rate):
-            messages = messages_of(sent % frames)
-            later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
-            for message in messages:
-                sent_now = message.later(later_ns)
-                deliver(sent_now._replace(arrival_ns=time.time_ns(), sequence=sent))
-            sent += 1

@@ -70,7 +70,6 @@ class ZenohSource(LiveSource):
         self._announced: dict[str, Announced] = {}
         self._tokens: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._counts: dict[tuple[bytes, str], int] = {}
-        self._lock = threading.Lock()
         self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
         self._deliver: Deliver | None = None
@@ -91,17 +90,6 @@ class ZenohSource(LiveSource):
     def follow_colour(self, on: bool = True) -> None:
         """Subscribe to topics of colour images, too, at the next look, or no more."""
         self._names = replace(self._names, with_colour=on)
-
-    def topics(self) -> tuple[OfferedTopic, ...]:
-        """Announced topics of the types used here, by name."""
-        with self._lock:
-            there = self._announced.values()
-            found = {
-                (a.topic, a.type)
-                for a in there
-                if is_used(a.topic, a.type) or self._names.is_colour(a.topic, a.type)
-            }
-        return tuple(OfferedTopic(*topic) for topic in sorted(found))
 
     def _named(self) -> list[tuple[str, str]]:
         """Topics chosen by name, with their types."""
@@ -124,7 +112,7 @@ class ZenohSource(LiveSource):
             return
         why, looked = "", time.monotonic()
         if self._options.connect is not None:  # a client's session is open once it is connected
-            self._link = "up"
+            self.link = "up"
         try:
             self._subscribe_to_wanted()
             liveliness = self._session.liveliness()
@@ -137,9 +125,9 @@ class ZenohSource(LiveSource):
                 self._subscribe_to_wanted()
                 self._let_go_of_colour()
                 if connected(self._session):
-                    self._link, self._problem, looked = "up", "", time.monotonic()
-                elif self._link != "connecting":
-                    self._link = "lost"
+                    self.link, self.problem, looked = "up", "", time.monotonic()
+                elif self.link != "connecting":
+                    self.link = "lost"
                     if time.monotonic() - looked >= WHY_EVERY_S:
                         why, looked = self._look_why(why), time.monotonic()
         finally:
@@ -150,7 +138,7 @@ class ZenohSource(LiveSource):
         place = self._options.connect
         why = "" if place is None else why_no_session(place, self._options.credentials)
         if why == before:
-            self._problem = why
+            self.problem = why
         return why
 
     def _connect(self) -> bool:
@@ -159,9 +147,9 @@ class ZenohSource(LiveSource):
         while self._session is None:
             try:
                 self._session = open_session(self._options)
-                self._problem = ""
+                self.problem = ""
             except InputError as error:  # no router or peer yet, or one with other passwords
-                self._problem = error.why if isinstance(error, NotConnectedError) else ""
+                self.problem = error.why if isinstance(error, NotConnectedError) else ""
                 if not self._wait_until(time.monotonic() + wait):
                     return False
                 wait = min(1.5 * wait, BACK_OFF_S[1])
@@ -171,11 +159,13 @@ class ZenohSource(LiveSource):
         announced = parse_token(key, self._domain)
         if announced is None:
             return
-        with self._lock:
-            if alive:
-                self._announced[key] = announced
-            else:
-                self._announced.pop(key, None)
+        if alive:
+            self._announced[key] = announced
+        else:
+            self._announced.pop(key, None)
+        found = {(each.topic, each.type) for each in self._announced.values()}
+        ours = [t for t in sorted(found) if is_used(*t) or self._names.is_colour(*t)]
+        self.topics = tuple(OfferedTopic(*topic) for topic in ours)
 
     def _subscribe_to_wanted(self) -> None:
         """Subscribe to what is named, and announced, but to no compressed images beside raw ones.
@@ -185,10 +175,8 @@ class ZenohSource(LiveSource):
         for topic, kind in self._named():
             for layout in LAYOUTS:
                 self._subscribe(Announced(topic, kind, layout))
-        with self._lock:
-            announced = list(self._announced.values())
-        there = {each.topic for each in announced}
-        for each in announced:
+        there = {each.topic for each in self._announced.values()}
+        for each in self._announced.values():
             named = each.topic in (self._names.depth, self._names.colour)
             spare = each.type == COMPRESSED_IMAGE and not named
             if spare and each.topic.rpartition("/")[0] in there:
@@ -253,7 +241,7 @@ class ZenohSource(LiveSource):
         """Take note of gaps in a publisher's own count."""
         last = self._counts.get((publisher, topic))
         if last is not None and sequence > last:
-            self._missed += sequence - last - 1
+            self.missed += sequence - last - 1
         if last is None or sequence > last:
             self._counts[publisher, topic] = sequence
 

@@ -59,13 +59,10 @@ def write_poses(
             left = () if areas else _AREAS
             write_rows(temporary, [{k: v for k, v in r.items() if k not in left} for r in rows])
             return len(rows)
-        lines = [_tum(row) for row in rows if row["status"] == "ok"]
-        temporary.write_text("".join(lines), encoding="utf-8")
+        good = [row for row in rows if row["status"] == "ok"]
+        lines = [" ".join(f"{row[name]:.9g}" for name in ("time_s", *COLUMNS)) for row in good]
+        temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
         return len(lines)
-
-
-def _tum(row: PoseRow) -> str:
-    return " ".join(f"{row[name]:.9g}" for name in ("time_s", *COLUMNS)) + "\n"
 
 
 # POSES.csv of `bubbleviz pose` as more columns of a table.

@@ -243,16 +243,11 @@ class ResultWriter:
             spool.seek(0)
             with self._member(name, nodal + more, np.dtype("<f8")) as member:
                 shutil.copyfileobj(spool, member, 1 << 20)
-        for name, array in self._small_arrays(provenance).items():
+        texts = {key: np.array(text) for key, text in provenance.items()}
+        small = {**_columns(self.rows), **surface_arrays(self._mesh), **texts}
+        for name, array in small.items():
             with self._member(name, array.shape, array.dtype) as member:
                 member.write(np.ascontiguousarray(array).tobytes())
-
-    def _small_arrays(self, provenance: dict[str, str]) -> dict[str, np.ndarray]:
-        return {
-            **_columns(self.rows),
-            **surface_arrays(self._mesh),
-            **{key: np.array(text) for key, text in provenance.items()},
-        }
 
     def _member(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> IO[bytes]:
         """Open an array of the archive for writing; its header is written."""

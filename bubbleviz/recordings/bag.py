@@ -5,6 +5,7 @@ rosbags is imported with the first recording: the window starts without it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -107,30 +108,30 @@ class Bag:
     def _open(self) -> None:
         # whether messages are compressed one by one, so that the first bytes of one need all of it
         self.inflates = False
-        if self.ros1:
-            self._open_ros1()
-        else:
-            self._open_ros2()
-        self.topics = self._find_topics()  # in the order of the recording
+        self._storages = self._ros1_files() if self.ros1 else self._ros2_files()
+        counts: Counter[tuple[str, str]] = Counter()
+        for connection in (each for storage in self._storages for each in storage.connections):
+            counts[str(connection.topic), str(connection.msgtype)] += int(connection.msgcount)
+        # in the order of the recording
+        self.topics = tuple(Topic(name, kind, count) for (name, kind), count in counts.items())
         files = [self.path] if self.path.is_file() else self.path.iterdir()
         # size of the recording's files
         self.size_bytes = sum(file.stat().st_size for file in files if file.is_file())
 
-    def _open_ros1(self) -> None:
+    def _ros1_files(self) -> list[Storage]:
         from rosbags.rosbag1 import Reader
 
-        self._storages = [Ros1Storage(self._opened(Reader(self.path)))]
+        return [Ros1Storage(self._opened(Reader(self.path)))]
 
-    def _open_ros2(self) -> None:
+    def _ros2_files(self) -> list[Storage]:
         from rosbags.rosbag2.reader import DirectoryReader
 
         described = (self.path / "metadata.yaml").exists()
         if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
             folder = self._opened(DirectoryReader(self.path))
             self.inflates = folder.metadata.compression_mode == "message"
-            self._storages = [_storage(reader) for reader in folder.storages]
-        else:
-            self._storages = [self._open_bare(file) for file in self._bare_files()]
+            return [_storage(reader) for reader in folder.storages]
+        return [self._open_bare(file) for file in self._bare_files()]
 
     def _open_bare(self, file: Path) -> Storage:
         from rosbags.rosbag2.storage_mcap import McapReader
@@ -169,14 +170,6 @@ class Bag:
                 ".mcap or .db3 files"
             )
         return files
-
-    def _find_topics(self) -> tuple[Topic, ...]:
-        counts: dict[tuple[str, str], int] = {}
-        for storage in self._storages:
-            for connection in storage.connections:
-                key = (str(connection.topic), str(connection.msgtype))
-                counts[key] = counts.get(key, 0) + int(connection.msgcount)
-        return tuple(Topic(name, kind, count) for (name, kind), count in counts.items())
 
 
 def _storage(reader: Any) -> Storage:

@@ -32,13 +32,11 @@ class RecordingWriter:
         *,
         # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
-        prefix: str = "/bubble",  # what the topic names begin with
-        frame_id: str = "bubble_depth_optical_frame",  # name of the camera's frame in the headers
         overwrite: bool = False,  # replace what is at `path`
     ) -> None:
         self.path = Path(path)
         self.count = 0
-        self._messages = FrameMessages(encoding, prefix, frame_id)
+        self._messages = FrameMessages(encoding)
         self._open_files = ExitStack()
         self._overwrite = overwrite
         self._file: McapFile

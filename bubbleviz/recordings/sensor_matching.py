@@ -79,7 +79,8 @@ def preset_of_size(
     Raises InputError: None has, or several have.
     """
     names = preset_names("sensors")
-    sizes = {name: _camera_size(load_sensor(name)) for name in names}
+    cameras = {name: load_sensor(name).camera for name in names}
+    sizes = {name: (camera.width, camera.height) for name, camera in cameras.items()}
     fitting = [name for name in names if sizes[name] == size]
     if len(fitting) == 1:
         return fitting[0]
@@ -113,10 +114,6 @@ def _check_camera_info(recording: Recording) -> None:
                 f"{recording.path}: camera info on {topic.name} is for {_by(size)} pixels but the "
                 f"images are {_by(recording.size)}; record both from one camera without scaling"
             )
-
-
-def _camera_size(sensor: Sensor) -> tuple[int, int]:
-    return sensor.camera.width, sensor.camera.height
 
 
 def _by(size: tuple[int, int]) -> str:

@@ -192,13 +192,11 @@ class Weather(LiveSource):
 
     def __init__(self, simulation):
         super().__init__("weather")
+        self.link = "up"
         self.simulation, self.messages, self.sent = simulation, FrameMessages(), 0
 
     def start(self, deliver):
         self.deliver = deliver
-
-    def link(self):
-        return "up"
 
     def send(self):
         now = time.time_ns()

@@ -91,7 +91,7 @@ def test_on_the_fly_is_the_same_simulation(small_sensor):
             while frame is not None and frame.index % 3 != 1:
                 frame = stream.take(60.0)
             depths.append(frame.depth_m)
-            assert all(topic.name.startswith("/left/") for topic in stream.topics())
+            assert all(topic.name.startswith("/left/") for topic in stream.source.topics)
     np.testing.assert_array_equal(depths[0], depths[1])
 
 
@@ -123,7 +123,7 @@ def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor):
         assert waiting.wait(60.0)
         assert stream.counters().received == 0
         assert stream.status().state == "connecting"
-        assert len(stream.topics()) == 3
+        assert len(stream.source.topics) == 3
         assert stream.take() is None
         go_on.set()
         assert stream.take(30.0) is not None
@@ -142,14 +142,14 @@ def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(recording, event
     got: list[Message] = []
     source = Replay(recording, speed=2.0)
     source.start(got.append)
-    eventually(lambda: source.link() == "ended")
+    eventually(lambda: source.link == "ended")
     source.stop()
     assert [m.payload for m in got if m.type == IMAGE] == [
         depth(NOW + k * PERIOD, k).payload for k in range(10)
     ]
     took = got[-1].arrival_ns - got[0].arrival_ns  # half the time, less what starting took
     assert took >= 0.5 * 9 * PERIOD / 2.0
-    assert source.problem() == ""
+    assert source.problem == ""
 
 
 def test_a_looped_replay_goes_on(recording, small_sensor):
@@ -344,4 +344,4 @@ def test_streams_end_when_their_source_fails(small_sensor, eventually):
     stream = LiveStream(SyntheticLive("broken", make, 30.0))
     with stream:
         eventually(lambda: stream.status().state == "ended")
-        assert "rim" in stream.source.problem()
+        assert "rim" in stream.source.problem

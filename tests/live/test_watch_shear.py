@@ -28,7 +28,7 @@ class HandedSource(LiveSource):
 
     def __init__(self):
         super().__init__("handed")
-        self.messages, self.found = FrameMessages(), dict[OfferedTopic, None]()
+        self.messages, self.link = FrameMessages(), "up"
 
     def start(self, deliver):
         self.deliver = deliver
@@ -36,14 +36,9 @@ class HandedSource(LiveSource):
     def hand(self, frame):
         stamp = NOW + round(1e9 * frame.time_s)
         for message in self.messages.of(frame, stamp):
-            self.found[OfferedTopic(message.topic, message.type)] = None
+            topic = OfferedTopic(message.topic, message.type)
+            self.topics = tuple(dict.fromkeys((*self.topics, topic)))
             self.deliver(message._replace(arrival_ns=stamp))
-
-    def topics(self):
-        return tuple(self.found)
-
-    def link(self):
-        return "up"
 
 
 def frame_of(k):

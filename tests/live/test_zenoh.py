@@ -56,7 +56,7 @@ def test_topics_are_found_and_frames_made(layout, small_sensor):
         assert last.intrinsics is not None
         k = round(1e3 * float(last.depth_m[0, 0])) - 100
         assert last.gas_pressure_pa == pytest.approx(1e5 + k)
-        assert [tuple(topic) for topic in stream.topics()] == [
+        assert [tuple(topic) for topic in stream.source.topics] == [
             ("/cam/camera_info", "sensor_msgs/msg/CameraInfo"),
             ("/cam/depth", IMAGE),
             ("/gas", "sensor_msgs/msg/FluidPressure"),
@@ -190,7 +190,7 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor, eventually):
         with stream_of(port, small_sensor) as stream:
             key = KEYS["rmw"]["/cam/depth"]
             first_frame(stream, lambda: node.put(key, image(time.time_ns())))
-            assert ("/cam/depth", IMAGE) in stream.topics()
+            assert ("/cam/depth", IMAGE) in stream.source.topics
             # and back: results of ours reach the node
             got: list[bytes] = []
             subscriber = node.declare_subscriber(
@@ -280,7 +280,7 @@ def told(small_sensor, eventually):
     def ask(endpoint, **given):
         options = "&".join(f"{name}={value}" for name, value in given.items())
         with open_stream(f"zenoh:{endpoint}?{options}", small_sensor) as stream:
-            eventually(stream.source.problem)
+            eventually(lambda: stream.source.problem)
             assert stream.status().state == "connecting"
             text = stream.status().text
             assert text.endswith(f" ({stream.name})") and endpoint in stream.name
@@ -298,11 +298,11 @@ def test_who_refuses_a_session_is_told_from_who_is_not_there(
     port = free_port()
     at = f"tls/localhost:{port}"
     with open_stream(f"zenoh:{at}?ca={ca}&login={login}", small_sensor) as waits:
-        eventually(waits.source.problem)
+        eventually(lambda: waits.source.problem)
         assert waits.status().text.startswith(f"nothing listens at localhost:{port};")
         with listener(at, Credentials(cert=cert, key=key, login=login)):
-            eventually(lambda: waits.source.link() == "up")
-            assert waits.source.problem() == ""
+            eventually(lambda: waits.source.link == "up")
+            assert waits.source.problem == ""
             signed = "the certificate of localhost is not signed by"
             assert told(at) == f"{signed} an authority that this system knows; check ca="
             assert told(at, ca=other) == f"{signed} ca={other}; check ca="
@@ -348,7 +348,7 @@ def test_a_refusal_of_who_comes_back_is_told(small_sensor, certificates, eventua
         eventually(lambda: "nothing listens at localhost" in stream.status().text)
         with listener(at, Credentials(cert=cert, key=key)) as robot:
             first_frame(stream, lambda: robot.put("quiet", image(time.time_ns())))
-            eventually(lambda: stream.source.problem() == "")
+            eventually(lambda: stream.source.problem == "")
 
 
 def test_a_camera_of_another_size_that_comes_back_is_told(small_sensor, eventually):

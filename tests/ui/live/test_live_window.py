@@ -188,5 +188,5 @@ def test_a_frozen_view_shows_one_frame_everywhere_and_what_it_missed_is_no_outag
     path = record_dents(live.folder / "dents.mcap")
     live.live_controller.connect_to(single(f"replay:{path}", sensor_file(live.folder)))
     live.wait(lambda: "dents.mcap" in live.state.facts.title)
-    live.wait(lambda: live.run.session.sensors[0].stream.source.link() == "ended")
+    live.wait(lambda: live.run.session.sensors[0].stream.source.link == "ended")
     live.wait(lambda: texts(live)[0].startswith("contact") and one_frame_everywhere(live))

@@ -163,14 +163,14 @@ def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) 
 
 def _check(stream: LiveStream, sensor_name: str) -> None:
     stream.check_size(stream.name, sensor_name)
-    if stream.source.link() == "ended" and not stream.counters().frames:
-        why = stream.source.problem() or stream.counters().problem or "it ended without an image"
+    if stream.source.link == "ended" and not stream.counters().frames:
+        why = stream.source.problem or stream.counters().problem or "it ended without an image"
         raise InputError(f"{stream.name}: {why}")
 
 
 def _waiting_for(stream: LiveStream) -> str:
     """What a stream without a frame so far is waited for, and what came instead."""
-    counters, topics = stream.counters(), stream.topics()
+    counters, topics = stream.counters(), stream.source.topics
     if counters.problem and not stream.status().problem:
         return f"no depth image yet: {counters.problem}"
     if topics:
