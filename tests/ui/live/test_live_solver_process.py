@@ -66,7 +66,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     demand = Demand(frozenset({"patch"}))
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     zero.restore(zero.reference_pa + 40.0, waiting=False)
-    server, stream = Server(), open_stream("synthetic:?rate=100&frames=1000", sensor)
+    server, stream = Server(), open_stream("synthetic:?rate=100&frames=30", sensor)
     frames = LiveFrames("press", stream, zero, paired=True)
     with stream:
         while not frames.came(60.0):
@@ -78,18 +78,16 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
         beside, own = session.beside, Pipeline.of(sensor, session.source[0].intrinsics)
         compared = 0
         while compared < 3:
-            there, solved = beside.pid, server.serve(NewestRequest(1, demand))
-            if there is None or not isinstance(solved, Solved):
+            solved = server.serve(NewestRequest(1, demand))
+            if beside.pid is None or not isinstance(solved, Solved):
                 continue
             frame, found = solved.result.frame, solved.result.estimate
             assert frame.gas_pressure_pa == frames[frame.index].gas_pressure_pa - 40.0
-            own.settle(frame)
+            # the process has solved the same frames in the same order, so that it started alike
             expected = own.process(frame, demand.products).estimate
             assert found.status == expected.status and found.trusted
-            # of several mm; to what the frames before it leave in the warm start, which are others
-            # where a slow machine leaves some out
-            np.testing.assert_allclose(found.displacement_m, expected.displacement_m, atol=2e-3)
-            assert beside.pid == there
+            scale = 1e-9 * np.abs(expected.displacement_m).max()
+            np.testing.assert_allclose(found.displacement_m, expected.displacement_m, atol=scale)
             compared += 1
         server.close()
     assert none_left()
