@@ -301,9 +301,14 @@ def test_the_same_name_for_both_outputs(bench):
     ("frames", "words"),
     [
         ("1", "A:B"),
+        ("a:b", "A:B"),
+        ("0:1:1:1", "A:B"),
+        ("", "A:B"),
         ("-1:2", "A:B"),
         ("2:1", "no frame"),
+        ("2:2", "no frame"),
         ("0:3:0", "step"),
+        ("0:4", "outside its 3 frames"),
         ("3:", "outside its 3 frames"),
     ],
 )
