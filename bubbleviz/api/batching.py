@@ -9,7 +9,7 @@ import re
 import shutil
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from hashlib import sha256
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -105,6 +105,8 @@ class Row:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Row:
         """Row from its JSON object; TypeError where that is another's."""
+        if set(values) != {field.name for field in fields(cls)}:
+            raise TypeError("not the fields of a row")
         known: Any = {k: _NAN if v is None and k != "kappa" else v for k, v in values.items()}
         return cls(**known)
 
