@@ -150,12 +150,15 @@ def _wait(
 def _looks(
     stop: threading.Event, duration_s: float | None, began: Callable[[], bool]
 ) -> Iterator[float | None]:
-    """When it began (`time.monotonic`), over and over, until it is stopped or so old."""
+    """Yield at every look when messages began (`time.monotonic`), or None before they did.
+
+    Ends by `stop`, or `duration_s` after they began.
+    """
     first: float | None = None
     while not stop.wait(_LOOK_S):
         first = first or (time.monotonic() if began() else None)
         yield first
-        if duration_s and first and time.monotonic() - first >= duration_s:
+        if duration_s is not None and first and time.monotonic() - first >= duration_s:
             return
 
 

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
 from bubbleviz.api.connecting import offered, sensor_of
 from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
-from bubbleviz.api.results import FrameResult, OneBlasThread
+from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.calibration import PressureZero, zeroed
 from bubbleviz.diagnostics import ShearSummary, shear_line
@@ -140,9 +141,10 @@ class Watcher:
 
     def results(self, timeout_s: float | None) -> Iterator[FrameResult]:
         """What was found in the newest frame, over and over, until the source ends."""
+        blas = ThreadpoolController()  # looking for the libraries takes 2 ms: not at every frame
 
         def step(wait_s: float) -> Result | None:
-            with OneBlasThread():
+            with blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
                 return self.step(wait_s)
 
         for result in self.stream.each(step, timeout_s):
@@ -327,7 +329,10 @@ def _watch(
 def _until_over(
     watcher: Watcher, stop: threading.Event, duration_s: float | None
 ) -> Iterator[Result | None]:
-    """Result of the newest frame, or None where none came soon, over and over."""
+    """Yield the result of each newest frame, or None when no frame arrived within `_LOOK_S`.
+
+    Ends with the source, by `stop`, or after `duration_s`.
+    """
     began = time.monotonic()
     while not stop.is_set() and (duration_s is None or time.monotonic() - began < duration_s):
         ended = watcher.ended  # looked at first: a frame may come before the end is seen

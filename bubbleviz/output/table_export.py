@@ -34,7 +34,7 @@ class FrameTable:
 
     Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
     force, the gas pressure as measured (absolute; NaN where the recording has none), the iterations
-    of the solver and columns of the pose, where those of all frames are known.
+    of the solver, and the columns of the pose where one is given with the frame.
     """
 
     def __init__(
@@ -44,6 +44,7 @@ class FrameTable:
         self._sensor = sensor
         self._rows: list[dict[str, Any]] = []
         self._more: list[dict[str, Any]] = []
+        self._measured = 0  # rows that there were when the measured force was set
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -60,7 +61,9 @@ class FrameTable:
 
     def rows(self) -> list[dict[str, Any]]:
         """Numbers of each frame by key of RESULT.npz."""
-        add_measured_force(self._rows)
+        if self._measured != len(self._rows):  # its bias needs all frames
+            add_measured_force(self._rows)
+            self._measured = len(self._rows)
         return self._rows
 
     def columns(self) -> Table:
