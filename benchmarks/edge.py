@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from benchmarks.edge_bound import PLACE, SHAPE, edge_bound
-from bubbleviz.inverse import RubberEstimator, touching_share
+from bubbleviz.inverse import touching_share
 from bubbleviz.membrane import level_line
 from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
@@ -132,7 +132,6 @@ def _row(
     for k in range(2):
         result = pipeline.process(bank.frame(sighting, noise, k), accuracy.PRODUCTS)
     estimator, press = pipeline.estimator, sighting.press
-    assert isinstance(estimator, RubberEstimator)
     place, shape = (edge_bound(estimator, sighting, degree) for degree in (PLACE, SHAPE))
     row = EdgeRow(
         objects="study's own" if press.object_name in EDGE_OBJECTS else "others",

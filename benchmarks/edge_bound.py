@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.inverse import RubberEstimator, touching_share
+from bubbleviz.inverse import Estimator, touching_share
 from bubbleviz.membrane import MembraneMesh, TriangleScene, level_line
 from bubbleviz.simulation import Sighting
 from bubbleviz.study.accuracy import at_nodes
@@ -34,7 +34,7 @@ class EdgeBound:
 
 
 def edge_bound(
-    estimator: RubberEstimator,
+    estimator: Estimator,
     sighting: Sighting,
     degree: int,  # of the fields, `PLACE` or `SHAPE`
 ) -> EdgeBound:
@@ -89,7 +89,7 @@ def _spread(mesh: MembraneMesh, places: np.ndarray, load: np.ndarray) -> np.ndar
 
 
 def _ranges(
-    estimator: RubberEstimator, sighting: Sighting, moved: np.ndarray, load: np.ndarray
+    estimator: Estimator, sighting: Sighting, moved: np.ndarray, load: np.ndarray
 ) -> np.ndarray:
     """What changes of the nodal loads (n, m) do to the ranges in standard deviations, (k, m)."""
     mesh, own = estimator.mesh, sighting.mesh

@@ -17,12 +17,15 @@ from bubbleviz.camera import DepthCamera, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import (
     LINEAR,
+    PAPER,
     RUBBER,
+    SOLVER_NAMES,
+    ConstantTension,
     ContactRefiner,
     Estimator,
     EstimatorOptions,
     PatchFinder,
-    RubberEstimator,
+    RubberEquilibrium,
     mesh_limits,
     without_small,
 )
@@ -123,7 +126,7 @@ class Pipeline:
         return cls(SensorModel.of(sensor, intrinsics, nodes), options)
 
     @cached_property
-    def estimator(self) -> Estimator | RubberEstimator:
+    def estimator(self) -> Estimator:
         """The inverse solver; built when the first frame needs it."""
         model = self.model
         observer = model.observer(self.options.block)
@@ -133,8 +136,16 @@ class Pipeline:
             stress = rest_stress(model.sensor, model.mesh)
             material = model.sensor, model.mesh, tension, self.options.rim_slack_m, stress
             rubber, varied = build_rubber(*material), varied_rubber(*material)
-            return RubberEstimator(observer, rubber, model.gas, self.options, varied)
-        return Estimator(observer, model.gas, model.tension_n_per_m, self.options)
+            return Estimator(observer, RubberEquilibrium(rubber, model.gas, varied), self.options)
+        film = ConstantTension(model.mesh, model.tension_n_per_m, model.gas)
+        if self.options.solver == PAPER:
+            from bubbleviz.inverse import PaperEstimator  # nobody else needs it
+
+            return PaperEstimator(observer, film, self.options)
+        if self.options.solver not in (None, LINEAR):
+            names = ", ".join(SOLVER_NAMES)
+            raise InputError(f"{self.options.solver}: no such solver; choose one of {names}")
+        return Estimator(observer, film, self.options)
 
     def process(
         self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None
@@ -283,7 +294,7 @@ class Pipeline:
         """
         from bubbleviz.shear import TractionEstimator  # nobody else needs it
 
-        if not isinstance(self.estimator, RubberEstimator):
+        if self.estimator.solver_name != RUBBER:
             raise InputError(
                 f"sensor {self.model.sensor.name}: shear takes the exact membrane; choose "
                 "--solver rubber, or identify the sensor's prestretch"

@@ -70,8 +70,8 @@ class Estimate:
     contact_pressure_pa : (n,) array
         p_c ≥ 0, Pa.
     gas_pressure_change_pa : float
-        p_v, Pa. Where the recording has the gas pressure it is that; of the exact membrane it is
-        what measurement and shape say together.
+        p_v, Pa. Where the recording has the gas pressure it is what measurement and shape say
+        together; the paper's solver takes the measurement as it is.
     residual_rms_m : float
         Root mean square of measured minus modelled range over the pixels used, m.
     kkt_residual : float
@@ -81,24 +81,25 @@ class Estimate:
     solve_ms : float
         Wall time of the solver alone, ms.
     displacement_3d_m : (n, 3) array or None
-        The whole displacement of the exact membrane; None of the linear one.
+        The whole displacement, m.
     unexplained_pressure_pa : (n,) array or None
-        Pressure on the exact membrane that is too little to be evidence of contact, Pa. It is part
-        of the membrane's equilibrium but not of the contact pressure and force.
+        Pressure that is too little to be evidence of contact, Pa. It is part of the membrane's
+        equilibrium but not of the contact pressure and force.
     nodal_force_n : (n, 3) array or None
-        Force of the contact on the nodes of the exact membrane, N: p_c on the current area vectors,
-        and friction; None of the linear model.
+        Force of the contact on the nodes, N: p_c on the current area vectors (of the linear
+        membrane those at rest), and friction.
     friction_n : (n, 3) array or None
-        The part of it that is friction, N.
+        The part of it that is friction, N; 0 of the linear membrane, None of the paper's solver.
     force_n : (3,) array or None
         The sum of `nodal_force_n`, N.
     force_sigma_n : (3,) array or None
-        Standard deviation of that by noise, friction, material and the model's own error.
+        Standard deviation of that by noise, friction, material and the model's own error; None of
+        the paper's solver.
     gas_law_pa : float or None
-        p_v by the gas law for the exact shape, Pa; None of the linear model.
+        p_v by the gas law for the shape, Pa.
     resolution_m : float or None
         Width of its response to a point load at the noise that it was solved with, m; None of the
-        linear model, whose noise is the camera's.
+        paper's solver, whose noise is the camera's.
     reason : str
         Why there is no number to trust, in one clause; empty where there is one.
     fine : FineContact or None
@@ -131,7 +132,7 @@ class Estimate:
 
     @property
     def force_half_width_n(self) -> float:
-        """Half of the 95 % interval of |F|, N; NaN without contact, or of the linear model."""
+        """Half of the 95 % interval of |F|, N; NaN without contact, or of the paper's solver."""
         size = 0.0 if self.force_n is None else float(np.linalg.norm(self.force_n))
         if self.force_n is None or self.force_sigma_n is None or not size > 0.0:
             return float("nan")

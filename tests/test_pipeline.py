@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 from bubbleviz.camera import RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import ActiveSetSolver
+from bubbleviz.inverse import ContactProblem
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.recordings import Frame
 from bubbleviz.shear import FlowField
@@ -103,8 +103,8 @@ def test_kappa_thresholds_again_without_solving(pipeline, source):
 def test_a_contact_free_frame_solves_no_qp(pipeline, source, monkeypatch):
     """No contact, no QP: its solver is not even called."""
     calls = []
-    select = ActiveSetSolver.select
-    monkeypatch.setattr(ActiveSetSolver, "select", lambda *a: (calls.append(1), select(*a))[1])
+    select = ContactProblem.select
+    monkeypatch.setattr(ContactProblem, "select", lambda *a: (calls.append(1), select(*a))[1])
     free = pipeline.process(source[FREE], frozenset({"patch"}))
     assert free.estimate.status == "no_contact"
     assert not calls

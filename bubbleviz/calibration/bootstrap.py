@@ -15,14 +15,17 @@ plus that over blocks, less that over the cells, which both contain (Cameron, Ge
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 from scipy.special import ndtri, stdtrit
 
-from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import DepthStatistics, mean_inflation
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.rest_frames import Samples
 
 DRAWS = 4_000  # the 2.5 % quantile then rests on 100 of them
 _MIN_TILES = 30  # of the image at least: fewer say little about their spread

@@ -16,14 +16,12 @@ from .observer import (
     MAD as MAD,
     SURELY as SURELY,
     BlockSquares as BlockSquares,
-    Linearisation as Linearisation,
     Measured as Measured,
     Misfit as Misfit,
     Observation as Observation,
     RangeObserver as RangeObserver,
     ShapeRanges as ShapeRanges,
     facet_error as facet_error,
-    median as median,
     sagittas as sagittas,
 )
 from .pixel_model import PixelModel as PixelModel, RangeLine as RangeLine

@@ -6,8 +6,7 @@ pixels before the membrane is asked to explain them; the blocks stay below the m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -80,7 +79,11 @@ _HUBER = 1.345  # residual in σ beyond which a pixel counts less: 95 % efficien
 _FAR, _FAR_SHARE = 4.0, 1e-3
 """Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
 
-_WALKED = 0.5  # share of a mesh edge that nodes may have moved by since all rays were cast
+_NEVER = 100.0
+"""Nor is a single one so many σ away, such as a pixel at 60 m."""
+
+_WALKED = 0.5
+"""Share of a mesh edge that nodes may have moved by since all rays were cast."""
 
 _LOOKS = 4  # pixels looked at for outliers of those that are worth one independent sample
 
@@ -107,27 +110,6 @@ class Observation:
     weight: np.ndarray  # (B,), 1/σ² of each block's mean, 1/m²; 0 where no pixel is valid
     # share of the weight that robust weighting left: 1 where noise explains every pixel
     trusted: float
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """Model of the block residuals around a displacement: y(u) ≈ offset_m + D u."""
-
-    hits: Hits  # where the block rays meet the membrane, of those that meet it at rest
-    offset_m: np.ndarray  # (k,), constant part for each hit, m; 0 around u = 0
-    nodes: np.ndarray  # (k, 3) int, corners of the triangle of each hit
-
-    def along_rays(self, displacement_m: np.ndarray) -> np.ndarray:
-        """D u of Eq. 20, (k,)."""
-        if not displacement_m.any():
-            return np.zeros(len(self.nodes))
-        return np.einsum("ij,ij->i", self.hits.sensitivity, displacement_m[self.nodes])
-
-    @cached_property
-    def products(self) -> np.ndarray:
-        """Sensitivities times each other by pair of corners 00, 11, 22, 01, 12, 20; (k, 6)."""
-        b = self.hits.sensitivity
-        return np.concatenate([b * b, b * b[:, [1, 2, 0]]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -235,7 +217,6 @@ class RangeObserver:
         at_rest = self._caster.cast(mesh.nodes, mesh.normals)
         self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
-        self._at_rest = self._linear_at(at_rest, np.zeros(len(mesh.nodes)))
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
@@ -306,7 +287,8 @@ class RangeObserver:
             expected = expected_m.astype(np.float32)
             squares = self._spread.misses_squared(measured.depth_m, expected)
             squares /= np.float32(measured.noise**2)
-            if np.count_nonzero(squares > _FAR**2) > _FAR_SHARE * np.count_nonzero(squares >= 0.0):
+            far, seen = np.count_nonzero(squares > _FAR**2), np.count_nonzero(squares >= 0.0)
+            if far > _FAR_SHARE * seen or (far and (squares > _NEVER**2).any()):
                 total, moment = self._robust_sums(measured, expected)
                 share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
@@ -350,54 +332,11 @@ class RangeObserver:
         """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
         return precision / (1.0 + precision * self._facet_error_m**2)
 
-    def linearise(self, displacement_m: np.ndarray | None = None) -> Linearisation:
-        """Model of the block residuals around a displacement (n,), or the reference."""
-        if displacement_m is None or not displacement_m.any():
-            return self._at_rest
-        hits = self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals)
-        return self._linear_at(self._known_at_rest(hits), displacement_m)
-
     def _known_at_rest(self, hits: Hits) -> Hits:
         return hits.of(np.isfinite(self._rest_range[hits.ray]))
 
-    def _linear_at(self, hits: Hits, displacement_m: np.ndarray) -> Linearisation:
-        nodes = self.mesh.triangles[hits.triangle]
-        linear = Linearisation(hits, hits.range_m - self._rest_range[hits.ray], nodes)
-        return replace(linear, offset_m=linear.offset_m - linear.along_rays(displacement_m))
-
-    def relinearise(
-        self,
-        linear: Linearisation,
-        displacement_m: np.ndarray,  # (n,)
-        triangles: np.ndarray,  # (m,) bool
-    ) -> Linearisation:
-        """The same model, around a displacement (n,) close by for the rays of some triangles.
-
-        Each of these rays walks to its triangle, which takes a fraction of casting them all.
-        """
-        some = np.flatnonzero(triangles[linear.hits.triangle])
-        nodes = self.mesh.deformed(displacement_m)
-        moved = self._caster.recast(nodes, self.mesh.normals, linear.hits.of(some))
-        there = self._linear_at(moved, displacement_m)
-        offset, corners = linear.offset_m.copy(), linear.nodes.copy()
-        offset[some], corners[some] = there.offset_m, there.nodes
-        return Linearisation(linear.hits.with_others(some, moved), offset, corners)
-
-    def predict(self, linear: Linearisation, displacement_m: np.ndarray) -> np.ndarray:
-        """Model of every block's residual at a displacement (n,), (B,) in m; 0 where unknown."""
-        model = np.zeros(self.blocks)
-        model[linear.hits.ray] = linear.offset_m + linear.along_rays(displacement_m)
-        return model
-
-    def misfit(
-        self, observation: Observation, linear: Linearisation, displacement_m: np.ndarray
-    ) -> Misfit:
-        """Residual that a displacement (n,) leaves."""
-        ray, model = linear.hits.ray, linear.offset_m + linear.along_rays(displacement_m)
-        return self.left(observation, ray, observation.residual_m[ray] - model)
-
     def left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
-        """The same for errors (k,) of some blocks."""
+        """Residual that errors (k,) of some blocks leave."""
         weight = observation.weight[block] / observation.trusted
         total = float(weight.sum())
         if total == 0.0:

@@ -51,13 +51,6 @@ class Hits:
         """Hits number `some` (j,)."""
         return Hits(*(getattr(self, field.name)[some] for field in fields(self)))
 
-    def with_others(self, some: np.ndarray, others: Hits) -> Hits:
-        """The same with `others` in place of those number `some` (j,)."""
-        arrays = [getattr(self, field.name).copy() for field in fields(self)]
-        for array, field in zip(arrays, fields(self), strict=True):
-            array[some] = getattr(others, field.name)
-        return Hits(*arrays)
-
 
 class _Facets(NamedTuple):
     faces: np.ndarray  # (m, 3, 3), cross products of the corners, opposite each corner

@@ -14,10 +14,14 @@ from .contact_refiner import (
     mesh_limits as mesh_limits,
 )
 from .estimator import (
-    MAX_LINEAR_NODES as MAX_LINEAR_NODES,
+    ESTIMATORS as ESTIMATORS,
+    LINEAR as LINEAR,
     MAX_NODES as MAX_NODES,
+    PAPER as PAPER,
     PRESSURE_SCALE as PRESSURE_SCALE,
     RIM_SLACK_M as RIM_SLACK_M,
+    RUBBER as RUBBER,
+    SOLVER_NAMES as SOLVER_NAMES,
     Estimator as Estimator,
     EstimatorOptions as EstimatorOptions,
 )
@@ -26,7 +30,11 @@ from .gauss_newton import (
     MODEL_ERROR as MODEL_ERROR,
     NEAR as NEAR,
     SERVES as SERVES,
-    RubberStart as RubberStart,
+    GaussNewton as GaussNewton,
+    Start as Start,
+)
+from .paper import (
+    PaperEstimator as PaperEstimator,
 )
 from .patch import (
     Component as Component,
@@ -41,39 +49,19 @@ from .patch import (
 from .patch_edge import (
     PatchEdge as PatchEdge,
 )
+from .pivoting import (
+    nonnegative_qp as nonnegative_qp,
+    part as part,
+)
 from .plausibility import (
     GAS_NOISE as GAS_NOISE,
-    contradicts_gas as contradicts_gas,
+    contradicts_measured_gas as contradicts_measured_gas,
     gas_sigma as gas_sigma,
     reason_against_fit as reason_against_fit,
     reason_against_gas as reason_against_gas,
 )
-from .problem import (
-    Equilibrium as Equilibrium,
-    FrameProblem as FrameProblem,
-    NormalEquations as NormalEquations,
-    Pressure as Pressure,
-    Scales as Scales,
-    natural_residual as natural_residual,
-)
-from .resolution import (
-    detection_threshold as detection_threshold,
-    information_density as information_density,
-)
 from .response import (
+    ConstantTension as ConstantTension,
     LinearisedRubber as LinearisedRubber,
-)
-from .rubber_estimator import (
-    RubberEstimator as RubberEstimator,
-)
-from .solvers import (
-    ESTIMATORS as ESTIMATORS,
-    LINEAR as LINEAR,
-    RUBBER as RUBBER,
-    SOLVER_NAMES as SOLVER_NAMES,
-    SOLVERS as SOLVERS,
-    ActiveSetSolver as ActiveSetSolver,
-    ReducedHessian as ReducedHessian,
-    nonnegative_qp as nonnegative_qp,
-    part as part,
+    RubberEquilibrium as RubberEquilibrium,
 )

@@ -15,14 +15,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log
-from typing import Protocol
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import solve
 from scipy.linalg.blas import dger
 
+from bubbleviz.inverse.pivoting import nonnegative_qp, part
 from bubbleviz.inverse.resolution import universal_threshold
-from bubbleviz.inverse.solvers import nonnegative_qp, part
+from bubbleviz.inverse.response import Tangent
 from bubbleviz.membrane import (
     MembraneMesh,
     adjacency,
@@ -172,16 +173,6 @@ TouchRule = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Support (n,) bool and the pressure on it → what of it may be contact."""
 
 
-class Response(Protocol):
-    """How a membrane moves around a shape: `LinearisedRubber`, or `LinearResponse`."""
-
-    def responses(self, nodes: np.ndarray, /) -> np.ndarray:
-        """S of unit pressures from inside at nodes (c,), (3n, c), m/Pa."""
-
-    def pull(self, force: np.ndarray, /) -> np.ndarray:
-        """What unit contact pressures do against forces (n, 3), (n,)."""
-
-
 @dataclass(frozen=True)
 class Prior:
     """What is known of contact pressure before a frame.
@@ -324,12 +315,10 @@ class ContactPressure:
         As of `Selection`.
     kkt_residual : float
         ‖min(p, ∇)‖ of the debiased problem on its support, both over their largest.
-    nodes : (s,) int array
-        Those under pressure.
     amplitudes : (a,) array
         Of the nuisances.
-    covariance : (s + a, s + a) array
-        Of the pressures of `nodes`, Pa, and the amplitudes.
+    problem : ContactProblem
+        That this solves.
     """
 
     support: np.ndarray
@@ -339,9 +328,18 @@ class ContactPressure:
     converged: bool
     complete: bool
     kkt_residual: float
-    nodes: np.ndarray
     amplitudes: np.ndarray
-    covariance: np.ndarray
+    problem: ContactProblem
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """Those under pressure, (s,)."""
+        return np.flatnonzero(self.pressure)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the pressures of `nodes`, Pa, and the amplitudes, (s + a, s + a), on this support."""
+        return self.problem.covariance(self.nodes)
 
 
 class ContactProblem:
@@ -349,7 +347,7 @@ class ContactProblem:
 
     Parameters
     ----------
-    membrane : Response
+    membrane : Tangent
     ranges : Ranges
     prior : Prior
     pressure : (n,) array
@@ -360,7 +358,7 @@ class ContactProblem:
 
     def __init__(
         self,
-        membrane: Response,
+        membrane: Tangent,
         ranges: Ranges,
         prior: Prior,
         pressure: np.ndarray,
@@ -377,8 +375,8 @@ class ContactProblem:
         self._among_known = np.empty((0, 0))
         self._by_nuisances = np.empty((0, len(ranges.nuisances.sigma)))
         """Jᵀ W R of the known nodes, with J = D S, (known, a)."""
-        self._weighed = np.empty((len(ranges.weight), 0))
-        """√W D S of the known nodes, (k, known)."""
+        self._weighed: np.ndarray | None = None
+        """Of the known nodes, see `_halves`."""
 
     def nothing_pulls(self) -> bool:
         """Whether no contact pressure at all is the solution; for p₀ = 0."""
@@ -395,7 +393,7 @@ class ContactProblem:
             How often nodes that pull may be added to it; each costs a response of the membrane.
         """
         prior, pivots = self._prior, 0
-        gradient = self._gradient(self._before) + prior.threshold
+        gradient = self.gradient(self._before) + prior.threshold
         work = prior.around(start | (self._before > 0.0)) | self._strongest(gradient, start)
         pressure = self._before
         for _ in range(rounds):
@@ -408,7 +406,7 @@ class ContactProblem:
             x, count, converged = nonnegative_qp(self._hessian, linear, guess)
             pressure = self._everywhere(x)
             pivots += count
-            gradient = self._gradient(pressure) + prior.threshold
+            gradient = self.gradient(pressure) + prior.threshold
             pulled = (gradient < -_SLACK * np.abs(self._linear).max()) & ~work
             if not (converged and pulled.any()):
                 break
@@ -463,7 +461,6 @@ class ContactProblem:
             if np.array_equal(kept, support):
                 break
             support = kept
-        nodes = np.flatnonzero(pressure > 0.0)
         motion, ranges = self._motion(pressure), self._ranges
         amplitudes = ranges.amplitudes(ranges.error_m - ranges.jacobian @ motion.ravel())
         return ContactPressure(
@@ -474,18 +471,38 @@ class ContactProblem:
             selection.converged and solved,
             selection.complete,
             self._kkt(pressure, support) if support.any() else 0.0,
-            nodes,
             amplitudes,
-            self._covariance(nodes),
+            self,
         )
 
-    def _covariance(self, nodes: np.ndarray) -> np.ndarray:
-        """Covariance of the pressures of nodes (s,) and of the amplitudes, (s + a, s + a)."""
+    def around(self, nodes: np.ndarray) -> np.ndarray:
+        """Nodes (n,) bool and those beside them that are not held."""
+        return self._prior.around(nodes) & (self._prior.smoothness.diagonal() > 0.0)
+
+    def covariance(self, nodes: np.ndarray) -> np.ndarray:
+        """Of the pressures of nodes (s,) and the amplitudes, if no others touch, (s + a, s + a)."""
+        if not np.isin(nodes, self._work).all():
+            self._set(nodes)
         alone = self._ranges.nuisance_covariance
         pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._work, nodes)))
         slope = alone @ self._by_nuisances[self._place[nodes]].T  # of the amplitudes by pressure
         across = slope @ pressures
         return np.block([[pressures, across.T], [across, alone + across @ slope.T]])
+
+    def variance(self, nodes: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Of a force (3,) of those unknowns with unit forces (s + a, 3), N²."""
+        if not np.isin(nodes, self._work).all():
+            self._set(nodes)
+        alone, by_amplitudes = self._ranges.nuisance_covariance, force[len(nodes) :]
+        hessian = part(self._hessian, np.searchsorted(self._work, nodes))
+        unit = force[: len(nodes)] + self._by_nuisances[self._place[nodes]] @ alone @ by_amplitudes
+        variance: np.ndarray = (unit * solve(hessian, unit, assume_a="pos")).sum(axis=0)
+        return variance + (by_amplitudes * (alone @ by_amplitudes)).sum(axis=0)
+
+    def pulled(self, nodes: np.ndarray, ranges_m: np.ndarray) -> np.ndarray:
+        """Gradient of the misfit by the pressures of nodes (s,), for ranges (k,) left, 1/Pa."""
+        S = self._membrane.coordinates(nodes)
+        return S.T @ (self._rows.T @ self._ranges.weighed(ranges_m))
 
     def _on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support alone."""
@@ -506,40 +523,74 @@ class ContactProblem:
         self._hessian = part(self._among_known, where) + dense_part(self._prior.smoothness, work)
         by_nuisances = self._by_nuisances[where]
         self._hessian -= by_nuisances @ self._ranges.nuisance_covariance @ by_nuisances.T
-        gradient = self._gradient(self._before)[work]
+        gradient = self.gradient(self._before)[work]
         self._linear = gradient - self._hessian @ self._before[work]
 
     def _know(self, nodes: np.ndarray) -> None:
         """Find what the pressures of some more nodes (c,) do to the ranges."""
         if not len(nodes):
             return
-        J = self._ranges.jacobian @ self._membrane.responses(nodes)
-        by_nuisances = J.T @ self._ranges.nuisances_weighed
+        S = self._membrane.coordinates(nodes)
+        by_nuisances = S.T @ (self._rows.T @ self._ranges.nuisances_weighed)
         self._by_nuisances = np.concatenate([self._by_nuisances, by_nuisances])
-        J *= np.sqrt(self._ranges.weight)[:, None]
+        half, weighed = self._halves(S)
         before = len(self._known)
         self._place[nodes] = before + np.arange(len(nodes))
         self._known = np.concatenate([self._known, nodes])
-        between = J.T @ self._weighed
         among = np.empty((len(self._known), len(self._known)))
         among[:before, :before] = self._among_known
-        among[before:, :before], among[:before, before:] = between, between.T
-        among[before:, before:] = J.T @ J  # by itself: half the work
-        self._weighed = np.hstack([self._weighed, J]) if before else J
-        self._among_known = among
+        among[before:, before:] = half.T @ weighed
+        if self._weighed is not None:
+            between = half.T @ self._weighed
+            among[before:, :before], among[:before, before:] = between, between.T
+            weighed = np.hstack([self._weighed, weighed])
+        self._weighed, self._among_known = weighed, among
+
+    @cached_property
+    def _rows(self) -> sparse.csr_array:
+        """D by the membrane's coordinates, (k, m)."""
+        return self._membrane.by_coordinates(self._ranges.jacobian)
+
+    @cached_property
+    def _information(self) -> sparse.csr_array | None:
+        """Dᵀ W D, (m, m); None where D has hardly more rows than that."""
+        rows = self._rows
+        if rows.shape[0] < 2 * rows.shape[1]:
+            return None
+        return (rows.T @ sparse.diags_array(self._ranges.weight) @ rows).tocsr()
+
+    def _halves(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Two matrices (…, c) for motions S (m, c), the first of which times the second is SᵀDᵀWDS.
+
+        They are S and DᵀWDS, or twice √W D S: whichever is smaller.
+        """
+        if self._information is not None:
+            return S, self._information @ S
+        seen = self._rows @ S
+        seen *= np.sqrt(self._ranges.weight)[:, None]
+        return seen, seen
 
     def _strongest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
         """As many of the nodes that pull most as the start has; the others come later."""
         most = min(int(np.count_nonzero(start)) or _LEAST, len(gradient) - 1)
         return gradient < min(0.0, np.partition(gradient, most)[most])
 
-    def _gradient(self, pressure: np.ndarray) -> np.ndarray:
+    def gradient(self, pressure: np.ndarray) -> np.ndarray:
         """Gradient of misfit and H1 term, (n,)."""
         data = self._at_before
         if pressure is not self._before:
             moved = self._motion(pressure) - self._relaxing
             data = data - self._pull(self._ranges.jacobian @ moved.ravel())
         return data + self._prior.smoothness @ pressure
+
+    def kkt_residual(self, pressure: np.ndarray) -> float:
+        """‖min(p, ∇)‖ of a pressure (n,) on its own support without the L1 term; both relative."""
+        where = pressure > 0.0
+        if not where.any():
+            return 0.0
+        scale = float(np.abs(self._at_before).max())
+        gradient = self.gradient(pressure)[where] / scale
+        return float(np.abs(np.minimum(pressure[where] / pressure.max(), gradient)).max())
 
     def _kkt(self, pressure: np.ndarray, support: np.ndarray) -> float:
         gradient = (self._hessian @ pressure[self._work] + self._linear)[support[self._work]]
@@ -553,7 +604,9 @@ class ContactProblem:
         if not change.any():
             return self._relaxing
         nodes = np.flatnonzero(change)
-        return self._relaxing - (self._membrane.responses(nodes) @ change[nodes]).reshape(-1, 3)
+        return self._relaxing - self._membrane.moved(
+            self._membrane.coordinates(nodes) @ change[nodes]
+        )
 
     def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
         weighted = self._ranges.transposed @ self._ranges.weighed(ranges_m)

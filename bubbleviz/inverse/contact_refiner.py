@@ -23,10 +23,8 @@ from bubbleviz.inverse.contact_problem import (
 )
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.gauss_newton import SERVES
-from bubbleviz.inverse.problem import LinearEquilibrium
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
-from bubbleviz.inverse.response import RubberEquilibrium
-from bubbleviz.inverse.rubber_estimator import RubberEstimator
+from bubbleviz.inverse.response import ConstantTension, Equilibrium, RubberEquilibrium
 from bubbleviz.membrane import MembraneMesh, Refined, grown, parts_with, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
@@ -57,7 +55,7 @@ class _Part:
         Nodes of the whole mesh whose triangles are finer.
     finer : Refined
     observer : RangeObserver
-    equilibrium : RubberEquilibrium or LinearEquilibrium
+    equilibrium : Equilibrium
     prior : Prior
     resolution_m : float
         At the noise of the camera.
@@ -66,7 +64,7 @@ class _Part:
     cut: np.ndarray
     finer: Refined
     observer: RangeObserver
-    equilibrium: RubberEquilibrium | LinearEquilibrium
+    equilibrium: Equilibrium
     prior: Prior
     resolution_m: float
 
@@ -79,11 +77,11 @@ class ContactRefiner:
     Parameters
     ----------
     model : SensorModel
-    estimator : RubberEstimator or Estimator
+    estimator : Estimator
         Of the same sensor.
     """
 
-    def __init__(self, model: SensorModel, estimator: RubberEstimator | Estimator) -> None:
+    def __init__(self, model: SensorModel, estimator: Estimator) -> None:
         self._model, self._estimator = model, estimator
         self._serves_m = SERVES * 0.5 * model.mesh.edge_length
         self._last: _Part | None = None
@@ -142,12 +140,12 @@ class ContactRefiner:
             resolution_m(estimator.prior_weight, self._model.tension_n_per_m, seen),
         )
 
-    def _equilibrium(self, finer: Refined) -> RubberEquilibrium | LinearEquilibrium:
-        estimator = self._estimator
-        if isinstance(estimator, RubberEstimator):
-            membrane = estimator.membrane.on(finer.mesh, finer.parent)
-            return RubberEquilibrium(membrane, estimator.gas)
-        return LinearEquilibrium(finer.mesh, self._model.tension_n_per_m)
+    def _equilibrium(self, finer: Refined) -> Equilibrium:
+        whole = self._estimator.equilibrium
+        if isinstance(whole, RubberEquilibrium):
+            membrane = whole.membrane.on(finer.mesh, finer.parent)
+            return RubberEquilibrium(membrane, whole.gas)
+        return ConstantTension(finer.mesh, whole.tension_n_per_m, whole.gas.behind(finer.mesh))
 
     def _observer(self, mesh: MembraneMesh, inside: np.ndarray) -> RangeObserver:
         """Of the pixels that see some triangles (m,) bool of the whole mesh at rest."""
@@ -205,7 +203,7 @@ class ContactRefiner:
         )
 
 
-def mesh_limits(estimator: RubberEstimator | Estimator) -> bool:
+def mesh_limits(estimator: Estimator) -> bool:
     """Whether an estimator's mesh blurs contacts more than the noise of its camera does."""
     return estimator.resolution_m < _SENSOR_LIMIT * estimator.mesh.edge_length
 

@@ -1,4 +1,4 @@
-"""One frame of the exact membrane: Gauss–Newton steps to its shape and contact pressure."""
+"""One frame: Gauss–Newton steps to the shape of the membrane and its contact pressure."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ from bubbleviz.inverse.contact_problem import (
     evident,
     friction_loads,
 )
-from bubbleviz.inverse.estimator import MINIMUM_BLOCKS
-from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
+from bubbleviz.inverse.plausibility import (
+    IMPLAUSIBLE_MISFIT,
+    contradicts_measured_gas,
+    gas_sigma,
+)
 from bubbleviz.inverse.resolution import sampled, universal_threshold
-from bubbleviz.inverse.response import LinearisedRubber, RubberEquilibrium
+from bubbleviz.inverse.response import Equilibrium, Tangent
 from bubbleviz.membrane import Gas, parts_with
 from bubbleviz.result import Status
 
@@ -39,6 +42,11 @@ by then the shape stands, or model and data contradict each other."""
 _SELECTIONS, _ROUNDS = 2, 6
 """Times that the support is looked for anew where the shape stands, and how often nodes that pull
 are added to it each time."""
+MINIMUM_BLOCKS = 3
+"""A plane's worth of blocks: with fewer, no dent can be told from a shift of the sensor."""
+_LIKELIEST = 300
+"""Nodes of a contact up to which the likeliest support is looked for: an exchange of one node costs
+the square of them, and the edge of a larger contact is a small part of it. Chosen."""
 _LONGEST = 2.0
 """Longest step in mesh edges."""
 MODEL_ERROR = 0.02
@@ -79,14 +87,14 @@ class State:
 
 
 @dataclass(frozen=True)
-class RubberStart:
-    """What `RubberEstimator.estimate` hands from one frame to the next.
+class Start:
+    """What `Estimator.estimate` hands from one frame to the next.
 
     Attributes
     ----------
     state : State or None
         None: the frame had no contact, or nothing is known of it.
-    rubber : LinearisedRubber or None
+    tangent : Tangent or None
         Tangent that was used last.
     noise : float
         By how much more than its noise the frame before was missed, a first guess for the next.
@@ -100,7 +108,7 @@ class RubberStart:
     """
 
     state: State | None = None
-    rubber: LinearisedRubber | None = None
+    tangent: Tangent | None = None
     noise: float = 1.0
     reached: State | None = None
     measured: Measured | None = None
@@ -165,7 +173,7 @@ class Step:
         Its longest motion along an axis, and along the membrane's normals: a depth image shows
         nothing of motion along the membrane.
     contact : ContactPressure
-    rubber : LinearisedRubber
+    tangent : Tangent
     ranges : Ranges
     left_m : (k,) array
         Errors of the ranges that it leaves, to first order.
@@ -177,7 +185,7 @@ class Step:
     moved_m: float
     seen_m: float
     contact: ContactPressure
-    rubber: LinearisedRubber
+    tangent: Tangent
     ranges: Ranges
     left_m: np.ndarray
     solve_ms: float
@@ -221,7 +229,7 @@ class GaussNewton:
     Parameters
     ----------
     observer : RangeObserver
-    equilibrium : RubberEquilibrium
+    equilibrium : Equilibrium
     smoothness : (n, n) sparse array
         λ L of the H1 term.
     length_m : float
@@ -238,7 +246,7 @@ class GaussNewton:
     def __init__(
         self,
         observer: RangeObserver,
-        equilibrium: RubberEquilibrium,
+        equilibrium: Equilibrium,
         smoothness: sparse.csr_array,
         length_m: float,
         friction: float,
@@ -251,7 +259,7 @@ class GaussNewton:
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
         self._rest = State(rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest))
-        self._rest_rubber = {
+        self._rest_tangent = {
             measured: equilibrium.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
         }
@@ -271,13 +279,13 @@ class GaussNewton:
         n = len(mesh.free)
         sample = mesh.free[sampled(n)]
         D = sparse.diags_array(np.sqrt(weight)) @ view.jacobian
-        sigma = np.linalg.norm(D @ self._rest_rubber[False].responses(sample), axis=0)
+        sigma = np.linalg.norm(D @ self._rest_tangent[False].responses(sample), axis=0)
         self._tau = universal_threshold(sigma / mesh.areas[sample], n) * mesh.areas
         self._weight = float(weight.sum())
         self.weight_density = float(weight.sum() / mesh.facet_areas.sum())
 
     def solve(
-        self, measured: Measured, measured_gas: float | None, start: RubberStart
+        self, measured: Measured, measured_gas: float | None, start: Start
     ) -> SolvedFrame | FailedFrame:
         """Steps until the shape stands, on a support found anew while it moves far.
 
@@ -296,7 +304,7 @@ class GaussNewton:
         measured : Measured
         measured_gas : float or None
             p_v, Pa; None: it follows from the volume.
-        start : RubberStart
+        start : Start
 
         Raises
         ------
@@ -304,7 +312,7 @@ class GaussNewton:
             A singular tangent, or Hessian.
         """
         state, warm = start.state or self._rest, start.state is not None
-        view, rubber, noise = start.view, start.rubber, start.noise
+        view, tangent, noise = start.view, start.tangent, start.noise
         noises: list[float] = []  # that the frame was solved with; inf: for a first guess
         selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
         ahead: _Sight | None = None
@@ -314,15 +322,15 @@ class GaussNewton:
             ahead = None
             follows = warm and steps == 1 and not noises
             if follows and self._is_better_from_rest(measured, measured_gas, sight, noise):
-                return self.solve(measured, measured_gas, RubberStart())
+                return self.solve(measured, measured_gas, Start())
             if failure := self._unlike_a_membrane(sight, state):
                 return failure
             known = warm or bool(noises)  # how much more than the noise is left
             rounds = (_ROUNDS if known else 1) if selecting else 0
-            step = self._step(rubber, state, sight, measured_gas, noise, rounds)
+            step = self._step(tangent, state, sight, measured_gas, noise, rounds)
             if step is None:
                 break
-            state, view, rubber = step.state, sight.view, step.rubber
+            state, view, tangent = step.state, sight.view, step.tangent
             solve_ms += step.solve_ms
             far = step.moved_m > self._far_m
             far_steps += selecting and far and step.moved_m < 0.9 * self._longest_m
@@ -346,7 +354,8 @@ class GaussNewton:
                 break
             else:
                 selecting = far
-        return FailedFrame("not_converged", state)
+        unlike = noise > IMPLAUSIBLE_MISFIT
+        return FailedFrame("implausible" if unlike else "not_converged", state)
 
     def _look(self, measured: Measured, state: State, last: ShapeRanges | None) -> _Sight:
         """The image beside the camera's model of a state, close to a shape seen before."""
@@ -370,10 +379,10 @@ class GaussNewton:
     ) -> bool:
         """Whether a frame is to be solved from rest, and not from the frame before."""
         if noise < 1.0:  # by the noise of the sensor nothing may pull at the membrane at rest
-            rubber = self._rest_rubber[gas is not None]
+            tangent = self._rest_tangent[gas is not None]
             sight_at_rest = self._look(measured, self._rest, None)
-            ranges = self._ranges(rubber, self._rest, sight_at_rest, gas)
-            if self._problem(rubber, ranges, self._rest, gas).nothing_pulls():
+            ranges = self._ranges(tangent, self._rest, sight_at_rest, gas)
+            if self._problem(tangent, ranges, self._rest, gas).nothing_pulls():
                 return True
         return sight.is_nearer_at_rest
 
@@ -387,7 +396,9 @@ class GaussNewton:
 
     def _answer(
         self, step: Step, sight: _Sight, gas: float | None, noise: float, solve_ms: float
-    ) -> SolvedFrame:
+    ) -> SolvedFrame | FailedFrame:
+        if _seen_blocks(sight, step.contact.pressure) < np.count_nonzero(step.contact.pressure):
+            return FailedFrame("no_data", step.state)
         misfit = self.observer.left(sight.observation, sight.view.block, step.left_m)
         contradicts = self._contradicts(step.state.gas, gas)
         contact = evident(self.mesh, step.contact)
@@ -398,7 +409,7 @@ class GaussNewton:
 
     def _step(
         self,
-        last: LinearisedRubber | None,
+        last: Tangent | None,
         state: State,
         sight: _Sight,
         gas: float | None,
@@ -406,24 +417,24 @@ class GaussNewton:
         rounds: int,
     ) -> Step | None:
         """A step from a state, with its support found anew in so many rounds; None: no answer."""
-        rubber = self._rubber_at(state, gas, last)
-        ranges = self._ranges(rubber, state, sight, gas, noise)
+        tangent = self._tangent_at(state, gas, last)
+        ranges = self._ranges(tangent, state, sight, gas, noise)
         began = time.perf_counter()
-        contact = self._contact(rubber, ranges, state, gas, rounds)
+        contact = self._contact(tangent, ranges, state, gas, rounds)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
-        ahead, balanced = self._advanced(rubber, state, ranges, contact, gas)
+        ahead, balanced = self._advanced(tangent, state, ranges, contact, gas)
         motion = ahead.x - state.x
         left = sight.error_m - sight.view.jacobian @ motion.ravel()
-        size = np.maximum(np.linalg.norm(rubber.area_vectors, axis=1), np.finfo(float).tiny)
-        along = np.einsum("ij,ij->i", motion, rubber.area_vectors) / size
+        size = np.maximum(np.linalg.norm(tangent.area_vectors, axis=1), np.finfo(float).tiny)
+        along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
         moved, seen = float(np.abs(motion).max()), float(np.abs(along).max())
-        return Step(ahead, balanced, moved, seen, contact, rubber, ranges, left, solve_ms)
+        return Step(ahead, balanced, moved, seen, contact, tangent, ranges, left, solve_ms)
 
     def _ranges(
         self,
-        rubber: LinearisedRubber,
+        tangent: Tangent,
         state: State,
         sight: _Sight,
         gas: float | None,
@@ -432,20 +443,20 @@ class GaussNewton:
         """What an image says near a shape, where it has so many times the camera's noise."""
         weight = sight.weight / noise**2
         return Ranges(
-            sight.view.jacobian, sight.error_m, weight, self._nuisances(rubber, state, gas)
+            sight.view.jacobian, sight.error_m, weight, self._nuisances(tangent, state, gas)
         )
 
-    def _nuisances(self, rubber: LinearisedRubber, state: State, gas: float | None) -> Nuisances:
+    def _nuisances(self, tangent: Tangent, state: State, gas: float | None) -> Nuisances:
         """Error of a measured gas pressure, and friction of the contacts that a state has."""
         forces, motions, sigma = [], [], []
         if gas is not None:
             forces.append(np.zeros((*state.x.shape, 1)))
-            motions.append(rubber.bulge[:, :, None])
+            motions.append(tangent.bulge[:, :, None])
             sigma.append(gas_sigma(self.equilibrium.gas, gas))
         if self._friction > 0.0 and state.pressure.any():
-            loads = friction_loads(rubber.x, rubber.area_vectors, state.pressure, self.mesh.rings)
+            loads = friction_loads(tangent.x, tangent.area_vectors, state.pressure, self.mesh.rings)
             forces.append(loads)
-            motions.append(rubber.motion(loads))
+            motions.append(tangent.motion(loads))
             sigma += loads.shape[2] * [self._friction]
         if not sigma:
             return Nuisances.none(len(state.x))
@@ -453,47 +464,50 @@ class GaussNewton:
             np.concatenate(motions, axis=2), np.array(sigma), np.concatenate(forces, axis=2)
         )
 
+    def threshold(self, ranges: Ranges) -> np.ndarray:
+        """τ of the L1 term (n,) for what an image says, 1/Pa."""
+        return self._tau * np.sqrt(ranges.weight.sum() / self._weight)
+
     def _problem(
-        self, rubber: LinearisedRubber, ranges: Ranges, state: State, gas: float | None
+        self, tangent: Tangent, ranges: Ranges, state: State, gas: float | None
     ) -> ContactProblem:
-        tau = self._tau * np.sqrt(ranges.weight.sum() / self._weight)
-        prior = Prior(self._smoothness, tau, self.mesh.rings)
-        relaxing = self._relaxing(rubber, state, gas)
-        return ContactProblem(rubber, ranges, prior, state.pressure, relaxing)
+        prior = Prior(self._smoothness, self.threshold(ranges), self.mesh.rings)
+        relaxing = self._relaxing(tangent, state, gas)
+        return ContactProblem(tangent, ranges, prior, state.pressure, relaxing)
 
     def _contact(
         self,
-        rubber: LinearisedRubber,
+        tangent: Tangent,
         ranges: Ranges,
         state: State,
         gas: float | None,
         rounds: int,
     ) -> ContactPressure:
-        problem = self._problem(rubber, ranges, state, gas)
+        problem = self._problem(tangent, ranges, state, gas)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support, rounds)
         change = self.equilibrium.gas_at(state.x)[0] if gas is None else gas
         if self.equilibrium.gas.zero_sigma_pa:  # what was measured may be far off: as found so far
             change = state.gas
-        least = self.equilibrium.membrane.gauge_pressure_pa + change
+        least = self.equilibrium.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return parts_with(self.mesh.rings, pressure >= least, support)
 
-        if rounds and selection.support.any():
+        if rounds and 0 < np.count_nonzero(selection.support) <= _LIKELIEST:
             selection = problem.likeliest(selection)
         return problem.refine(selection, touches)
 
-    def _relaxing(self, rubber: LinearisedRubber, state: State, gas: float | None) -> np.ndarray:
+    def _relaxing(self, tangent: Tangent, state: State, gas: float | None) -> np.ndarray:
         """Motion (n, 3) to equilibrium under a state's pressure, to first order."""
         if state is self._rest:  # in equilibrium but for a gas pressure that was measured
-            return np.zeros_like(state.x) if gas is None else gas * rubber.bulge
-        return rubber.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
+            return np.zeros_like(state.x) if gas is None else gas * tangent.bulge
+        return tangent.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
 
     def _advanced(
         self,
-        rubber: LinearisedRubber,
+        tangent: Tangent,
         state: State,
         ranges: Ranges,
         contact: ContactPressure,
@@ -512,7 +526,7 @@ class GaussNewton:
         friction = ranges.nuisances.forces @ contact.amplitudes
         x, balanced = ahead, state is self._rest and not contact.motion.any()
         if share == 1.0 and not balanced:
-            x, balanced, _ = self.equilibrium.settled(rubber, ahead, pressure, inside, friction)
+            x, balanced, _ = self.equilibrium.settled(tangent, ahead, pressure, inside, friction)
             balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead
@@ -520,13 +534,11 @@ class GaussNewton:
             inside = self.equilibrium.gas_at(x)[0]
         return State(x, pressure, contact.support, inside, friction), balanced
 
-    def _rubber_at(
-        self, state: State, gas: float | None, last: LinearisedRubber | None
-    ) -> LinearisedRubber:
+    def _tangent_at(self, state: State, gas: float | None, last: Tangent | None) -> Tangent:
         """A tangent taken close to a state: the last one, where it still serves."""
         measured = gas is not None
         if state is self._rest:
-            return self._rest_rubber[measured]
+            return self._rest_tangent[measured]
         if (
             last is not None
             and last.with_gas is not measured
@@ -537,7 +549,7 @@ class GaussNewton:
 
     def _contradicts(self, asked_pa: float, measured_pa: float | None) -> bool:
         """Whether the shape asks for another p_v than was measured, if it was."""
-        gas, gauge = self.equilibrium.gas, self.equilibrium.membrane.gauge_pressure_pa
+        gas, gauge = self.equilibrium.gas, self.equilibrium.held_pressure_pa
         return measured_pa is not None and contradicts_measured_gas(
             asked_pa, measured_pa, gas, gauge
         )
@@ -550,45 +562,54 @@ class GaussNewton:
         predicted = np.full(self.observer.blocks, np.nan)
         predicted[ahead.view.block] = ahead.error_m
         beyond = np.nan_to_num(predicted[sight.view.block] - step.left_m)
-        force = self._unit_forces(step, touching)
+        nodes = step.contact.nodes
+        force = self._unit_forces(step, touching, nodes)
         change = self._change(step, beyond) @ force
-        return bool((change**2 <= _variance(step, force)).all())
+        return bool((change**2 <= step.contact.problem.variance(nodes, force)).all())
 
     def _sigma(self, step: Step, contact: np.ndarray) -> np.ndarray:
-        """Standard deviation by noise, nuisances, material and model of the force (3,), N."""
+        """Standard deviation by noise, nuisances, material and model of the force (3,), N.
+
+        The support is known to a node: those beside it may touch, too.
+        """
         if not contact.any():
             return np.zeros(3)
-        force = self._unit_forces(step, contact)
-        variance = _variance(step, force)
-        for motion in step.rubber.by_material.T:
-            variance += (self._change(step, step.ranges.jacobian @ motion) @ force) ** 2
+        problem, force = step.contact.problem, self._unit_forces(step, contact, step.contact.nodes)
+        by_material = [
+            self._change(step, step.ranges.jacobian @ motion) @ force
+            for motion in step.tangent.by_material.T
+        ]
         unknowns = np.concatenate(
             [step.contact.pressure[step.contact.nodes], step.contact.amplitudes]
         )
         model = MODEL_ERROR * np.linalg.norm(unknowns @ force)
-        return np.sqrt(variance + model**2)
+        around = np.flatnonzero(problem.around(step.contact.pressure > 0.0))
+        force = self._unit_forces(step, problem.around(contact), around)
+        variance = problem.variance(around, force)
+        return np.sqrt(variance + np.square(by_material).sum(axis=0) + model**2)
 
     def _change(self, step: Step, ranges_m: np.ndarray) -> np.ndarray:
         """Change of pressures and amplitudes (s + a,) where the ranges (k,) change."""
-        contact, ranges = step.contact, step.ranges
-        count = len(contact.nodes)
-        S = step.rubber.responses(contact.nodes)
-        pull = S.T @ (ranges.transposed @ ranges.weighed(ranges_m))
+        contact, count = step.contact, len(step.contact.nodes)
+        pull = contact.problem.pulled(contact.nodes, ranges_m)
         change: np.ndarray = -contact.covariance[:, :count] @ pull
-        change[count:] += ranges.amplitudes(ranges_m)
+        change[count:] += step.ranges.amplitudes(ranges_m)
         return change
 
-    def _unit_forces(self, step: Step, nodes: np.ndarray) -> np.ndarray:
-        """Force on some nodes (n,) bool of unit pressures and amplitudes, (s + a, 3)."""
-        push = -self.equilibrium.membrane.volume_gradient(step.state.x)
-        friction = step.ranges.nuisances.forces[nodes].sum(axis=0).T
-        return np.concatenate([(push * nodes[:, None])[step.contact.nodes], friction])
+    def _unit_forces(self, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """Force by unit pressures of nodes (s,) and amplitudes, (s + a, 3), where counted (n,)."""
+        push = -self.equilibrium.area_vectors(step.state.x) * counted[:, None]
+        friction = step.ranges.nuisances.forces[counted].sum(axis=0).T
+        return np.concatenate([push[nodes], friction])
 
 
-def _variance(step: Step, force: np.ndarray) -> np.ndarray:
-    """Variance by noise and nuisances of the force (3,) with unit forces (s + a, 3), N²."""
-    variance: np.ndarray = np.einsum("ik,ij,jk->k", force, step.contact.covariance, force)
-    return variance
+def _seen_blocks(sight: _Sight, pressure: np.ndarray) -> int:
+    """Blocks of pixels that see a facet with a node under pressure (n,)."""
+    jacobian = sight.view.jacobian
+    touched = (pressure > 0.0)[jacobian.indices // 3]
+    row = np.repeat(np.arange(jacobian.shape[0]), np.diff(jacobian.indptr))
+    sees = np.bincount(row[touched], minlength=jacobian.shape[0]) > 0
+    return int(np.count_nonzero(sees & (sight.weight > 0.0)))
 
 
 def _settled(found: float, noise: float, before: list[float]) -> bool:

@@ -13,10 +13,6 @@ from bubbleviz.inverse.patch_edge import PatchEdge
 from bubbleviz.membrane import MembraneMesh, connected_parts
 from bubbleviz.result import Estimate, FineContact, Patch
 
-LINEAR_ERROR = 0.05
-"""Share of the load that the linear model misplaces: its error in force on a ball pressed 2 mm into
-the bubble, against the exact solution; it grows with depth."""
-
 
 def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
     """Mean contact pressure over the membrane, Aᵀp_c / ‖A‖₁, Pa."""
@@ -26,11 +22,7 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
 class PatchFinder:
     """Finds the patch in an estimate.
 
-    By default the physics of contact draws it: on the linear membrane each part must somewhere
-    reach the gas pressure, as what lies on something flat or convex does, and carry more than what
-    noise or the model's own error could put there; the exact membrane's estimate has only such
-    parts.
-    `PatchEdge` finds their edge.
+    By default it is what the estimate has under pressure, with the edge that `PatchEdge` finds.
     With a factor κ it is the paper's: wherever p_c exceeds κ times its mean over the membrane.
 
     Parameters
@@ -58,9 +50,7 @@ class PatchFinder:
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
         """Patch of an estimate: what carries the gas pressure, or by the paper's threshold κ.
 
-        The former is drawn on the estimate's finer mesh where it has one. The force is that of the
-        whole contact pressure; the centre of pressure is that of the parts in contact, so that
-        what noise puts elsewhere does not pull it aside.
+        The former is drawn on the estimate's finer mesh where it has one.
         """
         if kappa is None and estimate.fine is not None:
             patch = self._on_finer(estimate, estimate.fine)
@@ -77,8 +67,8 @@ class PatchFinder:
             threshold = 0.5 * gas
             resolution = estimate.resolution_m or self._resolution_m
             band = self._edge.blur_m(resolution)
-            contact, part = self._contacts(estimate, gas, band)
-            level = self._level(contact, part, gas, resolution)
+            contact = pressure
+            level = self._level(contact, gas, resolution)
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
@@ -118,38 +108,10 @@ class PatchFinder:
             torque_nm=np.cross(arm, force).sum(axis=0),
         )
 
-    def _contacts(
-        self, estimate: Estimate, gas_pa: float, blur_m: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Contact pressure (n,) of the connected parts that are contact, and part of each node.
-
-        Elsewhere the pressure is 0 Pa; what is too low to be in one has part −1: on the linear
-        membrane, where noise leaves some pressure everywhere, below half the gas pressure. The
-        estimate of the exact membrane has found its contacts itself.
-        """
-        pressure, linear = estimate.contact_pressure_pa, estimate.force_n is None
-        above = pressure > (0.5 * gas_pa if linear else 0.0)
-        part = np.full(len(pressure), -1)
-        if not above.any():
-            return np.zeros(len(pressure)), part
-        parts, part[above] = connected_parts(self._mesh.rings, above)
-        if not linear:
-            return pressure, part
-        highest = np.zeros(parts)
-        np.maximum.at(highest, part[above], pressure[above])
-        touches = highest >= gas_pa
-        load = self._mesh.areas * pressure
-        loads = np.bincount(part[above], load[above], minlength=parts)
-        least = LINEAR_ERROR * float(load.sum())
-        touches &= loads >= max(gas_pa * np.pi * blur_m**2, least)
-        contact = np.zeros(len(pressure))
-        contact[above] = np.where(touches[part[above]], pressure[above], 0.0)
-        return contact, part
-
-    def _level(
-        self, contact: np.ndarray, part: np.ndarray, gas_pa: float, resolution_m: float
-    ) -> np.ndarray:
+    def _level(self, contact: np.ndarray, gas_pa: float, resolution_m: float) -> np.ndarray:
         level = self._edge.level_set(contact, gas_pa, resolution_m)
+        part = np.full(len(contact), -1)
+        _, part[contact > 0.0] = connected_parts(self._mesh.rings, contact > 0.0)
         drawn = np.zeros(part.max(initial=-1) + 2, bool)
         drawn[part[level > 0.0]] = True
         # A contact smaller than the resolution has no edge to draw: its nodes are the patch.

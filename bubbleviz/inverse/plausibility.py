@@ -8,7 +8,6 @@ from types import MappingProxyType
 import numpy as np
 
 from bubbleviz.camera import Misfit
-from bubbleviz.inverse.problem import FrameProblem
 from bubbleviz.membrane import Gas
 from bubbleviz.result import Status
 
@@ -30,9 +29,10 @@ IMPLAUSIBLE_CLUMPING = 6.0
 """Clumping beyond which residuals that averaging over blocks has not made smaller are not the
 white noise of the sensor file; up to it the force is off by less than a tenth."""
 
-GAS_LINEAR = 0.1
-"""Compression p_v/P0 beyond which the linear gas law (Eq. 22) is off by a tenth of p_v."""
-
+IMPLAUSIBLE_SHARE = 0.2
+"""Misfit over the membrane's size beyond which an image shows noise and no membrane, however well
+that noise was told by its own scatter. Chosen; eight times the noise of the sensor file leave 0.05
+of it."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
@@ -55,7 +55,7 @@ def reason_against_gas(change_pa: float, gas: Gas) -> str:
     )
 
 
-def reason_against_fit(misfit: Misfit, white: bool) -> str:
+def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
     """Why a misfit is not what the noise leaves; empty where it is.
 
     Parameters
@@ -63,38 +63,15 @@ def reason_against_fit(misfit: Misfit, white: bool) -> str:
     misfit : Misfit
     white : bool
         Whether the noise should be white, see `RangeObserver.white`.
+    size_m : float
+        Size of the membrane, m.
     """
+    if misfit.rms_m > IMPLAUSIBLE_SHARE * size_m:
+        return f"depths are {1e3 * misfit.rms_m:.0f} mm off any shape of this membrane"
     if misfit.deviations > IMPLAUSIBLE_MISFIT:
         return f"depths are {misfit.deviations:.0f} σ off any shape of this membrane"
     clumped = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
     return "residuals are not the white noise of the sensor file" if white and clumped else ""
-
-
-def contradicts_gas(
-    problem: FrameProblem, bulge: np.ndarray, displacement: np.ndarray, gas_noise: float
-) -> bool:
-    """Whether the shape, contact and all, asks for another p_v than was measured.
-
-    A measured p_v that is too low leaves a bulge that no contact explains, as contact only
-    pushes; one that is too high is taken for a contact pressure and cannot be told from it. Contact
-    hides nine tenths of the error, which is why two σ of what is left are a lot.
-
-    Parameters
-    ----------
-    problem : FrameProblem
-    bulge : (n,) array
-        Displacement under unit pressure.
-    displacement : (n,) array
-        Of the solution.
-    gas_noise : float
-        σ of a measured p_v; all dimensionless.
-    """
-    if problem.measured_gas is None:
-        return False
-    weight = float(bulge @ (problem.Q @ bulge))
-    asked = float(bulge @ (problem.g - problem.Q @ displacement)) / weight
-    certain = asked * np.sqrt(weight) > IMPLAUSIBLE_MISFIT
-    return bool(certain and asked > 2.0 * gas_noise)
 
 
 def gas_sigma(gas: Gas, measured_pa: float) -> float:

@@ -5,16 +5,6 @@ from __future__ import annotations
 from math import pi, sqrt
 
 import numpy as np
-from scipy import sparse
-
-from bubbleviz.inverse.problem import Equilibrium
-
-
-def information_density(Q: sparse.csr_array, areas: np.ndarray) -> float:
-    """Information w of `resolution_m`, 1/m⁴, from DᵀWD (1/m²) and the areas of the free nodes."""
-    rows = Q.sum(axis=1)
-    seen = rows > 0.0
-    return float(rows[seen].sum() / areas[seen].sum())
 
 
 def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: float) -> float:
@@ -52,18 +42,6 @@ def noise_at(resolution_m: float, usual_m: float) -> float:
 
 _SAMPLE = 200
 """Nodes, spread over the membrane, among which the best-seen one is looked for."""
-
-
-def detection_threshold(equilibrium: Equilibrium, Q: sparse.csr_array) -> np.ndarray:
-    """L1 weights τ (n,) of the linear membrane, see `universal_threshold`.
-
-    Under noise the gradient at p_c = 0 is Mᵀ Dᵀ W ε with covariance MᵀQM.
-    """
-    n = len(equilibrium.A)
-    sample = sampled(n)
-    M = equilibrium.response(sample)
-    sigma = np.sqrt(np.einsum("ij,ij->j", M, Q @ M)) / equilibrium.A[sample]
-    return universal_threshold(sigma, n) * equilibrium.A
 
 
 def sampled(n: int) -> np.ndarray:

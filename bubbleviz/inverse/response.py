@@ -1,23 +1,94 @@
-"""Equilibrium of the exact membrane with the gas behind it under given contact forces."""
+"""How a membrane moves with the gas behind it: its equilibrium under contact, and its tangent.
+
+Two materials offer the same: rubber (`RubberEquilibrium`), and constant tension with displacement
+along the normals, the paper's (`ConstantTension`), whose tangent is the same everywhere.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU
 
-from bubbleviz.membrane import Factoriser, Gas, RubberMembrane
+from bubbleviz.membrane import (
+    Factoriser,
+    Gas,
+    MembraneMesh,
+    RubberMembrane,
+    cotangent_laplacian,
+    mean_curvature,
+    symmetric_lu,
+)
 
-# The exact membrane linearised at a shape: how contact pressure moves it, and what it moves.
+_BALANCED = 1e-3
+"""Force left at a node over the gas load on one of mean area."""
+_NEWTON, _FRESH = 10, 2
+"""Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
+tangent."""
 
 
-class LinearisedRubber:
-    """Factorised tangent of membrane and gas at a shape.
+class Tangent(ABC):
+    """How a membrane and the gas behind it move around a shape.
 
-    Under forces f the membrane moves by S f with S = (K + β a aᵀ)⁻¹, where a = ∂V/∂x; a contact
-    pressure p_c adds the forces −p_c∘a.
+    Under forces f the membrane moves by S f; a contact pressure p_c adds the forces −p_c∘a with
+    a = ∂V/∂x.
+
+    Attributes
+    ----------
+    x : (n, 3) array
+        Shape, m.
+    area_vectors : (n, 3) array
+        a of the nodes, m².
+    with_gas : bool
+        Whether the gas law is in it; not where the gas pressure is measured.
+    """
+
+    x: np.ndarray
+    area_vectors: np.ndarray
+    with_gas: bool
+
+    @property
+    def by_material(self) -> np.ndarray:
+        """Motion by one standard deviation of each of the material's numbers, (3n, m), m."""
+        return np.zeros((self.x.size, 0))
+
+    @cached_property
+    def bulge(self) -> np.ndarray:
+        """Motion under unit gas pressure, (n, 3), m/Pa."""
+        return self.motion(self.area_vectors)
+
+    @abstractmethod
+    def motion(self, force: np.ndarray) -> np.ndarray:
+        """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""
+
+    @abstractmethod
+    def pull(self, force: np.ndarray) -> np.ndarray:
+        """What unit contact pressures do against forces (n, 3): aᵀ Sᵀ f, (n,)."""
+
+    @abstractmethod
+    def responses(self, nodes: np.ndarray) -> np.ndarray:
+        """S a_j for unit pressures at nodes (c,), (3n, c), m/Pa; each is solved for once."""
+
+    def coordinates(self, nodes: np.ndarray) -> np.ndarray:
+        """The same in as few numbers as say how the nodes move, (m, c)."""
+        return self.responses(nodes)
+
+    def moved(self, coordinates: np.ndarray) -> np.ndarray:
+        """Motion (n, 3) of such numbers (m,), m."""
+        return coordinates.reshape(-1, 3)
+
+    def by_coordinates(self, jacobian: sparse.csr_array) -> sparse.csr_array:
+        """Derivative (k, m) by those numbers, of one by the nodes (k, 3n)."""
+        return jacobian
+
+
+class LinearisedRubber(Tangent):
+    """Factorised tangent of rubber and gas at a shape: S = (K + β a aᵀ)⁻¹.
 
     Parameters
     ----------
@@ -32,14 +103,6 @@ class LinearisedRubber:
         β = −dp/dV, Pa/m³; 0 where the gas pressure is measured.
     variants : sequence of RubberMembrane, optional
         Of other materials, for `by_material`.
-
-    Attributes
-    ----------
-    x : (n, 3) array
-    area_vectors : (n, 3) array
-        a of the nodes, m².
-    with_gas : bool
-        Whether β is in it.
 
     Raises
     ------
@@ -64,11 +127,6 @@ class LinearisedRubber:
         self._beta, self.with_gas = gas_stiffness, gas_stiffness != 0.0
         self._normal = _Columns(self._nodes, 1)
         self._tangential = _Columns(self._nodes, 2)
-
-    @cached_property
-    def bulge(self) -> np.ndarray:
-        """Motion under unit gas pressure, (n, 3), m/Pa."""
-        return self.motion(self.area_vectors)
 
     @cached_property
     def by_material(self) -> np.ndarray:
@@ -160,17 +218,19 @@ class _Columns:
 
     def __init__(self, nodes: int, each: int) -> None:
         self._place = np.full(nodes, -1)
-        self._rows: np.ndarray = np.empty((0, each, 3 * nodes))
+        self._rows: np.ndarray = np.empty((0, each, 0))
         self._count = 0
 
     def of(self, nodes: np.ndarray, solved: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Columns of nodes (c,), (3n, each c); of those not known yet by solving for them."""
+        """Columns of nodes (c,), (…, each c); of those not known yet by solving for them."""
         new = nodes[self._place[nodes] < 0]
         if len(new):
+            added = solved(new).reshape(-1, len(new), self._rows.shape[1])
+            if not self._count:
+                self._rows = np.empty((0, self._rows.shape[1], len(added)))
             self._reserve(self._count + len(new))
             self._place[new] = self._count + np.arange(len(new))
             self._count += len(new)
-            added = solved(new).reshape(-1, len(new), self._rows.shape[1])
             self._rows[self._place[new]] = added.transpose(1, 2, 0)
         rows = self._rows[self._place[nodes]]
         return rows.reshape(-1, rows.shape[2]).T
@@ -184,47 +244,115 @@ class _Columns:
             self._rows = rows
 
 
-_BALANCED = 1e-3
-"""Force left at a node over the gas load on one of mean area."""
-_NEWTON, _FRESH = 10, 2
-"""Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
-tangent."""
-
-
-class RubberEquilibrium:
+class Equilibrium(ABC):
     """A membrane and the gas behind it.
 
     Contact forces are a pressure (n,) in Pa along the current normals, and where there is friction
     forces (n, 3) in N that keep their direction. A gas pressure p_v of None follows from the
     volume.
 
+    Attributes
+    ----------
+    mesh : MembraneMesh
+    gas : Gas
+        P0 and V0 of the reference configuration.
+    held_pressure_pa : float
+        Gauge pressure that the reference configuration holds, Pa.
+    tension_n_per_m : float
+        Its mean tension.
+    moving : (n,) bool array
+        Nodes that are not held.
+    """
+
+    mesh: MembraneMesh
+    gas: Gas
+    held_pressure_pa: float
+    tension_n_per_m: float
+    moving: np.ndarray
+
+    def with_gas(self, gas: Gas) -> Equilibrium:
+        """The same membrane over another gas of the same volume."""
+        other = copy(self)
+        other.gas = gas
+        return other
+
+    @abstractmethod
+    def area_vectors(self, x: np.ndarray) -> np.ndarray:
+        """Area vectors a = ∂V/∂x at a shape, (n, 3), m²."""
+
+    @abstractmethod
+    def gas_at(self, x: np.ndarray) -> tuple[float, float]:
+        """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
+
+    @abstractmethod
+    def residual(
+        self,
+        x: np.ndarray,
+        pressure: np.ndarray,
+        gas: float | None,
+        force: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """What the forces at the nodes lack of equilibrium, (n, 3), N."""
+
+    @abstractmethod
+    def linearised(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> Tangent:
+        """Tangent at a shape; RuntimeError where it is singular."""
+
+    def settled(
+        self,
+        tangent: Tangent,
+        x: np.ndarray,
+        pressure: np.ndarray,
+        gas: float | None,
+        force: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, bool, Tangent]:
+        """Equilibrium from close by, by Newton's method; whether it was found; the last tangent."""
+        load = self.held_pressure_pa * float(self.mesh.areas.mean())
+        last, fresh = np.inf, 0
+        for _ in range(_NEWTON):
+            left = self.residual(x, pressure, gas, force)
+            size = float(np.abs(left[self.moving]).max()) / load
+            if size < _BALANCED:
+                return x, True, tangent
+            if not size < 1e3:
+                break
+            if size > 0.3 * last:
+                if fresh == _FRESH:
+                    break
+                tangent = self.linearised(x, pressure, gas)
+                fresh += 1
+            last = size
+            motion = tangent.motion(-left)
+            x = x + min(1.0, self.mesh.edge_length / float(np.abs(motion).max())) * motion
+        return x, False, tangent
+
+
+class RubberEquilibrium(Equilibrium):
+    """Rubber.
+
     Parameters
     ----------
     membrane : RubberMembrane
     gas : Gas
-        P0 and V0 of the reference configuration.
     variants : sequence of RubberMembrane, optional
-        As of `LinearisedRubber`.
+        The membrane with one of its material numbers moved by its standard deviation each.
     """
 
     def __init__(
         self, membrane: RubberMembrane, gas: Gas, variants: Sequence[RubberMembrane] = ()
     ) -> None:
         self.membrane, self.gas, self._variants = membrane, gas, tuple(variants)
+        self.mesh, self.moving = membrane.mesh, membrane.moving
+        self.held_pressure_pa = membrane.gauge_pressure_pa
+        self.tension_n_per_m = membrane.mean_tension
         rest = membrane.mesh.nodes
         self._rest_volume = membrane.volume(rest)
         self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
-        self._load = membrane.gauge_pressure_pa * float(membrane.mesh.areas.mean())
-        self._longest_m = membrane.mesh.edge_length
 
-    def with_gas(self, gas: Gas) -> RubberEquilibrium:
-        """The same membrane over another gas of the same volume."""
-        other = copy(self)
-        other.gas = gas
-        return other
+    def area_vectors(self, x: np.ndarray) -> np.ndarray:
+        return self.membrane.volume_gradient(x)
 
     def gas_at(self, x: np.ndarray) -> tuple[float, float]:
-        """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
         volume = max(self.gas.V0 + self.membrane.volume(x) - self._rest_volume, 1e-6 * self.gas.V0)
         pressure = self.gas.P0 * self.gas.V0 / volume
         return pressure - self.gas.P0, pressure / volume
@@ -241,43 +369,138 @@ class RubberEquilibrium:
         gas: float | None,
         force: np.ndarray | None = None,
     ) -> np.ndarray:
-        """What the forces at the nodes lack of equilibrium, (n, 3), N."""
         left = self.membrane.residual(x, self.inside(x, pressure, gas))
         return left if force is None else left - force
 
     def linearised(
         self, x: np.ndarray, pressure: np.ndarray, gas: float | None
     ) -> LinearisedRubber:
-        """Tangent at a shape; RuntimeError where it is singular."""
         stiffness = self.gas_at(x)[1] if gas is None else 0.0
         inside = self.inside(x, pressure, gas)
         return LinearisedRubber(
             self.membrane, self._factoriser, x, inside, stiffness, self._variants
         )
 
-    def settled(
+
+class ConstantTension(Equilibrium):
+    """The paper's membrane: γ0 L u = A (p_v − p_c), u along the normals at rest (Eq. 5).
+
+    Friction, which acts across the normals, does not move it.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    tension_n_per_m : float
+        γ0.
+    gas : Gas
+    """
+
+    def __init__(self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas) -> None:
+        self.mesh, self.gas, self.moving = mesh, gas, ~mesh.rim
+        self.tension_n_per_m = tension_n_per_m
+        self.held_pressure_pa = tension_n_per_m * mean_curvature(mesh)
+        self._stiffness = self.stiffness()
+        factor = symmetric_lu(self._stiffness[mesh.free][:, mesh.free].tocsc())
+        self._tangents = {
+            with_gas: NormalTangent(mesh, factor, gas.beta if with_gas else None)
+            for with_gas in (False, True)
+        }
+
+    def stiffness(self) -> sparse.csr_array:
+        """Forces along the normals by displacements along them, γ0 L, (n, n), N/m."""
+        return self.tension_n_per_m * cotangent_laplacian(self.mesh)
+
+    def area_vectors(self, x: np.ndarray) -> np.ndarray:
+        return self._tangents[False].area_vectors
+
+    def gas_at(self, x: np.ndarray) -> tuple[float, float]:
+        volume = max(self.gas.volume(self._displacement(x)), 1e-6 * self.gas.V0)
+        pressure = self.gas.P0 * self.gas.V0 / volume
+        return pressure - self.gas.P0, pressure / volume
+
+    def residual(
         self,
-        rubber: LinearisedRubber,
         x: np.ndarray,
         pressure: np.ndarray,
         gas: float | None,
         force: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, bool, LinearisedRubber]:
-        """Equilibrium from close by, by Newton's method; whether it was found; the last tangent."""
-        last, fresh = np.inf, 0
-        for _ in range(_NEWTON):
-            left = self.residual(x, pressure, gas, force)
-            size = float(np.abs(left[self.membrane.moving]).max()) / self._load
-            if size < _BALANCED:
-                return x, True, rubber
-            if not size < 1e3:
-                break
-            if size > 0.3 * last:
-                if fresh == _FRESH:
-                    break
-                rubber = self.linearised(x, pressure, gas)
-                fresh += 1
-            last = size
-            motion = rubber.motion(-left)
-            x = x + min(1.0, self._longest_m / float(np.abs(motion).max())) * motion
-        return x, False, rubber
+    ) -> np.ndarray:
+        mesh, change = self.mesh, self.gas_at(x)[0] if gas is None else gas
+        left = self._stiffness @ self._displacement(x) - mesh.areas * (change - pressure)
+        return left[:, None] * mesh.normals
+
+    def linearised(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> NormalTangent:
+        return self._tangents[gas is None]
+
+    def _displacement(self, x: np.ndarray) -> np.ndarray:
+        return _along(x - self.mesh.nodes, self.mesh.normals)
+
+
+class NormalTangent(Tangent):
+    """Motion along the normals of a membrane of constant tension, the same at every shape.
+
+    Parameters
+    ----------
+    mesh : MembraneMesh
+    factor : SuperLU
+        Of γ0 L on the free nodes.
+    beta : (n,) array or None
+        Gas stiffness −∂p_v/∂u, Pa/m; None where the gas pressure is measured.
+    """
+
+    def __init__(self, mesh: MembraneMesh, factor: SuperLU, beta: np.ndarray | None) -> None:
+        self._mesh, self._factor, self.with_gas = mesh, factor, beta is not None
+        self.x = mesh.nodes
+        self.area_vectors = mesh.areas[:, None] * mesh.normals
+        self._columns = _Columns(len(mesh.nodes), 1)
+        areas = mesh.areas[mesh.free]
+        self._by_gas = factor.solve(areas)
+        # p_v that a displacement u causes, gas and all: −shareᵀu
+        self._share = np.zeros_like(areas)
+        if beta is not None:
+            self._share = beta[mesh.free] / (1.0 + float(beta[mesh.free] @ self._by_gas))
+
+    def motion(self, force: np.ndarray) -> np.ndarray:
+        normals = self._mesh.normals.reshape(*self._mesh.normals.shape, *(force.ndim - 2) * (1,))
+        return self._moved(_along(force, normals))[:, None] * normals
+
+    def pull(self, force: np.ndarray) -> np.ndarray:
+        free, load = self._mesh.free, _along(force, self._mesh.normals)[self._mesh.free]
+        pulled = np.zeros(len(self._mesh.nodes))
+        pulled[free] = self._factor.solve(load - self._share * (load @ self._by_gas))
+        return self._mesh.areas * pulled
+
+    def responses(self, nodes: np.ndarray) -> np.ndarray:
+        moved = self.coordinates(nodes)
+        return (self._mesh.normals[:, :, None] * moved[:, None]).reshape(-1, len(nodes))
+
+    def coordinates(self, nodes: np.ndarray) -> np.ndarray:
+        return self._columns.of(nodes, self._to_pressures)
+
+    def moved(self, coordinates: np.ndarray) -> np.ndarray:
+        return coordinates[:, None] * self._mesh.normals
+
+    def by_coordinates(self, jacobian: sparse.csr_array) -> sparse.csr_array:
+        node = jacobian.indices[::3] // 3  # three columns a node, one after the other
+        along = np.einsum("ij,ij->i", jacobian.data.reshape(-1, 3), self._mesh.normals[node])
+        shape = jacobian.shape[0], len(self._mesh.nodes)
+        return sparse.csr_array((along, node, jacobian.indptr // 3), shape=shape)
+
+    def _to_pressures(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacement (n, c) under unit pressures from inside at nodes (c,), m/Pa."""
+        load = np.zeros((len(self._mesh.nodes), len(nodes)))
+        load[nodes, np.arange(len(nodes))] = self._mesh.areas[nodes]
+        return self._moved(load)
+
+    def _moved(self, load: np.ndarray) -> np.ndarray:
+        """Displacement under loads (n, …) along the normals, of the same shape."""
+        moved, free = np.zeros_like(load), self._mesh.free
+        out = self._factor.solve(load[free])
+        moved[free] = out - np.multiply.outer(self._by_gas, self._share @ out)
+        return moved
+
+
+def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Parts (n, …) of vectors (n, 3, …) along normals (n, 3, …)."""
+    part: np.ndarray = (vectors * normals).sum(axis=1)
+    return part

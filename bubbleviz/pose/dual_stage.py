@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.inverse import Estimator, RubberEstimator
+from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import RubberMembrane, area_vectors
 from bubbleviz.pose.image_fit import ImageFit
 from bubbleviz.pose.motion import SEARCH_DEVIATION, Motion, motion_between, moved
@@ -61,7 +61,7 @@ class Solver:
     def __init__(
         self,
         registration: Registration,
-        estimator: Estimator | RubberEstimator,
+        estimator: Estimator,
         membrane: RubberMembrane,  # that the object presses into
         options: PoseOptions,
     ) -> None:
@@ -73,7 +73,7 @@ class Solver:
         """Against the depth image; built when there is a first pose."""
         own, options = self._estimator, self._options.image
         model = self._registration.model
-        pressed = PressedMembrane(self._membrane, own.gas, model, options.press)
+        pressed = PressedMembrane(self._membrane, own.equilibrium.gas, model, options.press)
         return ImageFit(own.observer, pressed, options)
 
     def forget(self) -> None:

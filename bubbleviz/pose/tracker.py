@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.inverse import Estimator, NormalEquations, RubberEstimator, information_density
+from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import RubberMembrane
 from bubbleviz.pose.dual_stage import Solution, Solver, StartFinder
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
@@ -29,7 +29,7 @@ class PoseTracker:
 
     def __init__(
         self,
-        estimator: Estimator | RubberEstimator,  # the one that makes the estimates
+        estimator: Estimator,  # the one that makes the estimates
         obj: RigidObject,
         # (4, 4), T_B_O in the first frame, to about 5 mm and 10°; searched for when None
         start: np.ndarray | None = None,
@@ -142,8 +142,6 @@ class PoseTracker:
         return Pose("lost", self._good)
 
 
-def precision_of(estimator: Estimator | RubberEstimator) -> Precision:
+def precision_of(estimator: Estimator) -> Precision:
     """How precisely a sensor's estimator knows where the membrane is."""
-    mesh, observer = estimator.mesh, estimator.observer
-    Q, _ = NormalEquations(mesh).assemble(observer.observe_everything(), observer.linearise())
-    return Precision(information_density(Q, mesh.areas[mesh.free]), estimator.resolution_m)
+    return Precision(estimator.information, estimator.resolution_m)

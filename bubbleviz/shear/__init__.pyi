@@ -1,5 +1,7 @@
-from .optical_flow import (
+from .flow_observer import (
     BLOCK_PX as BLOCK_PX,
+)
+from .optical_flow import (
     FlowField as FlowField,
     FlowPreset as FlowPreset,
     OpticalFlow as OpticalFlow,

@@ -15,9 +15,10 @@ from bubbleviz.inverse import (
     MODEL_ERROR,
     NEAR,
     SERVES,
+    Estimator,
     LinearisedRubber,
-    RubberEstimator,
-    RubberStart,
+    RubberEquilibrium,
+    Start,
     gas_sigma,
 )
 from bubbleviz.membrane import MembraneMesh, RubberMembrane, checked_friction, dense_part, grown
@@ -278,24 +279,26 @@ class TractionEstimator:
 
     def __init__(
         self,
-        estimator: RubberEstimator,  # of the frames' depth
+        estimator: Estimator,  # of the frames' depth
         camera: DepthCamera,  # whose images the flow is of
         options: TractionOptions | None = None,
     ) -> None:
         self.mesh, self.options = estimator.mesh, options or TractionOptions()
-        self._estimator, self._equilibrium = estimator, estimator.equilibrium
+        self._estimator, equilibrium = estimator, estimator.equilibrium
+        assert isinstance(equilibrium, RubberEquilibrium)  # as `Pipeline` sees to
+        self._equilibrium = equilibrium
         self.flow_observer = FlowObserver(camera, self.mesh)
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = NEAR * edge, SERVES * edge
         self._far_m, self._longest_m = FAR * edge, edge
-        self._report = TractionReport(self.mesh, estimator.membrane)
+        self._report = TractionReport(self.mesh, self._equilibrium.membrane)
 
     def estimate(
         self,
         flow: FlowField | None,  # of the colour image of the same moment
         gas_pressure_pa: float | None,  # measured absolute gas pressure
         estimate: Estimate,  # of the depth image
-        reached: RubberStart,  # that the estimator handed on with it
+        reached: Start,  # that the estimator handed on with it
         start: TractionStart | None = None,  # of the frame before
     ) -> tuple[Traction, TractionStart | None]:
         """Traction of one frame; also what the next one starts from."""
@@ -316,7 +319,7 @@ class TractionEstimator:
             return self._alone(estimate, NO_TEXTURE), None
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
-            gas = gas_pressure_pa - self._estimator.gas.P0
+            gas = gas_pressure_pa - self._equilibrium.gas.P0
         frame = _Frame(reached.measured, measured, gas)
         try:
             return self._solve(frame, begin, support, warm=start is not None)
@@ -329,7 +332,7 @@ class TractionEstimator:
         return self._report.nothing("not_converged", estimate.reason)
 
     def _begin(
-        self, estimate: Estimate, reached: RubberStart, start: TractionStart | None
+        self, estimate: Estimate, reached: Start, start: TractionStart | None
     ) -> tuple[TractionStart | None, np.ndarray]:
         """Where to begin, and the support (n,) bool: depth's, and that of the frame before.
 
@@ -348,8 +351,11 @@ class TractionEstimator:
             return replace(start, pressure=pressure, shear=shear), support
         if there is None:
             return None, support
-        rubber = reached.rubber
-        if rubber is None or np.abs(there.x - rubber.x).max() > self._serves_m:
+        rubber = reached.tangent
+        if (
+            not isinstance(rubber, LinearisedRubber)
+            or np.abs(there.x - rubber.x).max() > self._serves_m
+        ):
             with_gas = there.gas if rubber is None or not rubber.with_gas else None
             rubber = self._equilibrium.linearised(there.x, there.pressure, with_gas)
         shear = np.zeros_like(there.x)
@@ -437,7 +443,7 @@ class TractionEstimator:
             look.measurements(state),
             dense_part(estimator.smoothness, nodes),
             Unknowns(state.pressure[nodes], shear.ravel(), 0.0 if gas is None else state.gas - gas),
-            None if gas is None else gas_sigma(estimator.gas, gas),
+            None if gas is None else gas_sigma(self._equilibrium.gas, gas),
         )
         solved = problem.solve(self.options.friction)
         pressure, force = np.zeros_like(state.pressure), np.zeros_like(state.x)
@@ -461,7 +467,8 @@ class TractionEstimator:
         shear = wanted.present + share * (wanted.shear - wanted.present)
         inside = None if gas is None else state.gas + share * (wanted.gas - state.gas)
         ahead = state.x + share * motion
-        x, balanced, rubber = self._equilibrium.settled(rubber, ahead, pressure, inside, shear)
+        x, balanced, last = self._equilibrium.settled(rubber, ahead, pressure, inside, shear)
+        rubber = last if isinstance(last, LinearisedRubber) else rubber
         balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead

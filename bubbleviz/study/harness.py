@@ -22,8 +22,8 @@ from bubbleviz.files import (
     write_csv,
     write_json,
 )
-from bubbleviz.inverse import RubberEstimator
-from bubbleviz.membrane import Contact, cotangent_laplacian
+from bubbleviz.inverse import RubberEquilibrium
+from bubbleviz.membrane import Contact, RubberMembrane, cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.result import Estimate, Patch, Result
@@ -342,8 +342,9 @@ def inverse_faults(
     if estimate is None or patch is None:
         return ["no estimate or no patch"]
     faults = _fields(pipeline, estimate, patch, band)
-    if not faults and isinstance(pipeline.estimator, RubberEstimator):
-        faults = _rubber_equations(pipeline, pipeline.estimator, estimate, patch, measured_gas)
+    equilibrium = pipeline.estimator.equilibrium
+    if not faults and isinstance(equilibrium, RubberEquilibrium):
+        faults = _rubber_equations(pipeline, equilibrium.membrane, estimate, patch, measured_gas)
     elif not faults:
         faults = _linear_equations(pipeline, estimate, patch, measured_gas)
     if truth is None or faults:
@@ -383,9 +384,11 @@ def _fields(pipeline: Pipeline, estimate: Estimate, patch: Patch, band: Band) ->
 def _linear_equations(
     pipeline: Pipeline, estimate: Estimate, patch: Patch, measured_gas: bool
 ) -> list[str]:
-    """Rim, force, balance K u = A (p_v − p_c) and the linearised gas law p_v = −βᵀu, afresh."""
-    mesh, faults = pipeline.mesh, []
+    """Rim, force, balance K u = A (p_v − p_c) and the gas law of Eq. 6, afresh."""
+    mesh, faults, gas_law = pipeline.mesh, [], pipeline.model.gas.pressure_change
     u, p_v = estimate.displacement_m, estimate.gas_pressure_change_pa
+    unexplained = estimate.unexplained_pressure_pa
+    pressure = estimate.contact_pressure_pa + (0.0 if unexplained is None else unexplained)
     if np.any(u[mesh.rim] != 0.0):
         faults.append("the rim moves")
     force = -(mesh.areas * estimate.contact_pressure_pa) @ mesh.normals
@@ -393,14 +396,13 @@ def _linear_equations(
         faults.append("the force is not that of the pressure")
     elastic = pipeline.model.tension_n_per_m * (cotangent_laplacian(mesh) @ u)[mesh.free]
     gas = p_v * mesh.areas[mesh.free]
-    contact = (mesh.areas * estimate.contact_pressure_pa)[mesh.free]
+    contact = (mesh.areas * pressure)[mesh.free]
     largest = max(float(np.abs(x).max(initial=0.0)) for x in (elastic, gas, contact))
     off = float(np.abs(elastic - gas + contact).max(initial=0.0))
     if off > BALANCE * max(largest, 1e-300):
         faults.append(f"balance off by {off / largest:.2g} of its largest term")
     if not measured_gas:
-        beta = pipeline.model.gas.beta
-        law, size = -float(beta @ u), float(np.abs(beta) @ np.abs(u))
+        law, size = gas_law(u), abs(gas_law(np.abs(u)))
         if abs(law - p_v) > BALANCE * max(size, 1e-9):
             faults.append(f"gas law: p_v {p_v:.4g} Pa instead of {law:.4g} Pa")
     return faults
@@ -408,13 +410,12 @@ def _linear_equations(
 
 def _rubber_equations(
     pipeline: Pipeline,
-    estimator: RubberEstimator,
+    membrane: RubberMembrane,
     estimate: Estimate,
     patch: Patch,
     measured_gas: bool,
 ) -> list[str]:
     """Equilibrium, gas law and force, by differences of the membrane's energy and volume alone."""
-    membrane = estimator.membrane
     friction, unexplained = estimate.friction_n, estimate.unexplained_pressure_pa
     if estimate.displacement_3d_m is None or friction is None or unexplained is None:
         return []

@@ -102,13 +102,12 @@ class Row:
 
 
 def full_runs() -> list[Run]:
-    """Streams of the solvers, nodes 200 … 10,000 and pixels 5k … 1M."""
-    sizes_n = (200, 500, 1_000, 2_000, 5_000, 10_000)
+    """Streams of the solvers, nodes 200 … 20,000 and pixels 5k … 1M."""
+    sizes_n = (200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
     sizes_p = (5_000, 20_000, 38_304, 150_000, 500_000, 1_000_000)
     return [
         Run("stream", frames=ROUND),
-        Run("stream", Setup(relinearisations=0), frames=ROUND),
-        Run("stream", Setup("paper"), frames=12),
+        Run("stream", Setup("linear"), frames=ROUND),
         Run("stream", PAPER, frames=12),
         *(Run("nodes", Setup(None, n), frames=8) for n in sizes_n),
         *(Run("nodes", Setup("paper", n), frames=8, limit_s=60.0) for n in sizes_n[:5]),

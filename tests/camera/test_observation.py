@@ -33,7 +33,7 @@ def smooth_dent(amplitude_m):
 
 def at(observer, displacement):
     """Model of the block residuals at a displacement."""
-    return observer.predict(observer.linearise(displacement), displacement)
+    return observer.around(MESH.deformed(displacement)).model_m
 
 
 def cast(displacement):
@@ -67,22 +67,16 @@ def test_rays_walk_to_where_they_would_be_cast(depth_m):
     assert np.max(np.abs(fresh.range_m[a] - walked.range_m[b])) < 1e-5
 
 
-def test_only_rays_of_given_triangles_are_looked_at_again():
+def test_a_model_walked_on_from_another_shape_is_the_one_that_is_cast():
     observer = RangeObserver(CAMERA, MESH, 0.01, block=3)
-    before, after = smooth_dent(0.008), smooth_dent(0.0085)
-    old, fresh = observer.linearise(before), observer.linearise(after)
-    some = np.abs(after - before)[MESH.triangles].max(axis=1) > 1e-4
-    mixed = observer.relinearise(old, after, some)
-    chosen = some[old.hits.triangle]
-    assert 0.05 < chosen.mean() < 0.9
-    for name in ("triangle", "range_m", "sensitivity"):
-        got, kept = getattr(mixed.hits, name), getattr(old.hits, name)
-        assert np.array_equal(got[~chosen], kept[~chosen])
-    assert np.array_equal(mixed.offset_m[~chosen], old.offset_m[~chosen])
-    a, b = observer.predict(mixed, after), observer.predict(fresh, after)
-    stale = observer.predict(old, after)
-    rays = old.hits.ray[chosen]
-    assert np.max(np.abs(a - b)[rays]) < 1e-7 < np.max(np.abs(stale - b)[rays])
+    before, after = (MESH.deformed(smooth_dent(each)) for each in (0.008, 0.0085))
+    old, fresh = observer.around(before), observer.around(after)
+    walked = observer.around(after, old)
+    assert np.abs(walked.model_m - fresh.model_m).max() < 1e-6
+    assert np.abs(old.model_m - fresh.model_m).max() > 3e-4
+    assert walked.cast_at_m is old.cast_at_m  # it was not cast again
+    far = observer.around(MESH.deformed(smooth_dent(0.012)), old)
+    assert far.cast_at_m is not old.cast_at_m
 
 
 def test_the_operators_reproduce_points_and_differences():
@@ -108,16 +102,17 @@ def test_the_operators_reproduce_points_and_differences():
     assert wrong > 0.05, "Eq. 19's coefficient should not be the derivative on a dented surface"
 
 
-def test_linearisation_is_exact_to_second_order():
-    observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
-    base, change = smooth_dent(0.01), smooth_dent(0.001)
+def test_the_model_around_a_shape_is_exact_to_second_order():
+    """For motion in any direction, as of rubber."""
+    observer, random = RangeObserver(CAMERA, MESH, 0.01, block=2), np.random.default_rng(0)
+    base, turn = MESH.deformed(smooth_dent(0.01)), random.standard_normal(3)
+    motion = np.outer(smooth_dent(0.001), turn / np.linalg.norm(turn))
+    view = observer.around(base)
 
-    def error(fraction):
-        linear = observer.linearise(base)
-        target = base + fraction * change
-        at_nodes = target[MESH.triangles[linear.hits.triangle]]
-        model = linear.offset_m + np.einsum("ij,ij->i", linear.hits.sensitivity, at_nodes)
-        return float(np.sqrt(np.mean((model - at(observer, target)) ** 2)))
+    def error(fraction: float) -> float:
+        model = view.model_m[view.block] + view.jacobian @ (fraction * motion).ravel()
+        there = observer.around(base + fraction * motion).model_m[view.block]
+        return float(np.sqrt(np.mean((model - there) ** 2)))
 
     assert error(0.25) < error(1.0) / 8
 
@@ -187,20 +182,21 @@ def test_clean_pixels_keep_their_full_weight():
     assert with_model.weight == pytest.approx(observer.observe(depth).weight)
 
 
-def looked_at(noise, sigma):
+def looked_at(noise: np.ndarray, sigma: float):
     """What is left of a dent's ranges with noise (H, W) by the model of that very dent."""
     displacement = smooth_dent(0.006)
     observer = RangeObserver(CAMERA, MESH, sigma, block=2)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
     depth = CAMERA.depth_image(ranges * (1.0 + noise)).astype(np.float32)
-    linear = observer.linearise(displacement)
-    observation = observer.observe(depth, observer.predict(linear, displacement))
-    return observer, observer.misfit(observation, linear, displacement)
+    view = observer.around(MESH.deformed(displacement))
+    observation = observer.observe(depth, view.model_m)
+    error = (observation.residual_m - view.model_m)[view.block]
+    return observer.left(observation, view.block, error)
 
 
 def test_noise_that_was_foreseen_is_one_deviation_and_white():
     rng = np.random.default_rng(5)
-    _, found = looked_at(0.01 * rng.standard_normal((171, 224)), 0.01)
+    found = looked_at(0.01 * rng.standard_normal((171, 224)), 0.01)
     assert found.rms_m == pytest.approx(0.01 * 0.15 / 2, rel=0.1)  # of four pixels' mean
     assert found.deviations == pytest.approx(1.0, rel=0.05)
     assert found.clumping == pytest.approx(1.0, abs=0.25)
@@ -231,8 +227,8 @@ def test_the_noise_left_is_told_from_the_camera(factor, least, most):
     noise = 0.01 * np.random.default_rng(3).standard_normal(ranges.shape)
     depth = CAMERA.depth_image(ranges * (1.0 + noise)).astype(np.float32)
     observation = observer.observe(depth, np.zeros(observer.blocks))
-    ray = observer.linearise().hits.ray
-    found = observer.noise_left(observation, ray, factor * observation.residual_m[ray])
+    block = observer.around(MESH.nodes).block
+    found = observer.noise_left(observation, block, factor * observation.residual_m[block])
     assert least < found < most
 
 
@@ -240,7 +236,7 @@ def test_noise_that_neighbours_share_clumps():
     """Squares of 16 × 16 pixels with one error each: 64 blocks are worth a sample."""
     rng = np.random.default_rng(6)
     squares = np.kron(rng.standard_normal((11, 14)), np.ones((16, 16)))[:171, :224]
-    _, found = looked_at(0.01 * squares, 0.01)
+    found = looked_at(0.01 * squares, 0.01)
     assert found.clumping == pytest.approx(64.0, rel=0.1)
     assert found.deviations == pytest.approx(2.0, rel=0.25)  # the mean of four is no better
 

@@ -1,5 +1,7 @@
 """Which parts of a pressure are contact: by their share of the load and by their own noise."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -15,10 +17,9 @@ OUT = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
 
 def contact_of(pressure, variances):
     """A solution with these pressures (n,), of which the variances (k,) are known where any is."""
-    nodes = np.flatnonzero(pressure)
     return ContactPressure(
-        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, nodes,
-        np.zeros(0), np.diag(variances),
+        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, np.zeros(0),
+        SimpleNamespace(covariance=lambda _: np.diag(variances)),
     )  # fmt: skip
 
 

@@ -1,15 +1,11 @@
 """The weight of the L1 term against noise that is drawn, and not reckoned."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from bubbleviz.camera import RangeObserver
-from bubbleviz.inverse import Equilibrium, NormalEquations, Scales, detection_threshold
-from bubbleviz.membrane import Gas, build_mesh
+from bubbleviz.inverse import ContactProblem, GaussNewton, Nuisances, Prior, Ranges
 
-from .conftest import CAMERA, SENSOR, TENSION
+from .conftest import estimator
 
 DRAWS = 400
 
@@ -17,22 +13,20 @@ DRAWS = 400
 @pytest.fixture(scope="module")
 def weights():
     """τ per area, and as much for the pull that each of many noisy frames puts on p_c = 0."""
-    mesh = build_mesh(SENSOR, 150)
-    observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=4)
-    scales = Scales.of(mesh, TENSION)
-    equilibrium = Equilibrium(mesh, Gas.of(SENSOR.pneumatics, mesh), scales)
-    normal, linear = NormalEquations(mesh), observer.linearise()
-    everything, rng = observer.observe_everything(), np.random.default_rng(0)
-    seen = everything.weight > 0.0
-    pulls = []
+    solver = estimator(150)
+    mesh, observer = solver.mesh, solver.observer
+    newton = GaussNewton(observer, solver.equilibrium, solver.smoothness, 0.1, 0.0)
+    view, nothing = observer.around(mesh.nodes), np.zeros(len(mesh.nodes))
+    weight = observer.observe_everything().weight[view.block]
+    tangent, none = solver.equilibrium.linearised(mesh.nodes, nothing, None), Nuisances.none
+    prior = Prior(solver.smoothness, nothing, mesh.rings)
+    pulls, rng = [], np.random.default_rng(0)
     for _ in range(DRAWS):
-        noise = np.zeros(len(seen))
-        noise[seen] = rng.standard_normal(seen.sum()) / np.sqrt(everything.weight[seen])
-        Q, g = normal.assemble(replace(everything, residual_m=noise), linear)
-        a = scales.length_m
-        pulls.append(equilibrium.gradient_at_zero(Q * a**2, g * a, None) / equilibrium.A)
-    tau = detection_threshold(equilibrium, Q * scales.length_m**2)
-    return tau / equilibrium.A, np.array(pulls)
+        noise = rng.standard_normal(len(weight)) / np.sqrt(weight)
+        ranges = Ranges(view.jacobian, noise, weight, none(len(nothing)))
+        problem = ContactProblem(tangent, ranges, prior, nothing, np.zeros_like(mesh.nodes))
+        pulls.append((problem.gradient(nothing) / mesh.areas)[mesh.free])
+    return (newton.threshold(ranges) / mesh.areas)[mesh.free], np.array(pulls)
 
 
 def test_the_penalty_is_the_universal_threshold_of_the_best_seen_node(weights):

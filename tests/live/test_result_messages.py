@@ -43,7 +43,7 @@ def pipeline(small_sensor):
 
 @pytest.fixture(scope="module")
 def pressed(small_sensor, pipeline):
-    frame = press(small_sensor)[22]
+    frame = press(small_sensor)[18]
     result = pipeline.process(replace(frame, stamp_ns=1_790_000_000_123_456_789), PRODUCTS)
     assert result.estimate.status == "ok"
     return result

@@ -8,52 +8,53 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse import Equilibrium, FrameProblem, Pressure
+from bubbleviz.inverse import ConstantTension, Ranges
+from bubbleviz.membrane import cotangent_laplacian
 
-_ZERO = 1e-6  # of the largest pressure: an interior point is nowhere exactly zero
 
+def interior_point(
+    membrane: ConstantTension,
+    ranges: Ranges,
+    smoothness: sparse.sparray,
+    threshold: np.ndarray,
+    allowed: np.ndarray,
+    gas_pa: float | None = None,
+) -> np.ndarray:
+    """Contact pressure (n,) on the allowed nodes, Pa, from u, p_c and p_v as unknowns.
 
-class InteriorPoint:
-    """A solver to register in `SOLVERS`; every call starts cold."""
-
-    def __init__(self, equilibrium: Equilibrium) -> None:
-        self._equilibrium = equilibrium
-
-    def select(self, problem: FrameProblem, start: np.ndarray) -> Pressure:
-        return self._solved(problem)
-
-    def refine(self, problem: FrameProblem, start: Pressure) -> Pressure:
-        return self._solved(problem)
-
-    def _solved(self, problem: FrameProblem) -> Pressure:
-        eq, n = self._equilibrium, len(problem.g)
-        allowed = np.flatnonzero(problem.allowed)
-        k = len(allowed)
-        scale = 1.0 / max(float(problem.Q.diagonal().mean()), 1e-300)
-        H1 = problem.lambda_ * eq.L[allowed][:, allowed]
-        P = sparse.block_diag((problem.Q, H1, sparse.csc_array((1, 1)))) * scale
-        q = np.concatenate([-problem.g, problem.tau[allowed], [0.0]]) * scale
-        areas = sparse.csc_array((eq.A[allowed], (allowed, np.arange(k))), shape=(n, k))
-        gas_row = np.zeros(n) if problem.measured_gas is not None else eq.beta
-        rows: Any = [
-            [eq.L, areas, -sparse.csc_array(eq.A[:, None])],
-            [sparse.csc_array(gas_row[None, :]), None, sparse.csc_array([[1.0]])],
-            [None, -sparse.eye_array(k), None],
-        ]
-        b = np.zeros(n + 1 + k)
-        b[n] = problem.measured_gas or 0.0
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
-        result = clarabel.DefaultSolver(
-            sparse.csc_matrix(sparse.triu(P)),
-            q,
-            sparse.csc_matrix(sparse.block_array(rows)),
-            b,
-            [clarabel.ZeroConeT(n + 1), clarabel.NonnegativeConeT(k)],
-            settings,
-        ).solve()
-        pressure = np.zeros(n)
-        pressure[allowed] = np.asarray(result.x)[n : n + k]
-        pressure[pressure < _ZERO * pressure.max()] = 0.0
-        return Pressure(pressure, result.iterations, result.status == clarabel.SolverStatus.Solved)
+    Pressures are in gauge pressures and displacements in millimetres.
+    """
+    mesh, unit_pa, unit_m = membrane.mesh, membrane.held_pressure_pa, 1e-3
+    free, k = mesh.free, np.flatnonzero(allowed[mesh.free])
+    n, normals = len(free), sparse.block_diag(list(mesh.normals[:, :, None]))
+    D = unit_m * (ranges.jacobian @ normals).tocsc()[:, free]
+    H1 = unit_pa**2 * smoothness.tocsc()[free][:, free][k][:, k]
+    P = sparse.block_diag((D.T @ sparse.diags_array(ranges.weight) @ D, H1, np.zeros((1, 1))))
+    q = [-D.T @ (ranges.weight * ranges.error_m), unit_pa * threshold[free][k], np.zeros(1)]
+    scale = 1.0 / np.abs(q[0]).max()
+    K = membrane.tension_n_per_m * unit_m / unit_pa * cotangent_laplacian(mesh)[free][:, free]
+    A = sparse.diags_array(mesh.areas[free]).tocsc()
+    law = unit_m / unit_pa * membrane.gas.beta[free] * (gas_pa is None)
+    unit = mesh.areas.mean()
+    rows: Any = [
+        [K / unit, A[:, k] / unit, -sparse.csc_array(A.sum(axis=1)[:, None]) / unit],
+        [sparse.csc_array(law[None]), None, sparse.csc_array([[1.0]])],
+        [None, -sparse.eye_array(len(k)), None],
+    ]
+    b = np.zeros(n + 1 + len(k))
+    b[n] = (gas_pa or 0.0) / unit_pa
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    result = clarabel.DefaultSolver(
+        sparse.csc_matrix(sparse.triu(P)) * scale,
+        np.concatenate(q) * scale,
+        sparse.csc_matrix(sparse.block_array(rows)),
+        b,
+        [clarabel.ZeroConeT(n + 1), clarabel.NonnegativeConeT(len(k))],
+        settings,
+    ).solve()
+    assert result.status == clarabel.SolverStatus.Solved
+    pressure = np.zeros(len(mesh.nodes))
+    pressure[free[k]] = unit_pa * np.asarray(result.x)[n : n + len(k)]
+    return pressure

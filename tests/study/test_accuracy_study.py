@@ -31,7 +31,7 @@ from bubbleviz.study.accuracy import (
 from bubbleviz.study.harness import write
 
 NONE, ONE = DepthNoise(), DepthNoise(relative=0.01)
-SETUPS = (LINEAR, Setup("linear", nodes=300, relinearisations=0))
+SETUPS = (LINEAR, Setup("paper", nodes=300))
 DEPTH_M = 0.012
 GRID = Grid(
     specimens=("sensor",),

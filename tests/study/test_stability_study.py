@@ -66,7 +66,8 @@ def nothing_there(estimate):
     zero = np.zeros_like(estimate.displacement_m)
     return {
         "status": "no_contact", "displacement_m": zero, "contact_pressure_pa": zero,
-        "gas_pressure_change_pa": 0.0, "residual_rms_m": 1e-3,
+        "gas_pressure_change_pa": 0.0, "residual_rms_m": 1e-3, "force_n": np.zeros(3),
+        "nodal_force_n": np.zeros_like(estimate.nodal_force_n),
     }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from window_driver import CONTACT, texts
 
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz_ui.model.choices import Setting
+from bubbleviz_ui.model.source_facts import force_text
 from bubbleviz_ui.shell import theme
 
 PRESSED = 8
@@ -28,7 +29,7 @@ def wait_until_as_shown(driver):
 
     def as_shown():
         result, units = driver.result, driver.state.units
-        force = units.force.text(float(np.linalg.norm(result.patch.force_n)))
+        force = force_text(result, units)
         shown = (f"{result.frame.index}", force, units.area.text(result.patch.area_m2))
         compared = tuple(text(driver, row) for row in ("frame", "force", "area"))
         return driver.window.controller.settled and compared == shown
@@ -39,7 +40,7 @@ def wait_until_as_shown(driver):
 def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
-    a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=4.0)
+    a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=20.0)
     driver.choose(layers=frozenset({"membrane", "compared"}), compared=(a, b))
     assert outlines(driver) == [0, 0]
     dock.show()

@@ -80,8 +80,7 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     status = panel.a.values["status"]
     panel.b.pressure_scale.setValue(0.5)
     panel.b.block.setValue(3)
-    panel.b.recasts.setValue(1)
-    options = EstimatorOptions("linear", relinearisations=1, pressure_scale=0.5, block=3)
+    options = EstimatorOptions("linear", pressure_scale=0.5, block=3)
     assert panel.b.setting.options == options
     driver.wait(lambda: options in bench.pipelines)
     assert bench.pipelines[options].estimator.observer.block == 3

@@ -51,7 +51,7 @@ class Setting:
     solver : str or None
     pressure_scale : float or None
         Contact pressure expected, in gauge pressures.
-    recasts : int or None
+    nodes : int or None
         How often rays are cast again in a frame.
     nodes : int or None
         Of the mesh; None: the sensor's.
@@ -65,7 +65,6 @@ class Setting:
 
     solver: str | None = None
     pressure_scale: float | None = None
-    recasts: int | None = None
     nodes: int | None = None
     block: int | None = None
     kappa: float | None = None
@@ -77,7 +76,6 @@ class Setting:
         usual = EstimatorOptions.named(self.solver, self.friction)
         return replace(
             usual,
-            relinearisations=usual.relinearisations if self.recasts is None else self.recasts,
             nodes=None if self.nodes is None else max(self.nodes, FEWEST_NODES),
             pressure_scale=self.pressure_scale or usual.pressure_scale,
             block=self.block,

@@ -66,7 +66,6 @@ class Column:
         )
         self.friction = QDoubleSpinBox(minimum=0.0, maximum=MOST_FRICTION, singleStep=0.1)
         self.friction.setSpecialValueText("none")
-        self.recasts = QSpinBox(minimum=0, maximum=5)
         self.nodes = QSpinBox(singleStep=STEP)
         self.nodes.setRange(0, min(NODES, MAX_NODES))
         self.nodes.setSpecialValueText("sensor's")
@@ -81,7 +80,6 @@ class Column:
         self._bind("solver", None)
         self._bind("pressure_scale", usual.pressure_scale)
         self._bind("friction", usual.friction)
-        self._bind("recasts", usual.relinearisations)
         self._bind("nodes", 0)
         self._bind("block", 0)
         self._bind("kappa", 0.0)
@@ -180,7 +178,6 @@ class ComparePanel(QWidget):
                 "Coefficient of friction to expect of contacts; lowest value: none. Only the exact"
                 " membrane (rubber) has friction",
             ),
-            "Ray-cast passes": ("recasts", "How often rays are cast again within a frame"),
             "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),
             "Pixel binning": ("block", "Side of the squares of pixels that are averaged"),
             "κ": ("kappa", "Threshold as a multiple of the mean contact pressure"),

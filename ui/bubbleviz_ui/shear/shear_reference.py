@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import RubberEstimator
+from bubbleviz.inverse import RUBBER
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import FrameSource, Recording
 from bubbleviz.result import Result
@@ -71,7 +71,7 @@ class ShearReference:
         from bubbleviz.calibration import PassingTexture, watch_recorded_texture
         from bubbleviz.shear import TractionOptions
 
-        self._possible = isinstance(pipeline.estimator, RubberEstimator)
+        self._possible = pipeline.estimator.solver_name == RUBBER
         if not self._possible:
             self.words = NO_RUBBER
             return
