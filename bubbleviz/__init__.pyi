@@ -1,6 +1,9 @@
 from .api.batching import (
     batch as batch,
 )
+from .api.checking import (
+    check as check,
+)
 from .api.connecting import (
     connect as connect,
 )

@@ -15,6 +15,7 @@ import bubbleviz
 from bubbleviz.api.frames import Frames, HeldFrames
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
 from bubbleviz.calibration import PressureZero, zero_of
+from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
@@ -344,18 +345,22 @@ def pipeline_for(
 ) -> tuple[str, Pipeline]:
     """Name of the sensor that fits some frames, and a pipeline for them alone."""
     options = EstimatorOptions.named(solver, friction)
+    name, own, intrinsics = sensor_for(frames, sensor)
+    return name, Pipeline.of(with_colour_delay(own, colour_delay_s), intrinsics, options)
+
+
+def sensor_for(frames: Frames, sensor: SensorName) -> tuple[str, Sensor, Intrinsics | None]:
+    """Name of the sensor that fits some frames, the sensor, and the intrinsics of the frames."""
     source = frames.source
     if isinstance(source, Recording):
-        name, own = fitting_sensor(source, sensor)
-        intrinsics = source.intrinsics
-    else:
-        first = frames[0]
-        if str(sensor) == AUTO:
-            height, width = first.depth_m.shape
-            sensor = preset_of_size((width, height), frames.name)
-        own, intrinsics = load_sensor(sensor), first.intrinsics
-        name = own.name if isinstance(sensor, Sensor) else str(sensor)
-    return name, Pipeline.of(with_colour_delay(own, colour_delay_s), intrinsics, options)
+        return *fitting_sensor(source, sensor), source.intrinsics
+    first = frames[0]
+    if str(sensor) == AUTO:
+        height, width = first.depth_m.shape
+        sensor = preset_of_size((width, height), frames.name)
+    own = load_sensor(sensor)
+    name = own.name if isinstance(sensor, Sensor) else str(sensor)
+    return name, own, first.intrinsics
 
 
 def patch_options(kappa: float | None) -> FrameOptions:

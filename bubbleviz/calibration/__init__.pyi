@@ -63,6 +63,11 @@ from .rubber_fit import (
 from .segmentation import (
     rim_height as rim_height,
 )
+from .sensor_check import (
+    Checked as Checked,
+    SensorCheck as SensorCheck,
+    check_sensor as check_sensor,
+)
 from .sensor_comparison import (
     Comparison as Comparison,
     Kind as Kind,
@@ -97,7 +102,6 @@ from .tension import (
 from .texture_flow import (
     COLLECTED as COLLECTED,
     PassingTexture as PassingTexture,
-    TextureFlow as TextureFlow,
     recorded_texture as recorded_texture,
     watch_recorded_texture as watch_recorded_texture,
 )

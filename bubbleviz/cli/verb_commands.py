@@ -269,6 +269,21 @@ def identify(
 
 
 @click.command()
+@_recording
+@sensor_option
+@option("--contact-free", metavar="A:B", help="Frames A to B−1; found where not given.")
+@json_option
+def check(recording: Path, sensor: str, contact_free: str | None, as_json: bool) -> None:
+    """Tell whether contact-free frames of REC still fit the sensor file.
+
+    fits, drifted (by how much, in N too), or another membrane or camera; and what to do.
+    """
+    with bv.open(recording) as frames, Bar() as bar:
+        done = bv.check(frames, sensor, contact_free=contact_free, progress=bar)
+    report(done, as_json=as_json)
+
+
+@click.command()
 @click.argument("folder", metavar="FOLDER", type=PATH)
 @sensor_option
 @out_option("New folder.")

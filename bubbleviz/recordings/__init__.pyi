@@ -87,6 +87,7 @@ from .recording_writer import RecordingWriter as RecordingWriter
 from .seen_colour import SeenColour as SeenColour, Texture as Texture, placed as placed
 from .sensor_matching import (
     AUTO as AUTO,
+    WEATHER_PA as WEATHER_PA,
     check_fits as check_fits,
     checked_sensor as checked_sensor,
     fitting_sensor as fitting_sensor,

@@ -63,8 +63,11 @@ def nominal_sensor(gauge=GAUGE):
     )
 
 
-def make_twin(seed=0, pressure=True):
-    """Frames of 160×120 pixels: FREE without contact, then a press that grows and holds."""
+def make_twin(seed=0, pressure=True, noise_seed=None, frames=FREE + PRESSED):
+    """Frames of 160×120 pixels: FREE without contact, then a press that grows and holds.
+
+    The same sensor is recorded again by the same seed with another `noise_seed`.
+    """
     rng = np.random.default_rng(seed)
     intrinsics = Intrinsics(160, 120, 107.4, 107.2, 78.4, 61.9)
     T = np.eye(4)
@@ -77,10 +80,12 @@ def make_twin(seed=0, pressure=True):
     false = ((rows - 8) ** 2 + (columns - 8) ** 2 < 36) & ~np.isfinite(rest)
     static = 2e-4 * gaussian_filter(rng.standard_normal(rest.shape), 2.0) / 0.14
     holes = rng.random(rest.shape) < 0.03
+    if noise_seed is not None:
+        rng = np.random.default_rng(noise_seed)
     dent = -np.exp(-np.sum((truth.nodes[:, :2] - (0.0, 0.008)) ** 2, axis=1) / 0.008**2)
     noise = np.zeros(rest.shape)
     depth, pressures = [], []
-    for k in range(FREE + PRESSED):
+    for k in range(frames):
         press = float(np.clip((k - FREE + 1) / 8.0, 0.0, 1.0))
         image = rest if press == 0.0 else cast(truth, camera, 5e-3 * press * dent)
         fresh = gaussian_filter(rng.standard_normal(rest.shape), 1.0) / 0.28

@@ -1,0 +1,96 @@
+"""Whether a sensor file still holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bubbleviz.api.estimating import SensorName, as_frames, sensor_for
+from bubbleviz.api.frames import parse_frames
+from bubbleviz.api.results import OneBlasThread
+from bubbleviz.api.summary import Summary
+from bubbleviz.calibration import Checked, SensorCheck, check_sensor, find_contact_free
+from bubbleviz.errors import InputError
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import AUTO, Frame, KeptFrames, Recording, shown_name
+
+_TEMPERATURE = "sensor_msgs/msg/Temperature"
+_MOST = 60  # frames: more of them only take time
+
+
+@dataclass(frozen=True)
+class CheckSummary(SensorCheck, Summary):
+    """What contact-free frames say of a sensor file, SI units."""
+
+    recording: str = ""
+    sensor: str = ""
+
+    def facts(self) -> dict[str, Any]:
+        """Verdict and numbers; of each quantity its value, interval, limit and what to do."""
+        names = ("quantity", "value", "half_width", "limit", "todo")
+        rows = [{name: getattr(row, name) for name in names} for row in self.rows]
+        return {**asdict(self), "rows": rows}
+
+
+def check(
+    frames: Sequence[Frame],
+    sensor: SensorName = AUTO,
+    *,
+    contact_free: Sequence[int] | str | None = None,
+    progress: Progress = quiet,
+) -> CheckSummary:
+    """Check whether contact-free frames still fit a sensor file.
+
+    Compares rest shape, bias of the pixels, camera info and gas pressure. A change is told where
+    χ² of the mean image is beyond what the sensor file's own noise explains.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        That begin without contact.
+    sensor : str, path or Sensor
+        As of `estimate`.
+    contact_free : sequence of int or str, optional
+        Indices into `frames`, or "A:B"; found where not given.
+    progress : Progress
+
+    Returns
+    -------
+    CheckSummary
+        `verdict` is `fits`, `drifted` or `another` (membrane or camera); `reason` says in one line
+        what changed, what it is worth in N, and what to do; `bias_m` is the mean of measured minus
+        expected range, m.
+
+    Raises
+    ------
+    InputError
+        Sensor and frames do not fit together, or no frames are without contact.
+
+    Examples
+    --------
+    >>> bv.check(bv.open("rest.mcap"), "mine.toml").verdict
+    'fits'
+    """
+    chosen = as_frames(frames)
+    name, own, _ = sensor_for(chosen, sensor)
+    source = KeptFrames(chosen)
+    with OneBlasThread():
+        if isinstance(contact_free, str):
+            contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
+        free = contact_free or find_contact_free(source, progress).frames
+        try:
+            found = check_sensor(own, [source[k] for k in free[:: -(-len(free) // _MOST)]])
+        except InputError as error:
+            raise InputError(f"{shown_name(chosen.source)}: {error}") from error
+    fields = {**vars(found), "rows": (*found.rows, *_temperature(chosen.source))}
+    return CheckSummary(**fields, recording=shown_name(chosen.source), sensor=name)
+
+
+def _temperature(source: Any) -> list[Checked]:
+    """The camera's temperature at the end of a recording, where it is there."""
+    if not isinstance(source, Recording):
+        return []
+    topics = [each for each in source.bag.topics if each.type == _TEMPERATURE and each.count]
+    last = (source.bag.messages(each).message(each.count - 1).temperature for each in topics)
+    return [Checked("camera temperature", "°C", 1.0, float(degrees)) for degrees in last]

@@ -1,0 +1,152 @@
+"""Whether a sensor file still holds: each change told as what it is, no false alarm."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import bubbleviz as bv
+from bubbleviz.calibration import identify, write_sensor
+from bubbleviz.cli.command_line import main
+from bubbleviz.errors import InputError
+from bubbleviz.membrane import Inflation, MembraneMesh, build_rubber
+from bubbleviz.recordings import RecordingWriter
+from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor_model import SensorModel
+
+from .twin import FREE, cast, make_twin, nominal_sensor
+
+PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory):
+    """Of the twin, identified from a recording of another day."""
+    found = identify(make_twin(frames=FREE), nominal_sensor(), range(FREE))
+    file = tmp_path_factory.mktemp("check") / "twin.toml"
+    write_sensor(found, file)
+    file.write_text(file.read_text().replace("[membrane]", "[membrane]\nprestretch = 1.3"))
+    return load_sensor(file)
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return make_twin(noise_seed=1)
+
+
+@pytest.fixture(scope="module")
+def rest(twin):
+    return [twin[k] for k in range(FREE)]
+
+
+def with_depth(frames, change):
+    return [replace(frame, depth_m=change(frame.depth_m).astype(np.float32)) for frame in frames]
+
+
+def size_of(found, quantity):
+    return next(row.value for row in found.rows if row.quantity == quantity)
+
+
+def test_the_same_sensor_raises_no_alarm(sensor):
+    for seed in range(20):
+        again = make_twin(noise_seed=100 + seed, frames=15)
+        found = bv.check([again[k] for k in range(15)], sensor)
+        assert found.verdict == "fits", found.reason
+        assert abs(found.bias_m) < 2e-5
+
+
+def test_weather_is_no_drift(sensor, rest):
+    frames = [replace(f, gas_pressure_pa=f.gas_pressure_pa + 1e3) for f in rest]
+    found = bv.check(frames, sensor)
+    assert found.verdict == "fits"
+    assert size_of(found, "gas pressure measured") == pytest.approx(1e3, abs=20.0)
+    frames = [replace(f, gas_pressure_pa=f.gas_pressure_pa + 9e3) for f in rest]
+    assert "more than weather" in bv.check(frames, sensor).to_text()
+
+
+@pytest.mark.parametrize("offset_m", [1.8e-4, -1.8e-4])
+def test_an_offset_of_depth(sensor, rest, offset_m):
+    found = bv.check(with_depth(rest, lambda depth: depth + offset_m), sensor)
+    assert found.verdict == "drifted"
+    assert found.reason.startswith(f"drifted by {'+0.2' if offset_m > 0 else '-0.1'}")
+    assert size_of(found, "depth offset") == pytest.approx(offset_m, abs=2e-5)
+    assert [row.quantity for row in found.rows if row.todo] == ["depth offset"]
+    assert 0.02 < found.force_error_n < found.press_n
+
+
+def test_a_scale_of_depth(sensor, rest):
+    found = bv.check(with_depth(rest, lambda depth: 1.005 * depth), sensor)
+    assert found.verdict == "drifted"
+    assert size_of(found, "depth scale") == pytest.approx(0.005, abs=5e-4)
+    assert [row.quantity for row in found.rows if row.todo] == ["depth scale"]
+
+
+def test_more_gas(sensor, twin, rest):
+    """Inflated by 1 kPa, a fifth, on the truth's own mesh."""
+    tension = SensorModel.of(sensor, twin.intrinsics).tension_n_per_m
+    rubber = build_rubber(sensor, twin.truth, tension)
+    moved = Inflation(rubber).at(rubber.gauge_pressure_pa + 1e3) - twin.truth.nodes
+    change = cast(twin.truth, twin.camera, moved) - cast(twin.truth, twin.camera, 0.0 * moved)
+    change = np.nan_to_num(twin.camera.depth_image(change))
+    frames = [
+        replace(f, gas_pressure_pa=f.gas_pressure_pa + 1e3)
+        for f in with_depth(rest, lambda depth: depth + change)
+    ]
+    found = bv.check(frames, sensor)
+    assert found.verdict == "drifted" and "inflate" in found.reason
+    assert size_of(found, "gas pressure by the shape") == pytest.approx(1e3, rel=0.1)
+
+
+def test_another_membrane(sensor, twin, rest):
+    x, y, z = twin.truth.nodes.T
+    bumps = 1e-3 * np.cos(x / 0.008) * np.cos(y / 0.009) * z / z.max()
+    other = MembraneMesh(twin.truth.deformed(bumps), twin.truth.triangles, twin.truth.rim)
+    nothing = np.zeros(len(x))
+    change = cast(other, twin.camera, nothing) - cast(twin.truth, twin.camera, nothing)
+    change = np.nan_to_num(twin.camera.depth_image(change))
+    found = bv.check(with_depth(rest, lambda depth: depth + change), sensor)
+    assert (found.verdict, found.reason) == (
+        "another",
+        "another membrane or camera: identify anew",
+    )
+
+
+def test_another_camera(sensor, rest):
+    wider = [replace(f, intrinsics=replace(f.intrinsics, fx=1.02 * f.intrinsics.fx)) for f in rest]
+    found = bv.check(wider, sensor)
+    assert found.verdict == "another" and "fx 109.5" in found.reason and "107.4" in found.reason
+    found = bv.check(with_depth(rest, lambda depth: depth[::-1, ::-1]), sensor)
+    assert found.verdict == "another" and "turned by 180°" in found.reason
+
+
+def test_frames_that_are_touched_are_refused(sensor, twin):
+    with pytest.raises(InputError, match="no contact-free stretch"):
+        bv.check([twin[k] for k in range(FREE + 8, FREE + 15)], sensor)
+
+
+def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
+    with RecordingWriter(tmp_path / "press.mcap") as writer:
+        for k in range(len(twin)):
+            writer.write(twin[k])
+    file = sensor.resolve(sensor.file)
+    words = ["check", str(tmp_path / "press.mcap"), "--sensor", str(file)]
+    told = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)
+    assert told["verdict"] == "fits" and told["frames"][1] <= FREE
+    lines = CliRunner().invoke(main, words).stdout.splitlines()
+    assert lines[0].startswith("fits") and any(line.startswith("depth offset") for line in lines)
+    refused = CliRunner().invoke(main, [*words, "--contact-free", "38:45"])
+    assert refused.exit_code == 2 and "no contact-free stretch" in refused.stderr
+
+
+@pytest.mark.skipif(not PRESS.exists(), reason="the real recording is not here")
+def test_the_real_press():
+    frames = bv.open(PRESS)
+    rest = [frames[k] for k in range(0, 60, 3)]
+    assert bv.check(rest, "punyo_oval_d405").verdict == "fits"
+    found = bv.check(with_depth(rest, lambda depth: depth + 1.8e-4), "punyo_oval_d405")
+    assert found.verdict == "drifted" and 0.1 < found.force_error_n < 0.4
+    with pytest.raises(InputError, match="no contact-free stretch"):
+        bv.check(frames[72:90], "punyo_oval_d405", contact_free=range(18))
