@@ -32,6 +32,9 @@ from .api.recording import (
 from .api.simulating import (
     simulate as simulate,
 )
+from .api.validating import (
+    validate as validate,
+)
 from .api.watching import (
     watch as watch,
 )

@@ -123,3 +123,8 @@ from .workbench import (
     Step as Step,
     Workbench as Workbench,
 )
+from .wrench_comparison import (
+    Interval as Interval,
+    WrenchComparison as WrenchComparison,
+    compare_with_wrench as compare_with_wrench,
+)

@@ -284,6 +284,25 @@ def check(recording: Path, sensor: str, contact_free: str | None, as_json: bool)
 
 
 @click.command()
+@_recording
+@sensor_option
+@option("--wrench", metavar="TOPIC", help="Topic of the wrenches; the nearest by name.")
+@solver_option
+@friction_option
+@zero_gas_option
+@out_option("PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder.", required=False)
+@json_option
+def validate(recording: Path, sensor: str, as_json: bool, **options: Any) -> None:
+    """Compare the estimated force with that of a wrench sensor.
+
+    Bias, gain, rotation, delay and hysteresis with 95 % intervals; nothing is applied.
+    """
+    with Bar() as bar:
+        done = bv.validate(recording, sensor, progress=bar, **options)
+    report(done, as_json=as_json)
+
+
+@click.command()
 @click.argument("folder", metavar="FOLDER", type=PATH)
 @sensor_option
 @out_option("New folder.")

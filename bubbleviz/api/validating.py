@@ -1,0 +1,246 @@
+"""Estimated force against that of a wrench sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bubbleviz.api.estimating import SensorName, estimate
+from bubbleviz.api.frames import open
+from bubbleviz.api.summary import Summary
+from bubbleviz.calibration import Interval, WrenchComparison, compare_with_wrench
+from bubbleviz.errors import InputError
+from bubbleviz.files import refuse_existing, to_json, whole_file, write_rows
+from bubbleviz.output import DPI
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import AUTO, Frame
+from bubbleviz.wording import count_of, decimals_of, rounded
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PICTURES = (".png", ".svg", ".pdf")
+
+
+@dataclass(frozen=True)
+class ValidationSummary(Summary):
+    """How the estimated force follows a measured one; nothing of it is applied.
+
+    Attributes
+    ----------
+    recording, sensor : str
+    found : WrenchComparison
+        estimate(t) = gain · R (measured(t − delay) − bias), with 95 % intervals.
+    out : str or None
+        Where it was written.
+    """
+
+    recording: str
+    sensor: str
+    found: WrenchComparison
+    out: str | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """Numbers, SI units: each with half of its 95 % interval; None where not determined."""
+        found, told = self.found, {}
+        for name in ("bias_n", "gain", "rotation_rad", "delay_s", "hysteresis_n"):
+            number = getattr(found, name)
+            told[name] = _plain(number.value)
+            told[f"{name}_half_width"] = _plain(number.half_width)
+        return {
+            "recording": self.recording,
+            "sensor": self.sensor,
+            "out": self.out,
+            "frames": len(found.time_s),
+            "presses": found.presses,
+            **told,
+            "rotation_about_force_known": found.spin_known,
+            "rmse_n": found.rmse_n,
+            "size_rmse_n": found.size_rmse_n,
+            "largest_estimate_n": _largest(found.estimate_n),
+            "largest_measured_n": _largest(found.measured_n),
+        }
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        found = self.found
+        bias = ", ".join(
+            _with_interval(Interval(*pair))
+            for pair in zip(found.bias_n.value, found.bias_n.half_width, strict=True)
+        )
+        turn = found.rotation_rad
+        sizes = np.linalg.norm([turn.value, turn.half_width], axis=1)
+        angle = Interval(*np.degrees(sizes))
+        spin = "" if found.spin_known else ", about the force itself not determined"
+        lines = [
+            f"compared    {count_of(len(found.time_s), 'frame')}, presses: {found.presses}",
+            f"force       {_largest(found.estimate_n):.2f} N estimated at most,"
+            f" {_largest(found.measured_n):.2f} N measured",
+            f"gain        {_with_interval(found.gain)}, estimate over measured",
+            f"bias        {bias} N of the wrench sensor, in its axes",
+            f"rotation    {_with_interval(angle)}°{spin}",
+            f"delay       {_with_interval(found.delay_s, 1e3)} ms, estimate after measured",
+            f"hysteresis  {_with_interval(found.hysteresis_n, unit=' N')}",
+            f"rmse        {found.rmse_n:.2f} N after this fit, {found.size_rmse_n:.2f} N between"
+            " the sizes without a gain",
+            "Intervals: 95 %. Nothing of this is applied.",
+        ]
+        return "\n".join([*lines, *([f"wrote {self.out}"] if self.out else [])])
+
+    def rows(self) -> list[dict[str, float]]:
+        """Force of each frame: estimated, measured less bias and delay, and fitted, N."""
+        found = self.found
+        kinds = {
+            "estimate": found.estimate_n, "measured": found.measured_n, "fitted": found.fitted_n
+        }  # fmt: skip
+        return [
+            {"time_s": float(time_s)}
+            | {
+                f"{kind}_{axis}_n": float(force[k, j])
+                for kind, force in kinds.items()
+                for j, axis in enumerate("xyz")
+            }
+            for k, time_s in enumerate(found.time_s)
+        ]
+
+    def plot(self) -> Figure:
+        """Estimated over measured force, and both over time."""
+        from matplotlib.figure import Figure  # 0.4 s
+
+        found, figure = self.found, Figure(figsize=(10.0, 4.5), layout="constrained")
+        sizes = [np.linalg.norm(f, axis=1) for f in (found.measured_n, found.estimate_n)]
+        scatter, time = figure.subplots(1, 2)
+        end, gain = 1.05 * max(size.max() for size in sizes), float(found.gain.value)
+        scatter.plot([0.0, end], [0.0, end], color="0.6", lw=1.0, label="equal")
+        scatter.plot([0.0, end], [0.0, gain * end], lw=1.0, label=f"gain {gain:.2f}")
+        scatter.scatter(*sizes, s=8.0, c=found.time_s, cmap="viridis")
+        scatter.set(xlabel="measured force, N", ylabel="estimated force, N", aspect="equal")
+        for k, axis in enumerate("xyz"):
+            line = time.plot(found.time_s, found.estimate_n[:, k], label=axis)[0]
+            time.plot(found.time_s, found.fitted_n[:, k], "--", color=line.get_color(), lw=1.0)
+        time.set(xlabel="time, s", ylabel="force in B, N", title="dashed: measured, fitted")
+        for axes in (scatter, time):
+            axes.grid(alpha=0.3)
+            axes.legend(fontsize=8)
+        return figure
+
+    def save(self, out: str | Path, *, overwrite: bool = False) -> None:
+        """Write a plot (.png, .svg, .pdf), a table (.csv), numbers (.json), or a folder of all.
+
+        Raises
+        ------
+        InputError
+            The name ends otherwise, or the file exists.
+        """
+        out = Path(out)
+        _check(out, overwrite=overwrite)
+        with whole_file(out, overwrite=overwrite) as temporary:
+            if out.suffix:
+                self._write(temporary)
+                return
+            temporary.mkdir()
+            for suffix in (".png", ".csv", ".json"):
+                self._write(temporary / f"validation{suffix}")
+
+    def _write(self, path: Path) -> None:
+        if path.suffix == ".csv":
+            write_rows(path, self.rows())
+        elif path.suffix == ".json":
+            path.write_text(to_json(self.facts()) + "\n", encoding="utf-8")
+        else:
+            self.plot().savefig(path, dpi=DPI)
+
+
+def validate(
+    frames: Sequence[Frame] | str | Path,
+    sensor: SensorName = AUTO,
+    *,
+    wrench: str | None = None,
+    solver: str | None = None,
+    friction: float | None = None,
+    zero_gas: bool = True,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress = quiet,
+) -> ValidationSummary:
+    """Compare the estimated force with a wrench sensor's: bias, gain, rotation, delay, hysteresis.
+
+    Parameters
+    ----------
+    frames : sequence of Frame or path
+        With wrenches, and with frames without contact; or a recording.
+    sensor, solver, friction, zero_gas, progress
+        As of `estimate`.
+    wrench : str, optional
+        Topic of the wrenches in a recording that is given by its path; else the nearest by name.
+    out : path, optional
+        As of `ValidationSummary.save`.
+    overwrite : bool
+        Replace what is there.
+
+    Returns
+    -------
+    ValidationSummary
+        Nothing of it is applied to estimates.
+
+    Raises
+    ------
+    InputError
+        Sensor and frames do not fit together, or there are no wrenches or no contacts.
+
+    Examples
+    --------
+    >>> found = bv.validate("press.mcap", "mine.toml", wrench="/ft_sensor/wrench").found
+    >>> found.gain.value, found.gain.half_width
+    """
+    if out is not None:
+        _check(Path(out), overwrite=overwrite)
+    if isinstance(frames, str | Path):
+        with open(frames, wrench_topic=wrench) as opened:
+            return validate(
+                opened, sensor, solver=solver, friction=friction, zero_gas=zero_gas, out=out,
+                overwrite=overwrite, progress=progress,
+            )  # fmt: skip
+    if wrench is not None:
+        raise InputError(f"wrench {wrench}: frames are open already; give wrench_topic to open")
+    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    run = estimate(frames, sensor, progress=progress, **how)
+    measured = np.array([row["wrench_n"] for row in run.rows()])
+    name = run.said["recording"]
+    if not np.isfinite(measured).any():
+        raise InputError(f"{name}: no wrench was recorded; name its topic with --wrench")
+    try:
+        found = compare_with_wrench(run.times_s, run.force_n, measured)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    done = ValidationSummary(name, run.said["sensor"], found, None if out is None else str(out))
+    if out is not None:
+        done.save(out, overwrite=overwrite)
+    return done
+
+
+def _check(out: Path, *, overwrite: bool) -> None:
+    if out.suffix not in ("", ".csv", ".json", *_PICTURES):
+        raise InputError(f"{out}: end it in .png, .svg, .pdf, .csv or .json, or name a folder")
+    refuse_existing(out, overwrite=overwrite)
+
+
+def _largest(force_n: np.ndarray) -> float:
+    return float(np.linalg.norm(force_n, axis=1).max())
+
+
+def _with_interval(number: Interval, factor: float = 1.0, unit: str = "") -> str:
+    value, half = factor * float(number.value), factor * float(number.half_width)
+    if not np.isfinite(value):
+        return "not determined: no press ends in the recording"
+    digits = decimals_of(half, 2)
+    return f"{rounded(value, digits)} ± {rounded(half, digits)}{unit}"
+
+
+def _plain(value: np.ndarray) -> Any:
+    """Numbers for JSON; None where they are not known."""
+    return np.asarray(value).tolist() if np.isfinite(value).all() else None
