@@ -14,6 +14,7 @@ from bubbleviz.calibration import Checked, SensorCheck, check_sensor, find_conta
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame, KeptFrames, Recording, shown_name
+from bubbleviz.sensor_model import SensorModel
 
 _TEMPERATURE = "sensor_msgs/msg/Temperature"
 _MOST = 60  # frames: more of them only take time
@@ -60,7 +61,7 @@ def check(
     CheckSummary
         `verdict` is `fits`, `drifted` or `another` (membrane or camera); `reason` says in one line
         what changed, what it is worth in N, and what to do; `bias_m` is the mean of measured minus
-        expected range, m.
+        expected z-depth, m.
 
     Raises
     ------
@@ -73,14 +74,15 @@ def check(
     'fits'
     """
     chosen = as_frames(frames)
-    name, own, _ = sensor_for(chosen, sensor)
+    name, own, intrinsics = sensor_for(chosen, sensor)
     source = KeptFrames(chosen)
     with OneBlasThread():
         if isinstance(contact_free, str):
             contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
         free = contact_free or find_contact_free(source, progress).frames
         try:
-            found = check_sensor(own, [source[k] for k in free[:: -(-len(free) // _MOST)]])
+            some = [source[k] for k in free[:: -(-len(free) // _MOST)]]
+            found = check_sensor(SensorModel.of(own, intrinsics), some)
         except InputError as error:
             raise InputError(f"{shown_name(chosen.source)}: {error}") from error
     fields = {**vars(found), "rows": (*found.rows, *_temperature(chosen.source))}

@@ -14,10 +14,10 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr
 
 from bubbleviz.calibration.contact_free import SIGNIFICANT
-from bubbleviz.camera import BlockSquares, DepthCamera
+from bubbleviz.camera import BlockSquares, DepthCamera, MembraneView
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
 from bubbleviz.membrane import Inflation
@@ -33,7 +33,6 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.result import HALF_95
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, touching_height
 from bubbleviz.wording import decimals_of, rounded
@@ -84,7 +83,7 @@ class SensorCheck:
     reason: str  # one line, with what to do
     rows: tuple[Checked, ...]
     frames: tuple[int, int]  # first and last
-    bias_m: float  # mean of measured minus expected range, m
+    bias_m: float  # mean of measured minus expected z-depth, m
     # χ² of the mean image for each block of pixels, and what it is at most where nothing changed
     chi2_per_block: float
     chi2_limit: float
@@ -100,35 +99,35 @@ class SensorCheck:
 
 
 def check_sensor(
-    sensor: Sensor, frames: Sequence[Frame], *, in_newtons: bool = True
+    model: SensorModel,  # with the camera of the frames
+    frames: Sequence[Frame],  # without contact
+    *,
+    quick: bool = False,  # no table where it fits, and no force
 ) -> SensorCheck:
     """Compare contact-free frames of one camera with a sensor file.
 
-    `in_newtons`: simulate a press, to tell what a drift is worth in force.
-
-    Raises InputError: too few frames, something touches the membrane, or the sensor file cannot be
-    used.
+    Raises InputError: too few frames, or something touches the membrane.
     """
     if len(frames) < MIN_FRAMES:
         raise InputError(f"{len(frames)} contact-free frames; give at least {MIN_FRAMES}")
-    model = SensorModel.of(sensor, frames[0].intrinsics)
     depths = [frame.depth_m for frame in frames]
     rest = _Rest(model, depths)
     camera = _camera_row(model, rest)
-    rows = [*rest.rows(), camera, *_gas_rows(model, frames, rest)]
+    fits = rest.changed <= rest.limit and not camera.todo
+    shape = () if quick and fits else (*rest.rows(), camera, *_gas_rows(model, frames, rest))
     found = SensorCheck(
         verdict="fits",
-        reason=f"fits: depth within {1e3 * rest.limit_of(OFFSET):.2f} mm of the sensor file",
-        rows=tuple(rows),
+        reason=f"fits: depth within {1e3 * rest.change_limit_m:.2f} mm of the sensor file",
+        rows=shape,
         frames=(frames[0].index, frames[-1].index),
         bias_m=rest.bias_m,
         chi2_per_block=rest.changed,
         chi2_limit=rest.limit,
     )
-    if camera.todo:
-        return replace(found, verdict="another", reason=_another_camera(sensor, model, camera))
-    if rest.changed <= rest.limit:
+    if fits:
         return found
+    if camera.todo:
+        return replace(found, verdict="another", reason=_another_camera(model, camera))
     turned = [depth[::-1, ::-1] for depth in depths]
     if rest.left > rest.limit and (again := _Rest(model, turned)).left <= again.limit:
         reason = "another camera: its images are turned by 180°; turn it back, or identify anew"
@@ -145,7 +144,7 @@ def check_sensor(
     causes = [row for row in rest.rows()[:-1] if row.todo]
     most = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
     what = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
-    press, error = _force_error(pipeline, rest) if in_newtons else (None, None)
+    press, error = _force_error(pipeline, rest) if not quick else (None, None)
     worth = "" if error is None else f", {error:.2g} N of a press of {press:.2g} N"
     reason = (
         f"drifted by {1e3 * rest.bias_m:+.2f} mm{worth} ({what or 'pattern of the pixels'}):"
@@ -174,8 +173,8 @@ class _Rest:
         # (B,), variance of a block in one frame, as the estimator has it, and of the mean, m²
         self.one_m2 = 1.0 / self.observer.observe_everything().weight[self._seen]
         self.mean_m2 = self._variance_of_mean(1.0 / np.median(totals[:, self._seen], axis=0))
-        # measured changed by more than noise where χ² of a block is above this
-        self.limit = float(chi2.isf(norm.sf(SIGNIFICANT), len(self.mean_m)) / len(self.mean_m))
+        # χ² of a block that noise does not reach
+        self.limit = float(chdtri(len(self.mean_m), ndtr(-SIGNIFICANT)) / len(self.mean_m))
 
     def _variance_of_mean(self, noise_m2: np.ndarray) -> np.ndarray:
         """That of the frames' mean and that of the file's own, whose frames are not known.
@@ -191,9 +190,20 @@ class _Rest:
         return noise_m2 * (inflation / len(moved) + 1.0 / MIN_FRAMES)
 
     @property
+    def change_limit_m(self) -> float:
+        """Rms change of the range from which χ² is too large, m."""
+        return float(np.sqrt(self.limit / np.mean(1.0 / self.mean_m2)))
+
+    @property
     def bias_m(self) -> float:
-        """Mean of measured minus expected range, m."""
-        return float(np.average(self.mean_m, weights=1.0 / self.one_m2))
+        """Mean of measured minus expected z-depth, m."""
+        return float(np.average(self.mean_m / self._per_depth, weights=1.0 / self.one_m2))
+
+    @cached_property
+    def _per_depth(self) -> np.ndarray:
+        """Change of the blocks (B,) by that of the z-depth."""
+        depth = self.expected_depth_m()
+        return (self._observed(depth + 1e-3) - self._observed(depth)) / 1e-3
 
     @property
     def changed(self) -> float:
@@ -211,7 +221,7 @@ class _Rest:
         depth = self.expected_depth_m()
         at_rest = self._observed(depth)
         found = {
-            OFFSET: (self._observed(depth + 1e-3) - at_rest) / 1e-3,
+            OFFSET: self._per_depth,
             SCALE: (self._observed(depth * (1.0 + _STEP)) - at_rest) / _STEP,
         }
         gauge = self.model.sensor.pneumatics.gauge_pressure_pa
@@ -322,13 +332,14 @@ class _Rest:
 
 def _camera_row(model: SensorModel, rest: _Rest) -> Checked:
     """Change of the expected ranges by the intrinsics of the recording, rms."""
-    own = SensorModel.of(model.sensor)
-    change = model.view.rest_range - own.view.rest_range
+    own = DepthCamera.of(model.sensor.camera)
+    if own.intrinsics == model.camera.intrinsics:
+        return Checked("camera info, rms", "mm", 1e3, 0.0, None, rest.change_limit_m)
+    change = model.view.rest_range - MembraneView(own, model.mesh).rest_range
     used = np.isfinite(change) & (True if model.pixels is None else model.pixels.mask)
     moved = float(np.sqrt(np.mean(change[used] ** 2)))
-    limit = float(np.sqrt(rest.limit / np.mean(1.0 / rest.mean_m2)))
-    todo = "choose the sensor file of this camera" if moved > limit else ""
-    return Checked("camera info, rms", "mm", 1e3, moved, None, limit, todo)
+    todo = "choose the sensor file of this camera" if moved > rest.change_limit_m else ""
+    return Checked("camera info, rms", "mm", 1e3, moved, None, rest.change_limit_m, todo)
 
 
 def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _Rest) -> list[Checked]:
@@ -343,8 +354,8 @@ def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _Rest) -> list[
     return [Checked("gas pressure measured", "Pa", 1.0, off, half, WEATHER_PA, todo)]
 
 
-def _another_camera(sensor: Sensor, model: SensorModel, row: Checked) -> str:
-    own, there = DepthCamera.of(sensor.camera).intrinsics, model.camera.intrinsics
+def _another_camera(model: SensorModel, row: Checked) -> str:
+    own, there = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
     return (
         f"another camera: fx {there.fx:.1f}, fy {there.fy:.1f} in the recording's camera info,"
         f" {own.fx:.1f} and {own.fy:.1f} pixels in the sensor file: {row.todo}, or identify anew"

@@ -71,7 +71,8 @@ def test_weather_is_no_drift(sensor, rest):
 def test_an_offset_of_depth(sensor, rest, offset_m):
     found = bv.check(with_depth(rest, lambda depth: depth + offset_m), sensor)
     assert found.verdict == "drifted"
-    assert found.reason.startswith(f"drifted by {'+0.2' if offset_m > 0 else '-0.1'}")
+    assert found.bias_m == pytest.approx(offset_m, abs=2e-5)
+    assert found.reason.startswith(f"drifted by {1e3 * found.bias_m:+.2f} mm")
     assert size_of(found, "depth offset") == pytest.approx(offset_m, abs=2e-5)
     assert [row.quantity for row in found.rows if row.todo] == ["depth offset"]
     assert 0.02 < found.force_error_n < found.press_n

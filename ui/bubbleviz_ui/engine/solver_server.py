@@ -415,6 +415,8 @@ class Server:
         if not grows:  # else its zero tells, once it is known
             remarks.append(gas_warning(measured_pa, pipeline.model.gas.P0))
             remarks.append(_told(zero))
+        if isinstance(source, Recording):
+            remarks.append(_misfit(source, pipeline))
         remark = " ".join(f"{text}." for text in remarks if text)
         marks = source.marks() if isinstance(source, Recording) else ()
         opener = request.open_source
@@ -520,6 +522,20 @@ def _told(zero: PressureZero | None) -> str:
     if zero is None or (zero.offset_pa is not None and abs(zero.offset_pa) < TOLD_PA):
         return ""
     return zero.words
+
+
+def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
+    """What the first frames of a recording say against the sensor file; nothing where touched."""
+    # what the window starts without
+    from bubbleviz.calibration import ENOUGH, CollectedFrames, check_sensor, find_contact_free
+
+    first = CollectedFrames(source.name, [source[k] for k in range(min(ENOUGH, len(source)))])
+    try:
+        free = find_contact_free(first).frames
+        found = check_sensor(pipeline.model, [first[k] for k in free], quick=True)
+    except InputError:
+        return ""
+    return "" if found.verdict == "fits" else f"sensor file {found.reason}"
 
 
 def _in_words(error: Exception) -> str:
