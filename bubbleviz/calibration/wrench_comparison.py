@@ -2,7 +2,8 @@
 
 estimate(t) = gain · R (measured(t − delay) − bias) by least squares. Errors of neighbouring frames
 are alike, so intervals are by a jackknife that leaves out whole presses, or blocks of time where
-there are too few of them, with everything fitted again.
+there are too few of them, with everything fitted again. A delay and hysteresis look much alike:
+intervals hold the answer of a model without hysteresis, too.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ _DELAYS_S = np.linspace(-MOST_S, MOST_S, 121)
 _APART = 5  # contact-free frames between two presses; fewer are a failed image
 _LEAST = 5  # presses from which they are the clusters, and blocks of time at least
 _ROUNDS = 4  # of rotation, then gain and hysteresis
+_TURNS = 4  # of delay, then where the force rises and falls
 _OPEN_RAD = 0.5 * np.pi  # half-width from which an angle is not determined
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """A number, or several, with half of the 95 % interval; NaN where it is not determined."""
 
     value: np.ndarray
@@ -101,12 +102,14 @@ def compare_with_wrench(
         axes = [np.interp(at, time_s[has], axis).mean(axis=-2) for axis in measured_n[has].T]
         return np.stack(axes, axis=-1)
 
-    every, press, one = moved(_DELAYS_S), _presses(touching), np.zeros(len(t), int)
-    first = _fitted(_sums(e, every, 0.0 * e, one)[0], aligned=False)
-    m = moved(first.delay_s) - first.bias_n
-    branch = _branches(m, touching)
-    falls = bool((branch < 0.0).any())
-    q = falls * branch[:, None] * e / np.maximum(np.linalg.norm(e, axis=1), 1e-300)[:, None]
+    every, press = moved(_DELAYS_S), _presses(touching)
+    q, cluster = np.zeros_like(e), np.zeros(len(t), int)
+    for _ in range(_TURNS):  # when the force turns depends on the delay, and the delay on that
+        first = _fitted(_sums(e, every, q, cluster).sum(axis=0), aligned=False)
+        m = moved(first.delay_s) - first.bias_n
+        branch = _branches(m, touching)
+        falls = bool((branch < 0.0).any())
+        q = falls * branch[:, None] * e / np.maximum(np.linalg.norm(e, axis=1), 1e-300)[:, None]
     cluster = press
     if press.max() + 1 < _LEAST:
         left = e - first.gain * m @ first.rotation.T
@@ -122,9 +125,18 @@ def compare_with_wrench(
         if np.linalg.norm(half_turn) < _OPEN_RAD:
             break
 
-    def interval(value: np.ndarray, each: np.ndarray) -> Interval:
-        """Jackknife: leaves out a cluster at a time."""
+    without_hysteresis = sums.sum(axis=0)
+    without_hysteresis[..., 7:, :] = without_hysteresis[..., 7:] = 0.0
+    other = _fitted(without_hysteresis, aligned)
+
+    def jackknife(name: str) -> Interval:
+        value, each = getattr(whole, name), getattr(without, name)
         return Interval(value, scale * np.linalg.norm(each - value, axis=0))
+
+    def interval(name: str) -> Interval:
+        """Jackknife, and what the number would be of a model without hysteresis."""
+        value, noise = jackknife(name)
+        return Interval(value, np.hypot(noise, value - getattr(other, name)))
 
     m = moved(whole.delay_s) - whole.bias_n
     unknown = Interval(np.array(np.nan), np.array(np.nan))
@@ -134,11 +146,11 @@ def compare_with_wrench(
         fitted_n=whole.gain * m @ whole.rotation.T + 0.5 * whole.hysteresis_n * q,
         measured_n=m,
         presses=int(press.max()) + 1,
-        bias_n=interval(whole.bias_n, without.bias_n),
-        gain=interval(whole.gain, without.gain),
+        bias_n=interval("bias_n"),
+        gain=interval("gain"),
         rotation_rad=Interval(Rotation.from_matrix(whole.rotation).as_rotvec(), half_turn),
-        delay_s=interval(whole.delay_s, without.delay_s),
-        hysteresis_n=interval(whole.hysteresis_n, without.hysteresis_n) if falls else unknown,
+        delay_s=interval("delay_s"),
+        hysteresis_n=jackknife("hysteresis_n") if falls else unknown,
         spin_known=not aligned,
     )
 
