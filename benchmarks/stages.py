@@ -42,7 +42,6 @@ from bubbleviz.study.speed import ROUND
 _POSES = (0, 25, 35, 45, 51, 54, 57, 60)
 """Of the moving press: one above the membrane, and the way down."""
 _WARM = 4  # the last of them are measured
-_SOURCE_NODES = 1_500  # of the membrane that is pressed, whatever the estimator has
 _SOLVES = 5
 """Solves with the factors of the tangent that a step of the exact membrane cannot do without:
 motion to equilibrium before and after, the pull of the ranges before and after, the bulge."""
@@ -87,6 +86,7 @@ class StageSizes:
     pixels: tuple[int, int] = (307_200, 76_800)
     nodes: tuple[int, int] = (1_000, 2_000)
     passes: int = 15  # over the frames
+    source_nodes: int = 1_500  # of the membrane that is pressed, whatever the estimator has
 
 
 def stages_study(sensor: Sensor, sizes: StageSizes) -> Study:
@@ -106,7 +106,7 @@ def stage_times(sensor: Sensor, sizes: StageSizes, machine: Machine) -> list[Sta
     pixels, nodes, rubber = sizes.pixels, sizes.nodes, rubber_sensor(sensor)
     with tempfile.TemporaryDirectory() as folder:
         here, other_camera, other_mesh = (
-            _Stages(with_nodes(with_pixels(rubber, p), n), Path(folder) / f"{p}_{n}")
+            _Stages(with_nodes(with_pixels(rubber, p), n), sizes, Path(folder) / f"{p}_{n}")
             for p, n in ((pixels[0], nodes[0]), (pixels[1], nodes[0]), (pixels[0], nodes[1]))
         )
         times = [each.times_ms(sizes.passes) for each in (here, other_camera, other_mesh)]
@@ -130,12 +130,12 @@ class _Stages:
     The folder is made here, for a recording and what is exported.
     """
 
-    def __init__(self, sensor: Sensor, folder: Path) -> None:
+    def __init__(self, sensor: Sensor, sizes: StageSizes, folder: Path) -> None:
         folder.mkdir()
         self._folder, ball = folder, load_object("sphere")
         poses = default_path(*dome_size(sensor), ROUND)[list(_POSES)]
         noise = DepthNoise(relative=sensor.camera.noise_relative)
-        source = SyntheticSource(sensor, ball, poses, noise, nodes=_SOURCE_NODES)
+        source = SyntheticSource(sensor, ball, poses, noise, nodes=sizes.source_nodes)
         frames = [replace(source[k], gas_pressure_pa=None) for k in range(len(source))]
         self._path = folder / "press.mcap"
         with RecordingWriter(self._path) as writer:

@@ -17,7 +17,7 @@ from bubbleviz.live import LiveSource, LiveStream, OfferedTopic
 from bubbleviz.recordings import Frame, FrameMessages
 from bubbleviz.sensor_model import SensorModel
 from tests.shear.drag import Eyes, sensor, stuck
-from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, images, write_texture_press
+from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_press
 from tests.small_press import write_press, write_small_sensor
 
 NOW = 1_700_000_000_000_000_000
@@ -43,12 +43,12 @@ class HandedSource(LiveSource):
 
 def frame_of(k):
     """What both cameras see of the puck at frame k."""
-    depth, grey = images()[k]
+    depth, grey = image(k)
     height, width = grey.shape
     encoded = EncodedImage("mono8", grey.tobytes(), width, height, width)
     lens = SensorModel.of(sensor()).camera.intrinsics
-    image = ColourImage(lambda: encoded, time_s=k / 30.0, camera=ColourCamera(lens))
-    return Frame(k, k / 30.0, depth, lens, find_colour=lambda _: image)
+    colour = ColourImage(lambda: encoded, time_s=k / 30.0, camera=ColourCamera(lens))
+    return Frame(k, k / 30.0, depth, lens, find_colour=lambda _: colour)
 
 
 def watched(*frames):

@@ -15,7 +15,7 @@ from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
 from tests.recordings.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
-from tests.shear.texture_bag import FRAMES, HELD, images, write_texture_press
+from tests.shear.texture_bag import FRAMES, HELD, image, write_texture_press
 from tests.small_press import write_press, write_small_sensor
 
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a_color"
@@ -69,7 +69,7 @@ def test_what_is_asked_in_vain_is_said(tmp_path, options, said):
 
 def jpeg(k, step=1):
     """Colour image of a frame, smaller by a step."""
-    return encoded(images()[k][1][::step, ::step], "jpeg")
+    return encoded(image(k)[1][::step, ::step], "jpeg")
 
 
 def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path):

@@ -12,23 +12,30 @@ from tests.colour.colour_bag import add_compressed, encoded
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
 from tests.shear.drag import NOISE, sensor, stuck
 
+PRESS = "puck", 0.004, 0.001, 8.0
 FRAMES, TOUCHED, HELD = 60, 30, 40
 """Contact begins and the hold, in which the membrane is in equilibrium."""
 
 
 @cache
-def images():
-    """Depth, m, and grey image of every frame."""
-    truth, camera = stuck("puck", 0.004, 0.001, 8.0), SensorModel.of(sensor()).camera
-    view = MembraneView(camera, truth.mesh)
-    printed = PrintedMembrane(Speckle(), view)
-    found = []
-    for k in range(FRAMES):
-        share = np.clip((k - TOUCHED + 1) / (HELD - TOUCHED), 0.0, 1.0)
-        moved = share * truth.displacement_m
-        ranges = NOISE.apply(view.range_image(moved), 0, k)
-        found.append((camera.depth_image(ranges).astype(np.float32), printed.image(moved, k)))
-    return found
+def view():
+    """The membrane before the camera at rest."""
+    return MembraneView(SensorModel.of(sensor()).camera, stuck(*PRESS).mesh)
+
+
+@cache
+def ranges(share):
+    """Without noise, of the membrane moved by a share of what the press moves it, m."""
+    return view().range_image(share * stuck(*PRESS).displacement_m)
+
+
+@cache
+def image(k):
+    """Depth, m, and grey image of a frame."""
+    share = float(np.clip((k - TOUCHED + 1) / (HELD - TOUCHED), 0.0, 1.0))
+    depth = view().camera.depth_image(NOISE.apply(ranges(share), 0, k)).astype(np.float32)
+    printed = PrintedMembrane(Speckle(), view())
+    return depth, printed.image(share * stuck(*PRESS).displacement_m, k)
 
 
 def write_texture_press(folder, changed, lead=0):
@@ -36,10 +43,10 @@ def write_texture_press(folder, changed, lead=0):
     bag, own = BagMaker("mcap file"), sensor().camera
     matrix = np.array([own.fx, 0.0, own.cx, 0.0, own.fy, own.cy, 0.0, 0.0, 1.0])
     size = {"k": matrix, "height": own.height, "width": own.width}
-    for k, (depth, _) in enumerate(images()):
+    for k in range(FRAMES):
         stamp = START + k * PERIOD
-        grey = images()[min(k + lead, FRAMES - 1)][1]
-        bag.image(stamp, depth)
+        grey = image(min(k + lead, FRAMES - 1))[1]
+        bag.image(stamp, image(k)[0])
         bag.camera_info(stamp, **size)
         jpeg = changed.get(k, encoded(grey, "jpeg"))
         add_compressed(bag, stamp, jpeg, "jpeg")
