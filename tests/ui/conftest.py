@@ -44,9 +44,8 @@ def qapp():
 
 
 @pytest.fixture
-def new_window(qtbot):
+def new_window(qtbot, qapp):
     """Make windows on which nothing is open yet; each is closed after the test."""
-    application()
     windows: list[MainWindow] = []
 
     def make(quality=FAST):
@@ -62,7 +61,7 @@ def new_window(qtbot):
         window = windows.pop()
         if isValid(window):
             window.end()
-    theme.apply(application(), theme.DARK)
+    theme.apply(qapp, theme.DARK)
 
 
 @pytest.fixture

@@ -3,12 +3,10 @@
 import os
 import signal
 import threading
-from contextlib import contextmanager
 from multiprocessing import active_children
 
 import numpy as np
-import pytest
-from live_bench import SYNTHETIC, sensor_file, two
+from live_bench import sensor_file, two
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.calibration import PressureZero
@@ -22,17 +20,12 @@ from bubbleviz_ui.model.demand import Demand
 from tests.live.streams import robot
 
 
-@contextmanager
-def cameras(open_bench):
-    """A window on a robot in a process of its own, whose frames two sensors have solved."""
-    bench, port = open_bench(), free_port()
-    with robot(port):
-        pair, source = two(bench.folder), f"zenoh:tcp/127.0.0.1:{port}"
-        places = tuple(each.model_copy(update={"source": source}) for each in pair.sensors)
-        bench.connect(pair.model_copy(update={"sensors": places}))
-        bench.wait(lambda: in_use() == 2)
-        bench.follow()
-        yield bench
+def connect_two(bench, port):
+    """Connect the window to two sensors of a robot, whose frames are solved in processes."""
+    pair, source, before = two(bench.folder), f"zenoh:tcp/127.0.0.1:{port}", bench.state.facts
+    places = tuple(each.model_copy(update={"source": source}) for each in pair.sensors)
+    bench.live_controller.connect_to(pair.model_copy(update={"sensors": places}))
+    bench.wait(lambda: in_use() == 2 and bench.state.facts is not before)
 
 
 def in_use():
@@ -93,8 +86,14 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     assert none_left()
 
 
-def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench):
-    with cameras(open_bench) as bench:
+def test_killed_it_is_missed_in_one_sentence_and_it_ends_with_the_source_and_the_window(open_bench):
+    bench, port = open_bench(), free_port()
+    with robot(port):
+        # a camera alone has none
+        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
+        assert none_left()
+        connect_two(bench, port)
+        bench.follow()
         before = bench.shown
         for child in active_children():
             os.kill(child.pid, signal.SIGKILL)
@@ -103,27 +102,16 @@ def test_killed_it_is_missed_in_one_sentence_and_the_frames_go_on(open_bench):
         assert none_left()
         known = bench.state.history.values["latency_ms"][before : bench.shown]
         assert np.isfinite(known).all()  # also of the frame that it was given
-
-
-@pytest.mark.parametrize("end", ["disconnected", "frozen and disconnected", "another", "closed"])
-def test_it_ends_with_the_source_and_the_window(open_bench, end):
-    with cameras(open_bench) as bench:
-        if end == "closed":
-            bench.window.close()
-        elif end == "another":
-            bench.connect(single(SYNTHETIC, sensor_file(bench.folder)))
-        else:
-            bench.state.freeze(end.startswith("frozen"))
-            bench.window.live.leave.click()
+        connect_two(bench, port)
+        bench.state.freeze(True)
+        bench.window.live.leave.click()
         bench.wait(none_left)
-
-
-def test_a_camera_alone_and_a_simulation_have_none(open_bench):
-    bench, port = open_bench(), free_port()
-    with robot(port):
-        bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
+        connect_two(bench, port)
+        # a simulation has none
+        bench.live_controller.connect_to(two(bench.folder))
+        bench.wait(none_left)
         bench.follow(5)
         assert none_left()
-    bench.connect(two(bench.folder))
-    bench.follow(5)
-    assert none_left()
+        connect_two(bench, port)
+        bench.window.close()
+        bench.wait(none_left)
