@@ -230,18 +230,6 @@ def test_a_live_source_is_recorded_first(open_bench, monkeypatch):
     assert not bench.dialog.export.isEnabled()
 
 
-def test_nothing_is_exported_while_nothing_is_open(bench):
-    dialog = bench.dialog
-    bench.state.choose_range((3, 8))
-    assert not clipped(dialog)
-    box = dialog.frames
-    assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
-    bench.key(Qt.Key.Key_W, CTRL)
-    bench.wait(lambda: bench.state.facts.nothing)
-    assert "Nothing is open" in dialog.about.text() and not dialog.export.isEnabled()
-    assert dialog.frames.currentText() == "all 0 frames"
-
-
 def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     window, state = bench.window, bench.state
     (tmp_path / "there.csv").write_text("precious")
@@ -263,3 +251,12 @@ def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     bench.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
     labels = (dialog.about, dialog.said)
     bench.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))
+    # nothing is exported while nothing is open
+    bench.state.choose_range((3, 8))
+    assert not clipped(dialog)
+    box = dialog.frames
+    assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
+    bench.key(Qt.Key.Key_W, CTRL)
+    bench.wait(lambda: bench.state.facts.nothing)
+    assert "Nothing is open" in dialog.about.text() and not dialog.export.isEnabled()
+    assert dialog.frames.currentText() == "all 0 frames"

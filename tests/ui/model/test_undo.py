@@ -107,6 +107,43 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     assert driver.state.choices.kappa == 2.5
     driver.undo(box)
     assert driver.state.choices.kappa != 2.5
+    # so are boxes of the calibration, keys, a range and markers
+    driver.window.undo_stack.clear()
+    window, frames = driver.window, driver.window.gamma0.frames.collect
+    picture, stack = window.gamma0.pixels.picture, window.undo_stack
+    before = (picture.currentText(), frames.count.value(), frames.untouched.isChecked())
+    picture.setCurrentIndex(1)
+    for count in (101, 150):  # typed, one digit after the other
+        frames.count.setValue(count)
+    frames.untouched.click()
+    after = (picture.currentText(), 150, not before[2])
+    assert stack.count() == 3
+    for _ in range(3):
+        stack.undo()
+    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == before
+    for _ in range(3):
+        stack.redo()
+    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
+    driver.seek(3)
+    shortcuts = driver.window.shortcuts
+    shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
+    shortcuts.reset_all()
+    driver.undo()
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+    driver.undo()
+    assert shortcuts.keys("View › Reset view") == "R"
+    driver.redo()
+    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
+
+    driver.state.toggle_marker(3)
+    driver.state.choose_range((2, 9))
+    driver.undo()
+    assert driver.state.play_range is None and driver.state.markers == (3,)
+    driver.undo()
+    assert driver.state.markers == ()
+    driver.redo()
+    driver.redo()
+    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)
 
 
 def opened(driver):
@@ -116,7 +153,7 @@ def opened(driver):
     return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
 
 
-def test_opening_and_closing_of_panels_is_undone(drive):
+def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
     driver = drive(frame=3)
     window = driver.window
     names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
@@ -138,11 +175,11 @@ def test_opening_and_closing_of_panels_is_undone(drive):
         driver.redo()
         assert opened(driver) == after
     assert window.undo_stack.index() == len(names)
-
-
-def test_a_scene_and_the_cross_of_a_dock_are_steps_and_a_tab_in_front_is_none(drive):
-    driver = drive(frame=3)
-    window, stack = driver.window, driver.window.undo_stack
+    # a scene and the cross of a dock are steps, a tab in front is none
+    for _ in names:
+        driver.undo()
+    stack = window.undo_stack
+    stack.clear()
     window.use_scene(load_scene("residual"))
     assert driver.state.choices.layers != Choices().layers and stack.index() == 1
     assert window.panels["threshold"].isHidden() and window.panels["layers"].isVisible()
@@ -255,42 +292,3 @@ def test_a_dropped_object_and_compared_settings_are_undone(drive, tmp_path, monk
     assert column.setting.options.pressure_scale == EstimatorOptions().pressure_scale
     driver.undo(column.nodes)
     assert column.nodes.value() == 0
-
-
-def test_boxes_of_the_calibration_keys_range_and_markers_are_undone(drive):
-    driver = drive()
-    window, frames = driver.window, driver.window.gamma0.frames.collect
-    picture, stack = window.gamma0.pixels.picture, window.undo_stack
-    before = (picture.currentText(), frames.count.value(), frames.untouched.isChecked())
-    picture.setCurrentIndex(1)
-    for count in (101, 150):  # typed, one digit after the other
-        frames.count.setValue(count)
-    frames.untouched.click()
-    after = (picture.currentText(), 150, not before[2])
-    assert stack.count() == 3
-    for _ in range(3):
-        stack.undo()
-    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == before
-    for _ in range(3):
-        stack.redo()
-    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
-    driver.seek(3)
-    shortcuts = driver.window.shortcuts
-    shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))
-    shortcuts.reset_all()
-    driver.undo()
-    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
-    driver.undo()
-    assert shortcuts.keys("View › Reset view") == "R"
-    driver.redo()
-    assert shortcuts.keys("View › Reset view") == "Ctrl+J"
-
-    driver.state.toggle_marker(3)
-    driver.state.choose_range((2, 9))
-    driver.undo()
-    assert driver.state.play_range is None and driver.state.markers == (3,)
-    driver.undo()
-    assert driver.state.markers == ()
-    driver.redo()
-    driver.redo()
-    assert driver.state.play_range == (2, 9) and driver.state.markers == (3,)

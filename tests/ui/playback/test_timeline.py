@@ -32,14 +32,32 @@ def drag(driver, first, last, y):
     driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
 
 
-def test_contact_is_shaded_clicks_and_drags_seek_and_a_dragged_range_is_played(drive):
+def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range_is_played(
+    drive, monkeypatch
+):
     driver = drive(DentSource)
     assert not driver.window.playback.freeze.isVisible()  # it is for live sources only
     driver.key(Qt.Key.Key_F)
     assert not driver.state.frozen
-    timeline = driver.window.playback.timeline
-    for frame in (1, FIRST_CONTACT + 4):
+    # contacts, the largest force and a frame by number are one key away
+    driver.key(Qt.Key.Key_PageDown, CTRL)
+    assert driver.state.frame == 0 and "No such contact" in driver.window.notice.label.text()
+    for frame in (FIRST_CONTACT - 1, FIRST_CONTACT, 6, 8, 7):
         driver.seek(frame)
+    force = driver.state.history.values["force_n"]
+    driver.key(Qt.Key.Key_Home, CTRL)
+    assert driver.state.frame == np.nanargmax(force)
+    driver.key(Qt.Key.Key_PageUp, CTRL)
+    first = driver.state.frame
+    assert driver.state.history.contact[first] == CONTACT != driver.state.history.contact[first - 1]
+    driver.seek(0)
+    driver.key(Qt.Key.Key_PageDown, CTRL)
+    assert driver.state.frame == first
+    monkeypatch.setattr(QInputDialog, "getInt", lambda *_: (7, True))
+    driver.key(Qt.Key.Key_G, CTRL)
+    assert driver.state.frame == 7
+    timeline = driver.window.playback.timeline
+    driver.seek(1)
     seen = painted(timeline)
     row = RULER + 2
 
@@ -48,7 +66,7 @@ def test_contact_is_shaded_clicks_and_drags_seek_and_a_dragged_range_is_played(d
 
     assert colour(1) == rgb(theme.DARK.free)
     assert colour(FIRST_CONTACT + 4) == rgb(theme.CONTACT)
-    assert colour(FRAMES - 1 - 1) == rgb(theme.DARK.field)
+    assert colour(FRAMES - 2) == rgb(theme.DARK.field)
     driver.state.choose(kappa=3.0)  # another threshold: other patches
     driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
     driver.wait(lambda: driver.state.history.contact[1] == FREE)
@@ -305,23 +323,3 @@ def test_the_clock_makes_up_for_small_delays_only():
     clock.start(9, 6.0, 1.0)
     assert clock.following(6.2, loop=False) == (9, True)
     assert clock.following(6.2, loop=True) == (0, False)
-
-
-def test_contacts_the_largest_force_and_a_frame_by_number_are_one_key_away(drive, monkeypatch):
-    driver = drive(DentSource, frame=0)
-    driver.key(Qt.Key.Key_PageDown, CTRL)
-    assert driver.state.frame == 0 and "No such contact" in driver.window.notice.label.text()
-    for frame in (FIRST_CONTACT - 1, FIRST_CONTACT, 6, 8, 7):
-        driver.seek(frame)
-    force = driver.state.history.values["force_n"]
-    driver.key(Qt.Key.Key_Home, CTRL)
-    assert driver.state.frame == np.nanargmax(force)
-    driver.key(Qt.Key.Key_PageUp, CTRL)
-    first = driver.state.frame
-    assert driver.state.history.contact[first] == CONTACT != driver.state.history.contact[first - 1]
-    driver.seek(0)
-    driver.key(Qt.Key.Key_PageDown, CTRL)
-    assert driver.state.frame == first
-    monkeypatch.setattr(QInputDialog, "getInt", lambda *_: (7, True))
-    driver.key(Qt.Key.Key_G, CTRL)
-    assert driver.state.frame == 7

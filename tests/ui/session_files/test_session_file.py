@@ -95,7 +95,9 @@ def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, 
     mine.window.session_saver.save_as(files / "alone.bubbleviz")
     shutil.copy(files / "alone.bubbleviz", tmp_path)
     (files / "alone.bubbleviz").unlink()
-    other = drive(frame=5)
+    other.state.choose(kappa=None)
+    other.show("layers")
+    other.seek(5)
     other.window.open_file(tmp_path / "alone.bubbleviz")
     message = other.window.message
     assert message.isVisible()
@@ -103,16 +105,6 @@ def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, 
     assert message.label.text().count(".") <= 6 and "\n" not in message.label.text()
     assert other.state.choices.kappa == 2.5 and other.window.panels["layers"].isHidden()
     assert other.state.frame == 5  # what was open stays
-
-
-def test_a_file_that_is_no_session_is_a_message(drive, tmp_path):
-    driver = drive()
-    bad = tmp_path / "bad.bubbleviz"
-    for text in ("not json", '{"schema_version": 99}', '{"frame": -1}', "[]", '{"camera": [1]}'):
-        bad.write_text(text)
-        driver.window.message.hide()
-        driver.window.open_file(bad)
-        assert driver.window.message.isVisible() and "bad.bubbleviz" in (driver.said)
 
 
 def test_choices_of_another_version_cost_only_themselves():
@@ -171,7 +163,9 @@ def test_recording_and_sensor_dropped_together(drive, files):
     driver.wait(lambda: driver.window.controller.sensor.name == "small dome")
 
 
-def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive, tmp_path):
+def test_what_the_user_moved_is_kept_a_still_view_is_not_and_no_session_is_a_message(
+    drive, tmp_path
+):
     driver = drive(frame=3)
     saver, view = driver.window.session_saver, driver.window.view
     assert saver.snapshot().camera is None
@@ -181,6 +175,13 @@ def test_what_the_user_moved_is_kept_and_a_still_view_is_not(drive, tmp_path):
     saver.save_as(tmp_path / "a.bubbleviz")
     assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
     assert read_session(tmp_path / "a.bubbleviz").frame == 3
+    # a file that is no session is a message
+    bad = tmp_path / "bad.bubbleviz"
+    for text in ("not json", '{"schema_version": 99}', '{"frame": -1}', "[]", '{"camera": [1]}'):
+        bad.write_text(text)
+        driver.window.message.hide()
+        driver.window.open_file(bad)
+        assert driver.window.message.isVisible() and "bad.bubbleviz" in (driver.said)
 
 
 KILLED = """

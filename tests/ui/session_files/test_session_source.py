@@ -57,7 +57,9 @@ def open_press(driver, files, sensor=None):
 # -- the object ---------------------------------------------------------------------------------
 
 
-def test_the_object_its_start_and_tracking_go_to_a_colleague(drive, files, tmp_path):
+def test_the_object_its_start_and_tracking_go_to_a_colleague_and_one_that_is_gone_is_said(
+    drive, files, tmp_path
+):
     mine = drive()
     open_press(mine, files)
     mine.window.open_file(files / "stamp.ply")
@@ -79,21 +81,14 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague(drive, files, tmp_p
     assert theirs.track.isChecked() and other.window.panels["pose"].isVisible()
     other.wait(lambda: theirs.session.pose is not None)  # it is looked for in the frame one sees
     other.wait(lambda: theirs.object.currentText() == "stamp.ply")
-
-
-def test_an_object_that_is_gone_is_a_message(drive, files):
-    mine = drive()
-    open_press(mine, files)
-    mine.window.open_file(files / "stamp.ply")
-    mine.wait(lambda: mine.window.pose.session.obj is not None)
-    mine.window.session_saver.save_as(files / "look.bubbleviz")
-    (files / "stamp.ply").unlink()
-    other = drive()
-    other.window.open_file(files / "look.bubbleviz")
+    # an object that is gone is a message
+    (tmp_path / "theirs" / "stamp.ply").unlink()
+    other.seek(3)
+    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
     other.wait(other.window.message.isVisible)
     assert "stamp.ply is not there; the rest is restored" in other.said
     other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
-    assert other.window.pose.session.object_name is None
+    assert theirs.session.object_name is None
 
 
 # -- sensors of no file -------------------------------------------------------------------------

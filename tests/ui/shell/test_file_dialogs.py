@@ -10,7 +10,9 @@ from bubbleviz.files import SESSION_SUFFIX
 from bubbleviz_ui.model.choices import Choices
 
 
-def test_nothing_is_replaced_unasked_and_names_get_their_suffix(drive, tmp_path):
+def test_nothing_is_replaced_unasked_names_get_their_suffix_and_folders_are_remembered(
+    drive, tmp_path, monkeypatch
+):
     driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
     actions = driver.window.shortcuts.actions
     precious.write_text("precious")
@@ -27,6 +29,25 @@ def test_nothing_is_replaced_unasked_and_names_get_their_suffix(drive, tmp_path)
         assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
         assert str(path) in driver.window.notice.label.text()
         assert not driver.window.message.isVisible()
+    # a dialog comes back to the last folder of its kind
+    asked: list[tuple[str, str]] = []
+    answers = {"Open recording": "records/a.mcap", "Open sensor": "sensors/b.toml"}
+
+    def chosen(_, title, folder, *__):
+        asked.append((title, folder))
+        return str(tmp_path / answers[title]), ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", chosen)
+    for name in answers.values():
+        (tmp_path / name).parent.mkdir()
+    for _ in range(2):
+        for title in answers:
+            driver.act(f"File › {title}")
+    assert asked[2:] == [(title, str((tmp_path / name).parent)) for title, name in answers.items()]
+    driver.told()  # neither is there
+    (tmp_path / "records").rmdir()
+    driver.act("File › Open recording")
+    assert asked[-1] == ("Open recording", "")
 
 
 def test_space_plays_what_was_opened_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
@@ -53,25 +74,3 @@ def test_space_plays_what_was_opened_by_the_dialog(drive, sensor, tmp_path, monk
     loop.setFocus()
     driver.choose(solver="fast")  # the same source, solved anew: who is at a box stays there
     assert QApplication.focusWidget() is loop
-
-
-def test_a_dialog_comes_back_to_the_last_folder_of_its_kind(drive, tmp_path, monkeypatch):
-    driver = drive()
-    asked: list[tuple[str, str]] = []
-    answers = {"Open recording": "records/a.mcap", "Open sensor": "sensors/b.toml"}
-
-    def chosen(_, title, folder, *__):
-        asked.append((title, folder))
-        return str(tmp_path / answers[title]), ""
-
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", chosen)
-    for name in answers.values():
-        (tmp_path / name).parent.mkdir()
-    for _ in range(2):
-        for title in answers:
-            driver.act(f"File › {title}")
-    assert asked[2:] == [(title, str((tmp_path / name).parent)) for title, name in answers.items()]
-    driver.told()  # neither is there
-    (tmp_path / "records").rmdir()
-    driver.act("File › Open recording")
-    assert asked[-1] == ("Open recording", "")

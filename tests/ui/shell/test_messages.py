@@ -36,7 +36,9 @@ def desktop():
     QDesktopServices.unsetUrlHandler("file")
 
 
-def test_a_file_that_was_written_is_opened_from_its_notice(drive, desktop, tmp_path):
+def test_a_written_file_is_opened_from_its_notice_which_moves_nothing_and_leaves(
+    drive, desktop, tmp_path, monkeypatch
+):
     driver = drive(frame=5)
     window, notice, path = driver.window, driver.window.notice, tmp_path / "shot.png"
     window.save_screenshot(path)
@@ -55,30 +57,25 @@ def test_a_file_that_was_written_is_opened_from_its_notice(drive, desktop, tmp_p
     driver.state.choose(kappa=2.5)
     driver.click(notice.open)
     assert driver.state.choices.kappa is None
-
-
-def test_a_notice_moves_nothing(drive, tmp_path):
-    """It is beside the menus, and the middle of a long path is left out."""
-    driver = drive(frame=5)
-    bar, notice = driver.window.menuBar(), driver.window.notice
-    before = driver.window.view.geometry()
+    # a notice moves nothing: it is beside the menus, the middle of a long path left out
+    driver.click(window.message.dismiss)
+    driver.click(notice.dismiss)
+    bar = window.menuBar()
+    QApplication.processEvents()
+    before = window.view.geometry()
     path = tmp_path / ("long_" * 40 + ".png")
-    driver.window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
+    window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
     driver.wait(notice.isVisible)
     QApplication.processEvents()
-    assert driver.window.view.geometry() == before
+    assert window.view.geometry() == before
     menus = [bar.actionGeometry(action) for action in bar.actions()]
     assert notice.x() > max(menu.right() for menu in menus)
     assert bar.rect().contains(notice.geometry())
     assert notice.rect().contains(notice.dismiss.geometry()) and str(path) in notice.label.toolTip()
     driver.click(notice.dismiss)
     assert not notice.isVisible()
-
-
-def test_a_notice_leaves_by_itself_and_what_went_wrong_stays(drive, tmp_path, monkeypatch):
+    # it leaves by itself, and what went wrong stays
     monkeypatch.setattr(message_bars, "NOTICE_MS", 500)
-    driver = drive()
-    window = driver.window
     window.save_screenshot(tmp_path / "missing" / "shot.png")
     window.session_saver.save_as(tmp_path / "look.bubbleviz")  # something else
     assert window.notice.isVisible()
