@@ -1,10 +1,3 @@
-from .bootstrap import (
-    ScoreTable as ScoreTable,
-    draw_errors as draw_errors,
-    score_table as score_table,
-    tile_numbers as tile_numbers,
-    tile_side as tile_side,
-)
 from .contact_free import (
     LAG as LAG,
     SIGNIFICANT as SIGNIFICANT,
@@ -13,6 +6,12 @@ from .contact_free import (
     held_frames as held_frames,
     tile_depths as tile_depths,
 )
+from .errors import (
+    covariances as covariances,
+    tile_numbers as tile_numbers,
+    tile_scores as tile_scores,
+    tile_side as tile_side,
+)
 from .identification import (
     Identification as Identification,
     collect_press as collect_press,
@@ -20,6 +19,10 @@ from .identification import (
     rest_gauge_pressure as rest_gauge_pressure,
     rest_gauge_sigma as rest_gauge_sigma,
     with_rubber as with_rubber,
+)
+from .material import (
+    RubberEstimate as RubberEstimate,
+    Vented as Vented,
 )
 from .pixel_images import (
     BeforeAfter as BeforeAfter,
@@ -53,12 +56,6 @@ from .rest_frames import (
     numbers as numbers,
     tidy as tidy,
     without as without,
-)
-from .rubber_estimate import (
-    RubberEstimate as RubberEstimate,
-)
-from .rubber_fit import (
-    Vented as Vented,
 )
 from .segmentation import (
     rim_height as rim_height,

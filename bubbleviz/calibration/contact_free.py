@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.calibration.bootstrap import tile_numbers, tile_side
+from bubbleviz.calibration.errors import tile_numbers, tile_side
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import fit_sphere
 from bubbleviz.errors import InputError

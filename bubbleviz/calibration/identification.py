@@ -19,9 +19,8 @@ from scipy import ndimage
 
 from bubbleviz.calibration.contact_free import check_still, find_contact_free, held_frames, settled
 from bubbleviz.calibration.free_form import FreeForm
+from bubbleviz.calibration.material import RubberEstimate, Vented, estimate_rubber
 from bubbleviz.calibration.rest_frames import PixelStatistics, Samples, collect, select_pixels
-from bubbleviz.calibration.rubber_estimate import RubberEstimate, estimate_rubber
-from bubbleviz.calibration.rubber_fit import Vented
 from bubbleviz.calibration.segmentation import away_from_edges
 from bubbleviz.calibration.surface import (
     Ellipsoid,

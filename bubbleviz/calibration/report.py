@@ -15,8 +15,7 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.press_fit import PressFit
-from bubbleviz.calibration.rubber_estimate import RubberEstimate
+from bubbleviz.calibration.material import RubberEstimate
 from bubbleviz.calibration.sensor_writer import Origin, file_hash, output_files, write_sensor
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.calibration.verdict import judge, rubber_advice, validation_advice
@@ -135,22 +134,21 @@ def _rubber(rubber: RubberEstimate | None) -> dict[str, Any] | None:
     """λ and gauge pressure with intervals and what they rest on, SI units, ready for JSON."""
     if rubber is None:
         return None
-    fit = rubber.fit
+    told = np.isfinite(rubber.unexplained_rms_m)
     return {
         "prestretch": rubber.prestretch and asdict(rubber.prestretch),
         "prestretch_from": rubber.prestretch_rests_on if rubber.prestretch else None,
         "why_not_determined": rubber.why_not or None,
         "gauge_pressure_pa": rubber.gauge and asdict(rubber.gauge),
         "gauge_from": rubber.gauge_rests_on,
-        "from": None if fit is None else "press" if isinstance(fit, PressFit) else "levels",
-        "levels": None
-        if fit is None
-        else {
-            "rises_pa": list(fit.rises_pa),
-            "change_rms_m": fit.change_rms_m,
-            "unexplained_rms_m": fit.rms_m,
-        },
-        "gauge_by_part_pa": fit.gauge_by_part_pa if isinstance(fit, PressFit) else {},
+        "from": rubber.told_by if told else None,
+        "levels": {
+            "rises_pa": list(rubber.rises_pa),
+            "change_rms_m": rubber.change_rms_m,
+            "unexplained_rms_m": rubber.unexplained_rms_m,
+        }
+        if told
+        else None,
     }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rubber_estimate import RubberEstimate
+from bubbleviz.calibration.material import RubberEstimate
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing, whole_file, write_ply
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.calibration.bootstrap import tile_numbers, tile_side
+from bubbleviz.calibration.errors import tile_numbers, tile_side
 from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of, range_residual
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.segmentation import (

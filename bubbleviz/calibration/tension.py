@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.special import ndtri
 
-from bubbleviz.calibration.bootstrap import DRAWS, draw_errors, frames_block, samples_scores
+from bubbleviz.calibration.errors import samples_covariances
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import (
     Ellipsoid,
@@ -194,12 +194,6 @@ class Quantity:
         half = float(ndtri(0.975)) * sigma
         return cls(value, value - half, value + half)
 
-    @classmethod
-    def of(cls, value: float, errors: np.ndarray) -> Quantity:
-        """The number with the middle 95 % of drawn errors."""
-        low, high = np.percentile(errors, [2.5, 97.5])
-        return cls(value, value + float(low), value + float(high))
-
 
 @dataclass(frozen=True)
 class TensionEstimate:
@@ -222,9 +216,6 @@ class TensionEstimate:
     # the same everywhere, so that no one tension is right
     least_squares_n_per_m: float
     gauge_pressure_pa: float
-    # tiles, block: tiles of pixels, and frames in each block, that were drawn
-    tiles: int
-    block: int
 
     @property
     def per_pascal(self) -> float:
@@ -260,45 +251,37 @@ def estimate_tension(
 
     Raises InputError: no tension holds the surface.
     """
-    names, values, pixels, influence, residual, parameters = _linear(
-        samples, surfaces, gauge_pressure_pa
-    )
+    now, pixels, influence, residual, parameters = _linear(samples, surfaces, gauge_pressure_pa)
+    covariance = samples_covariances(samples, pixels, influence, residual, parameters, progress)
+    tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariance)
     by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
-    table = samples_scores(samples, pixels, influence, residual, parameters, progress)
-    block = frames_block(samples.statistics)
-    draws = draw_errors(table, block)
-    rng = np.random.default_rng([0, 1])
-    facets = surfaces.facet_error_m * rng.uniform(-1.0, 1.0, DRAWS)
+    facets = surfaces.facet_error_m / np.sqrt(3.0)  # of an error between both signs of it
     other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
-    moved = by_surface["free-form"] - by_surface[other]
-    unseen = _shape_error(samples, surfaces, gauge_pressure_pa)
-    half = 0.0
+    shape = [_shape_error(samples, surfaces, gauge_pressure_pa), by_surface["free-form"]]
+    shape[1] -= by_surface[other]
     if surfaces.chosen != "free-form":
-        half = _upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other]
-    shape = float(np.linalg.norm([unseen, moved, half]))
+        shape.append(_upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other])
+    value = now["tension_n_per_m"]
+    excess = value * sheet_excess(surfaces.mesh)
     parts = {
-        "pixels": draws.tiles[:, 0],
-        "frames": draws.frames[:, 0],
-        "gas_pressure": values[0] / gauge_pressure_pa * _gas_error(samples) * _normal(rng),
+        "pixels": float(tiles[0]),
+        "frames": float(frames[0]),
+        "gas_pressure": value / gauge_pressure_pa * _gas_error(samples),
         "facets": 0.5 * gauge_pressure_pa * facets,
-        "surface": shape * _normal(rng),
-        "statics": values[0] * sheet_excess(surfaces.mesh) * rng.uniform(size=DRAWS),
+        "surface": float(np.linalg.norm(shape)),
+        "statics": excess / np.sqrt(12.0),  # anything between none of it and all
     }
-    total = draws.total + facets[:, None]
-    total[:, 0] = sum(parts.values())
-    quantities = {
-        name: Quantity.of(value, total[:, k])
-        for k, (name, value) in enumerate(zip(names, values, strict=True))
-    }
+    own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
     return TensionEstimate(
-        tension=quantities.pop("tension_n_per_m"),
-        dimensions=quantities,
-        parts={name: float(part.std()) for name, part in parts.items()},
+        tension=Quantity(value, own.low, own.high),
+        dimensions={
+            name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))
+            for (name, size), *errors in list(zip(now.items(), tiles, frames, strict=True))[1:]
+        },
+        parts=parts,
         by_surface=by_surface,
         least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
         gauge_pressure_pa=gauge_pressure_pa,
-        tiles=table.static.shape[0],
-        block=block,
     )
 
 
@@ -306,7 +289,7 @@ def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Nam
     """γ0 of every surface, N/m."""
     fits = surfaces.fits
     return {
-        "sphere": _sphere_numbers(gauge_pressure_pa)(fits.sphere.ellipsoid)["tension_n_per_m"],
+        "sphere": 0.5 * gauge_pressure_pa * float(fits.sphere.ellipsoid.semi_axes_m[0]),
         "ellipsoid": _cap_numbers(fits.cap.ellipsoid, gauge_pressure_pa)(fits.cap.ellipsoid)[
             "tension_n_per_m"
         ],
@@ -314,32 +297,29 @@ def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Nam
     }
 
 
-Linear = tuple[list[str], list[float], np.ndarray, np.ndarray, np.ndarray, int]
-"""Names and values of Q numbers, pixels (P,), influence (P, Q), residual range (P,) and count of
+Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]
+"""Numbers, pixels (P,), influence (P, Q) on them and maybe more, residual range (P,) and count of
 fitted parameters."""
 
 
 def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
-    fits = surfaces.fits
-    freedom: Freedom = "aligned" if surfaces.chosen == "ellipsoid" else "sphere"
     if surfaces.chosen == "free-form":
-        return _linear_free_form(samples, surfaces, gauge_pressure_pa)
-    if surfaces.chosen == "sphere":
-        own = fits.sphere.ellipsoid
-        numbers = _sphere_numbers(gauge_pressure_pa)
-    else:
-        own = fits.cap.ellipsoid
-        numbers = _cap_numbers(own, gauge_pressure_pa)
+        return _linear_free_form(surfaces, gauge_pressure_pa)
+    freedom: Freedom = "sphere" if surfaces.chosen == "sphere" else "aligned"
+    own = (surfaces.fits.sphere if freedom == "sphere" else surfaces.fits.cap).ellipsoid
+    numbers = _cap_numbers(own, gauge_pressure_pa, freedom)
     pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
-    now = numbers(own)
-    rows, facing, distance = _parameter_influence(samples, surfaces, own, freedom, pixels)
-    centre, _, _ = _parameter_influence(samples, surfaces, fits.sphere.ellipsoid, "sphere", pixels)
-    influence = np.concatenate([rows @ _gradient(numbers, own, freedom), centre[:, :3]], axis=1)
-    count = rows.shape[1]
-    return list(now), list(now.values()), pixels, influence, distance / facing, count
+    points = mean_points(samples, surfaces.camera, pixels)
+    distance, J = own.distance(points), own.derivatives(points, freedom)
+    sigma = robust_sigma(distance, center=0.0)
+    weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
+    facing = np.einsum("ij,ij->i", own.normals(points), surfaces.camera.directions[pixels])
+    rows = -np.linalg.solve(J.T @ (J * slopes[:, None]), J.T).T * (weights * facing)[:, None]
+    influence = rows @ _gradient(numbers, own, freedom)
+    return numbers(own), pixels, influence, distance / facing, rows.shape[1]
 
 
-def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     free_form, mesh = surfaces.free_form, surfaces.free_form.mesh
     arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
     apex = int(np.argmax(mesh.nodes[:, 2]))
@@ -349,9 +329,11 @@ def _linear_free_form(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: f
     pixels = free_form.system.pixels
     influence = free_form.influence(gradients)
     influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
-    values = [balance_tension(mesh, gauge_pressure_pa), float(mesh.nodes[apex, 2])]
-    residual = np.nan_to_num(free_form.residual_m.ravel()[pixels])
-    return ["tension_n_per_m", "height_m"], values, pixels, influence, residual, 2
+    now = {
+        "tension_n_per_m": balance_tension(mesh, gauge_pressure_pa),
+        "height_m": float(mesh.nodes[apex, 2]),
+    }
+    return now, pixels, influence, np.nan_to_num(free_form.residual_m.ravel()[pixels]), 2
 
 
 def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
@@ -378,58 +360,30 @@ def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) 
     """
     points = mean_points(samples, surfaces.camera, np.flatnonzero(surfaces.usable))
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
-    if surfaces.chosen == "sphere":
-        return _sphere_numbers(gauge_pressure_pa)(fit_sphere(upper).ellipsoid)["tension_n_per_m"]
-    numbers = _cap_numbers(surfaces.fits.cap.ellipsoid, gauge_pressure_pa)
-    return numbers(fit_ellipsoid(upper, np.eye(3)).ellipsoid)["tension_n_per_m"]
-
-
-def _parameter_influence(
-    samples: Samples, surfaces: Surfaces, surface: Ellipsoid, freedom: Freedom, pixels: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Change of the parameters per change of range (P, p); cosine of ray on normal; distance."""
-    points = mean_points(samples, surfaces.camera, pixels)
-    distance, J = surface.distance(points), surface.derivatives(points, freedom)
-    sigma = robust_sigma(distance, center=0.0)
-    weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
-    slope = J.T @ (J * slopes[:, None])
-    facing = np.einsum("ij,ij->i", surface.normals(points), surfaces.camera.directions[pixels])
-    rows = -np.linalg.solve(slope, J.T).T * (weights * facing)[:, None]
-    return rows, facing, distance
+    chosen = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper, np.eye(3))
+    at = surfaces.fits.sphere if surfaces.chosen == "sphere" else surfaces.fits.cap
+    return _cap_numbers(at.ellipsoid, gauge_pressure_pa)(chosen.ellipsoid)["tension_n_per_m"]
 
 
 Numbers = Callable[[Ellipsoid], dict[str, float]]
 
 
-def _sphere_numbers(gauge_pressure_pa: float) -> Numbers:
-    def numbers(sphere: Ellipsoid) -> dict[str, float]:
-        radius, height = float(sphere.semi_axes_m[0]), float(sphere.centre_m[2])
-        return {
-            "tension_n_per_m": 0.5 * gauge_pressure_pa * radius,
-            "height_m": height + radius,
-            "radius_m": radius,
-            "rim_radius_m": float(np.sqrt(max(radius**2 - height**2, 0.0))),
-        }
-
-    return numbers
-
-
-def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float) -> Numbers:
+def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, freedom: Freedom = "aligned") -> Numbers:
+    """γ0 first, and the dimensions of caps near one."""
     mesh = mesh_cap(cap_over_rim(at), _FINE_NODES)
     facets = mesh.nodes[mesh.triangles].mean(axis=1) + at.centre_m * (1.0, 1.0, 0.0)
 
     def numbers(cap: Ellipsoid) -> dict[str, float]:
         x, y, z = (float(a) for a in cap.semi_axes_m)
         at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
-        return {
+        found = {
             "tension_n_per_m": cap_tension(cap, facets, mesh.facet_areas, gauge_pressure_pa),
             "height_m": float(cap.centre_m[2]) + z,
-            "semi_axis_x_m": x,
-            "semi_axis_y_m": y,
-            "semi_axis_z_m": z,
-            "rim_semi_axis_x_m": x * at_rim,
-            "rim_semi_axis_y_m": y * at_rim,
         }
+        if freedom == "sphere":
+            return found | {"radius_m": x, "rim_radius_m": x * at_rim}
+        axes = {"semi_axis_x_m": x, "semi_axis_y_m": y, "semi_axis_z_m": z}
+        return found | axes | {"rim_semi_axis_x_m": x * at_rim, "rim_semi_axis_y_m": y * at_rim}
 
     return numbers
 
@@ -448,7 +402,3 @@ def _gas_error(samples: Samples) -> float:
     """Standard error of the mean gas pressure, Pa."""
     gas = samples.gas_pressure_pa
     return 0.0 if gas is None else error_of_mean(gas)
-
-
-def _normal(rng: np.random.Generator) -> np.ndarray:
-    return rng.standard_normal(DRAWS)

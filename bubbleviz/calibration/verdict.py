@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rubber_estimate import RubberEstimate
+from bubbleviz.calibration.material import RubberEstimate
 from bubbleviz.calibration.tension import Quantity
 from bubbleviz.calibration.validation import Validation
 

@@ -26,6 +26,7 @@ from bubbleviz.calibration.identification import (
     rest_gauge_pressure,
     with_rubber,
 )
+from bubbleviz.calibration.material import Vented
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rest_frames import (
     PixelStatistics,
@@ -36,7 +37,6 @@ from bubbleviz.calibration.rest_frames import (
     select_pixels,
     tidy,
 )
-from bubbleviz.calibration.rubber_fit import Vented
 from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
 from bubbleviz.calibration.tension import estimate_tension
 from bubbleviz.calibration.validation import Validation

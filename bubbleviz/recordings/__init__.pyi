@@ -12,6 +12,7 @@ from .colour_topics import (
 )
 from .depth_statistics import (
     MIN_FRAMES as MIN_FRAMES,
+    TUKEY_TUNING as TUKEY_TUNING,
     DepthStatistics as DepthStatistics,
     cauchy_weights as cauchy_weights,
     correlated_samples as correlated_samples,

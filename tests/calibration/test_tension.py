@@ -9,15 +9,14 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.calibration import (
     Ellipsoid,
     Quantity,
-    ScoreTable,
     balance_gradient,
     cap_tension,
-    draw_errors,
+    covariances,
     ellipsoid_curvature,
     identify,
     local_tension,
-    score_table,
     tile_numbers,
+    tile_scores,
     tile_side,
 )
 from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, balance_tension, mesh_cap
@@ -47,7 +46,7 @@ def test_interval_covers_the_truth(spheres):
 
 @pytest.mark.long  # in short: of made-up errors, below
 def test_what_the_noise_alone_gives_the_interval_is_right(spheres):
-    """Errors over what the bootstrap says of them: of unit spread, not twice or half of it."""
+    """Errors over what the covariance says of them: of unit spread, not twice or half of it."""
     own = [np.hypot(f.tension.parts["pixels"], f.tension.parts["frames"]) for f in spheres]
     scores = (np.array([f.tension_n_per_m for f in spheres]) - TRUTH) / own
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5
@@ -155,7 +154,7 @@ def test_curvature_of_an_ellipsoid_is_the_divergence_of_its_normals():
 @pytest.mark.parametrize(
     ("fixed", "drift", "noise"), [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1, 1, 1)]
 )
-def test_bootstrap_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
+def test_covariance_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
     """Spread of the sum of made-up errors, on average over many recordings."""
     rng = np.random.default_rng(0)
     frames, tiles, said, was = 40, 60, [], []
@@ -167,8 +166,7 @@ def test_bootstrap_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
         mean = error.sum(axis=0)
         static = mean - mean.mean()  # a fit leaves none of what all tiles share
         moving = error - error.mean(axis=0)
-        table = ScoreTable(static[:, None], moving[:, :, None], 1)
-        said.append(draw_errors(table, 1, draws=400).total.std())
+        said.append(np.sqrt(covariances(static[:, None], moving[:, :, None], 1, 1).total.item()))
         was.append(error.sum())
     assert np.mean(np.square(said)) == pytest.approx(fixed**2 + drift**2 + noise**2, rel=0.3)
     assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
@@ -179,26 +177,24 @@ def test_intervals_cover_where_many_numbers_are_fitted_to_few_tiles():
     rng = np.random.default_rng(0)
     tiles, fitted, still = 16, 8, np.zeros((1, 16, 1))
     covered = []
-    for seed in range(300):
+    for _ in range(300):
         design = rng.standard_normal((tiles, fitted))
         influence = np.linalg.pinv(design)
         noise = rng.standard_normal(tiles)
         residual = noise - design @ (influence @ noise)
-        table = ScoreTable((influence[0] * residual)[:, None], still, fitted)
-        low, high = np.percentile(draw_errors(table, 1, seed, draws=300).total, [2.5, 97.5])
-        covered.append(low < influence[0] @ noise < high)
+        own = covariances((influence[0] * residual)[:, None], still, fitted, 1).total.item()
+        covered.append(abs(influence[0] @ noise) < 1.96 * np.sqrt(own))
     assert 0.88 < np.mean(covered) < 0.98
 
 
 def test_intervals_cover_a_drift_that_three_frames_show():
     rng = np.random.default_rng(0)
     frames, tiles, covered = 3, 40, []
-    for seed in range(400):
+    for _ in range(400):
         drift = rng.standard_normal(frames)
         moving = np.repeat((drift - drift.mean())[:, None, None] / tiles, tiles, axis=1)
-        table = ScoreTable(np.zeros((tiles, 1)), moving, 1)
-        low, high = np.percentile(draw_errors(table, 1, seed, draws=400).total, [2.5, 97.5])
-        covered.append(low < drift.sum() < high)
+        own = covariances(np.zeros((tiles, 1)), moving, 1, 1).total.item()
+        covered.append(abs(drift.sum()) < 1.96 * np.sqrt(own))
     assert 0.88 < np.mean(covered) < 0.98
 
 
@@ -210,15 +206,15 @@ def test_scores_are_sums_of_influence_times_error_over_the_samples_that_count():
     depth = mean + 5e-4 * rng.uniform(-1.0, 1.0, (frames, pixels))
     depth[2, 5], depth[3, 5], depth[1, 0] = mean[5] + 0.05, mean[5] - 0.05, np.nan
     influence, residual = rng.standard_normal((pixels, 2)), 1e-4 * rng.standard_normal(pixels)
-    table = score_table(depth, mean, limit, influence, residual, tile, 1)
+    found = tile_scores(depth, mean, limit, influence, residual, tile)
     moving = np.zeros((frames, 3, 2))
     for p in range(pixels):
         used = [k for k in range(frames) if abs(depth[k, p] - mean[p]) <= limit[p]]
         for k in used:
             moving[k, tile[p]] += influence[p] * (depth[k, p] - mean[p]) / len(used)
-    np.testing.assert_allclose(table.moving, moving, atol=1e-15)
+    np.testing.assert_allclose(found[1], moving, atol=1e-15)
     static = np.array([influence[tile == t].T @ residual[tile == t] for t in range(3)])
-    np.testing.assert_allclose(table.static, static, atol=1e-15)
+    np.testing.assert_allclose(found[0], static, atol=1e-15)
 
 
 def test_tiles():
