@@ -14,17 +14,15 @@ of their own estimate is wider with the errors of the model than by noise alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from bubbleviz.calibration.contact_free import SIGNIFICANT
 from bubbleviz.calibration.errors import (
@@ -37,11 +35,12 @@ from bubbleviz.calibration.errors import (
 )
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.tension import Quantity, TensionEstimate
-from bubbleviz.camera import RangeObserver
+from bubbleviz.camera import RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import PRESSURE_SCALE, RIM_SLACK_M
 from bubbleviz.membrane import (
     STRESS_DEGREE,
+    Factor,
     Factoriser,
     MembraneMesh,
     Prestress,
@@ -78,10 +77,9 @@ _RINGS, _SECTORS = 4, 8
 """Parts of the view left out in turn, each large against what errors of the model are alike over:
 of equal numbers of blocks between rim and top of a level, around the dent of a press."""
 _CLOSE = 1e-4  # relative change of the sum of squares that ends the fit, far below its noise
-_NEWTON, _BALANCED = (
-    30,
-    1e-6,
-)  # steps to equilibrium; force left over the load on a node of mean area
+_MOST_STEPS = 60
+_NEWTON, _BALANCED = 30, 1e-6
+"""Steps to equilibrium, and force left there over the load on a node of mean area."""
 _OUTLIER = 10.0  # standard deviations of a block whose ray misses the membrane
 _UNEXPLAINED = 0.25  # share of the change of range that rubber may leave unexplained
 
@@ -215,11 +213,12 @@ def estimate_rubber(
     if not levels and held is None:
         return replace(known, why_not="no inflation level was recorded")
     try:
-        seen = levels or [s for s in (held,) if s is not None]
-        problem = _Problem(model, samples, seen, other_mesh, gauge, pressed=not levels)
-        stress_sigma = tension.tension.sigma / tension.tension.value
-        alone = problem.fit(stress_sigma=stress_sigma)
-        fit = problem.fit(sigma / gauge, stress_sigma, alone)
+        seen = levels or [held for held in (held,) if held is not None]
+        relative = tension.tension.sigma / tension.tension.value
+        told = model, samples, seen, other_mesh, gauge, relative
+        problem = _Problem(*told, pressed=not levels)
+        alone = problem.fit()
+        fit = problem.fit(sigma / gauge, alone)
     except InputError as error:
         return replace(known, why_not=str(error))
     by_file = Quantity.normal(gauge, sigma)
@@ -281,24 +280,17 @@ class _RestRubber:
     def __init__(
         self,
         mesh: MembraneMesh,
-        # how far the rim gives, as of `RubberMembrane`: what bends a pressed membrane at its clamp
+        # how far the rim gives, as of `RubberMembrane`: a press bends the membrane at its clamp
         rim_slack_m: float | None,
         degree: int = STRESS_DEGREE,
     ) -> None:
-        self.mesh, self.rim_slack_m = mesh, rim_slack_m
+        self.mesh, self._rim_slack_m = mesh, rim_slack_m
         self._tension = 1.0 / mean_curvature(mesh)  # γ0, m
         self._stress = _Stress(Prestress.of(mesh, 1.0, degree).on(mesh))
 
-    def tighter(self, share: float) -> _RestRubber:
-        """The same with all stress at rest larger by a share, γ0 with it."""
-        other = copy(self)
-        other._tension = (1.0 + share) * self._tension
-        other._stress = _Stress((1.0 + share) * self._stress.tau)
-        return other
-
     def with_q(self, q: float) -> RubberMembrane:
         mu_h = self._tension / (1.0 - q)
-        return prestressed(self.mesh, 1.0, mu_h, self._stress, self.rim_slack_m)
+        return prestressed(self.mesh, 1.0, mu_h, self._stress, self._rim_slack_m)
 
 
 class _Stress(Prestress):
@@ -306,11 +298,11 @@ class _Stress(Prestress):
 
     def __init__(self, tau: np.ndarray) -> None:
         super().__init__(np.zeros((3, 0)))
-        object.__setattr__(self, "tau", tau)
-        self.tau: np.ndarray
+        object.__setattr__(self, "_tau", tau)
+        self._tau: np.ndarray
 
     def on(self, mesh: MembraneMesh) -> np.ndarray:
-        return self.tau
+        return self._tau
 
 
 class _SeenShape:
@@ -319,26 +311,31 @@ class _SeenShape:
     def __init__(
         self, observer: RangeObserver, rest: Samples, seen: Samples, *, pressed: bool
     ) -> None:
-        self.samples, self.observer = seen, observer
+        self.samples, self._observer = seen, observer
         if seen.statistics.range_m.shape != rest.statistics.range_m.shape:
             raise InputError(
                 f"{seen.source_name}: images of another size than {rest.source_name}'s;"
                 " record all levels with one camera mode"
             )
-        (at_rest, _), (now, sigma) = _mean_pressure(rest), _mean_pressure(seen)
-        self.rise_pa, self.rise_sigma_pa = now - at_rest, sigma
+        now, self.rise_sigma_pa = _mean_pressure(seen)
+        self.rise_pa = now - _mean_pressure(rest)[0]
         steady = seen.statistics.validity >= seen.statistics.regular_validity
         ranges = np.where(steady, seen.statistics.range_m, np.nan)
-        change, weight = block_ranges(observer, (ranges / seen.camera.range_per_depth)[None])
-        self.change_m, self.weight = np.nan_to_num(change[0]), weight[0]
+        seen_by = observer.observe(ranges / seen.camera.range_per_depth)
+        self.change_m, self.weight = seen_by.residual_m, seen_by.weight
         self.zone = self._dents() if pressed else np.zeros(0, int)
 
     def parts(self) -> list[np.ndarray]:
         """Numbers of large parts of the view, (B,) each: rings of a level, sectors of a press."""
+        observer = self._observer
         if not len(self.zone):
-            limits = np.quantile(self._heights_m, np.arange(1, _RINGS) / _RINGS)
-            return [np.searchsorted(limits, self._heights_m)]
-        row, column = np.divmod(self.observer.block_number, self.observer.columns)
+            mesh = observer.mesh
+            hits = observer.around(mesh.nodes).hits
+            height = np.full(len(self.change_m), -np.inf)
+            corners = mesh.nodes[mesh.triangles[hits.triangle], 2]
+            height[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, corners)
+            return [np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)]
+        row, column = np.divmod(observer.block_number, observer.columns)
         deepest = int(np.argmin(self.change_m))
         turn = np.arctan2(row - row[deepest], column - column[deepest]) / (2.0 * np.pi)
         return [
@@ -346,19 +343,9 @@ class _SeenShape:
             for shift in (0.0, 0.5 / _SECTORS)
         ]
 
-    @property
-    def _heights_m(self) -> np.ndarray:
-        """Height over the rim plane of what the blocks see at rest, (B,), m."""
-        mesh = self.observer.mesh
-        hits = self.observer.around(mesh.nodes).hits
-        out = np.full(len(self.change_m), -np.inf)
-        corners = mesh.nodes[mesh.triangles[hits.triangle], 2]
-        out[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, corners)
-        return out
-
     def _dents(self) -> np.ndarray:
         """Nodes that are pressed in, as far as something may touch them."""
-        mesh, view = self.observer.mesh, self.observer.around(self.observer.mesh.nodes)
+        mesh, view = self._observer.mesh, self._observer.around(self._observer.mesh.nodes)
         n = len(mesh.nodes)
         outward = sparse.csr_array(
             (mesh.normals.ravel(), np.arange(3 * n), 3 * np.arange(n + 1)), shape=(n, 3 * n)
@@ -388,34 +375,28 @@ class _Predicted(NamedTuple):
 
     x: np.ndarray  # (n, 3), m
     inside: float | np.ndarray  # pressure from inside over that from outside, over G
-    solve: Callable[[np.ndarray], np.ndarray]  # motions (3n, k) under forces (n, 3, k)
-    block: np.ndarray  # (k,) blocks that are seen
-    model_m: np.ndarray  # (B,) change of range; NaN of blocks that are not seen
-    jacobian: sparse.csr_array  # (k, 3n)
+    factor: Factor  # of the tangent
+    change_m: np.ndarray  # (B,) change of range; NaN of blocks that are not seen
+    view: ShapeRanges
 
 
 @dataclass(frozen=True)
 class _Fit:
     """Where the least squares ended, and how uncertain q and G are there."""
 
-    vector: np.ndarray
+    vector: np.ndarray  # as of `_Problem`
     gauge_pa: float
-    covariance: (
-        np.ndarray
-    )  # (2, 2), of q and G over the one to begin with, errors of the model in it
-    noise: np.ndarray  # (2, 2), the same if the residuals were white noise
+    gauge_sigma_pa: float
+    covariance: np.ndarray  # (2, 2), of q and G over the one to begin with, model errors in it
+    temper: float  # variance of G over what it were if the residuals were white noise
+    scale: float  # robust size of the residuals over noise
     rises_pa: tuple[float, ...]
     change_rms_m: float
     unexplained_rms_m: float
-    scale: float
 
     @property
     def q(self) -> float:
         return float(self.vector[0])
-
-    @property
-    def gauge_sigma_pa(self) -> float:
-        return self.gauge_pa / float(self.vector[1]) * float(np.sqrt(self.covariance[1, 1]))
 
 
 class _Problem:
@@ -428,55 +409,36 @@ class _Problem:
         seen: Sequence[Samples],
         other_mesh: MembraneMesh,
         gauge_pa: float,
+        stress_sigma: float,  # relative, of the stress that shape and gauge pressure give
         *,
         pressed: bool,
     ) -> None:
         pixels = None if model.pixels is None else replace(model.pixels, line=None)
-        model = replace(model, pixels=pixels)  # lines are fitted to the levels themselves
-        self._rest, self._gauge_pa, self._other_mesh, self._model = (
-            rest,
-            gauge_pa,
-            other_mesh,
-            model,
-        )
-        self._observer = observer = model.observer()
-        self._rubber = _RestRubber(model.mesh, RIM_SLACK_M if pressed else None)
+        # lines are fitted to the levels themselves
+        self._observer = observer = replace(model, pixels=pixels).observer()
+        self._rest, self._gauge_pa, self._stress_sigma = rest, gauge_pa, stress_sigma
+        slack = RIM_SLACK_M if pressed else None
+        self._rubber = _RestRubber(model.mesh, slack)
+        self._other_mesh, self._slack = other_mesh, slack
         self._shapes = [_SeenShape(observer, rest, each, pressed=pressed) for each in seen]
         for shape in self._shapes:
-            self._check(shape, pressed)
+            _check_rise(shape, gauge_pa, pressed=pressed)
         ends = 2 + np.cumsum([0, *(len(shape.zone) for shape in self._shapes)])
         self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._size = int(ends[-1])
-        self._smooth = self._smoothness()
-        self._near = [model.mesh.nodes] * len(self._shapes)
-        self._factoriser = Factoriser(
-            self._rubber.with_q(_STARTS[0]).tangent(model.mesh.nodes, 1.0)
-        )
-        self._last: tuple[bytes, list[_Predicted] | None] = (b"", None)
-
-    def _check(self, shape: _SeenShape, pressed: bool) -> None:
-        name, rise = shape.samples.source_name, shape.rise_pa
-        if pressed and rise < 0.0:
-            raise InputError(
-                f"{name}: the gas pressure falls by {-rise:.0f} Pa in the press, which a closed"
-                " chamber's cannot; check its topic, and the chamber for leaks"
-            )
-        if abs(rise) < _LEAST_RISE * self._gauge_pa:
-            raise InputError(
-                f"{name}: its gas pressure differs from that at rest by {rise:.0f} Pa only;"
-                + (" press deeper" if pressed else " inflate by 15 % more and less")
-            )
-
-    def _smoothness(self) -> np.ndarray:
-        """Rows of the contact pressures' roughness, (Z, 2 + Z)."""
-        rows = np.zeros((self._size - 2, self._size))
-        laplacian = cotangent_laplacian(self._observer.mesh).tocsr()
+        self._smooth = np.zeros((self._size - 2, self._size))  # rows of the pressures' roughness
+        laplacian = cotangent_laplacian(model.mesh).tocsr()
         for shape, place in zip(self._shapes, self._places, strict=True):
             if len(shape.zone):
-                dense = laplacian[shape.zone][:, shape.zone].toarray()
-                own = slice(place.start - 2, place.stop - 2)
-                rows[own, place] = np.linalg.cholesky(dense).T / PRESSURE_SCALE
-        return rows
+                root = np.linalg.cholesky(laplacian[shape.zone][:, shape.zone].toarray()).T
+                self._smooth[place.start - 2 : place.stop - 2, place] = root / PRESSURE_SCALE
+        weight = np.concatenate([shape.weight for shape in self._shapes])
+        self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
+        self._change_m = np.concatenate([shape.change_m for shape in self._shapes])
+        self._near = [model.mesh.nodes] * len(self._shapes)
+        start = self._rubber.with_q(_STARTS[0])
+        self._factoriser = Factoriser(start.tangent(model.mesh.nodes, 1.0))
+        self._last: tuple[bytes, list[_Predicted] | None] = (b"", None)
 
     # -- model ----------------------------------------------------------------------------------
 
@@ -484,195 +446,140 @@ class _Problem:
         """All shapes; None where the rubber has no equilibrium."""
         key = vector.tobytes()
         if self._last[0] != key:
-            found = self._predicted(vector, self._rubber, self._observer, self._near)
+            found = self._predicted(vector, self._rubber)
             if found is not None:
                 self._near = [each.x for each in found]
             self._last = key, found
         return self._last[1]
 
-    def _predicted(
-        self,
-        vector: np.ndarray,
-        rubber: _RestRubber,
-        observer: RangeObserver,
-        near: Sequence[np.ndarray],
-    ) -> list[_Predicted] | None:
+    def _predicted(self, vector: np.ndarray, rubber: _RestRubber) -> list[_Predicted] | None:
         membrane, out = rubber.with_q(float(vector[0])), []
-        gauge = self._gauge_pa * float(vector[1])
-        for shape, place, x in zip(self._shapes, self._places, near, strict=True):
-            inside: float | np.ndarray = 1.0 + shape.rise_pa / gauge
+        at_rest = self._observer.around(rubber.mesh.nodes).model_m
+        moved = rubber.mesh.nodes - self._observer.mesh.nodes
+        for shape, place, x in zip(self._shapes, self._places, self._near, strict=True):
+            inside: float | np.ndarray = 1.0 + shape.rise_pa / (self._gauge_pa * float(vector[1]))
             if len(shape.zone):
-                contact = np.zeros(len(self._observer.mesh.nodes))
-                contact[shape.zone] = vector[place]
-                if observer is not self._observer:
-                    contact = contact[self._nearest] * ~observer.mesh.rim
-                inside = inside - contact
-            found = self._balanced(membrane, inside, x, observer)
-            if found is None:
+                inside = np.full(len(x), inside)
+                inside[shape.zone] -= vector[place]
+            balanced = self._balanced(membrane, inside, x + moved)
+            if balanced is None:
                 return None
-            out.append(found)
+            view = self._observer.around(balanced[0])
+            change = np.full(len(at_rest), np.nan)
+            change[view.block] = (view.model_m - at_rest)[view.block]
+            out.append(_Predicted(balanced[0], inside, balanced[1], change, view))
         return out
 
     def _balanced(
-        self,
-        membrane: RubberMembrane,
-        inside: float | np.ndarray,
-        x: np.ndarray,
-        observer: RangeObserver,
-    ) -> _Predicted | None:
+        self, membrane: RubberMembrane, inside: float | np.ndarray, x: np.ndarray
+    ) -> tuple[np.ndarray, Factor] | None:
         """Newton's method, in steps of a mesh edge at most."""
         mesh, moving = membrane.mesh, membrane.moving
-        factoriser = self._factoriser
-        if mesh is not self._observer.mesh:
-            factoriser = Factoriser(membrane.tangent(x, 1.0))
         for _ in range(_NEWTON):
             left = membrane.residual(x, inside)[moving].ravel()
             try:
-                factor = factoriser.factor(membrane.tangent(x, inside).data)
+                factor = self._factoriser.factor(membrane.tangent(x, inside).data)
             except RuntimeError:  # singular
                 return None
             if np.abs(left).max() < _BALANCED * mesh.areas.mean():
-                if np.ndim(inside) == 0 and factor.negative_directions():
-                    return None
-                break
+                stable = np.ndim(inside) > 0 or factor.negative_directions() == 0
+                return (x, factor) if stable else None
             motion = np.zeros_like(x)
             motion[moving] = -factor.solve(left).reshape(-1, 3)
             longest = float(np.abs(motion).max())
             if not np.isfinite(longest):
                 return None
             x = x + min(1.0, mesh.edge_length / max(longest, 1e-300)) * motion
-        else:
-            return None
+        return None
 
-        def solve(forces: np.ndarray) -> np.ndarray:
-            out = np.zeros_like(forces)
-            right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
-            out[moving] = factor.solve(right).reshape(-1, *forces.shape[1:])
-            return out.reshape(3 * len(x), -1)
-
-        view = observer.around(x)
-        seen = np.full(len(view.model_m), np.nan)
-        seen[view.block] = view.model_m[view.block]
-        return _Predicted(x, inside, solve, view.block, seen, view.jacobian)
-
-    def _slopes(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Derivatives of the changes of range, (B, 2 + Z) for each shape, m."""
+    def _slopes(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the changes by the unknowns (D, 2 + Z), and by the stress at rest (D,)."""
         found, q = self._at(vector), float(vector[0])
         assert found is not None
         here, ahead = (self._rubber.with_q(each) for each in (q, (1.0 + _STEP_OF_Q) * q))
-        gauge, out = self._gauge_pa * float(vector[1]), []
+        pull, slopes, by_stress = here.force(here.mesh.nodes), [], []
         for shape, place, each in zip(self._shapes, self._places, found, strict=True):
+            moving, area = here.moving, here.volume_gradient(each.x)
             by_q = here.residual(each.x, each.inside) - ahead.residual(each.x, each.inside)
-            area = here.volume_gradient(each.x)
-            forces = np.zeros((*each.x.shape, 2 + len(shape.zone)))
-            forces[..., 0] = by_q / (_STEP_OF_Q * q)
-            forces[..., 1] = -shape.rise_pa / gauge / vector[1] * area
-            columns = 2 + np.arange(len(shape.zone))
-            forces[shape.zone, :, columns] = -area[shape.zone]
-            slopes = np.zeros((len(each.model_m), self._size))
-            own = np.r_[0, 1, np.arange(place.start, place.stop)]
-            slopes[np.ix_(each.block, own)] = each.jacobian @ each.solve(forces)
-            out.append(slopes)
-        return out
+            forces = np.zeros((*each.x.shape, 3 + len(shape.zone)))
+            forces[..., 0] = pull - here.force(each.x)
+            forces[..., 1] = by_q / (_STEP_OF_Q * q)
+            forces[..., 2] = -shape.rise_pa / (self._gauge_pa * vector[1] ** 2) * area
+            forces[shape.zone, :, 3 + np.arange(len(shape.zone))] = -area[shape.zone]
+            motions = np.zeros_like(forces)
+            right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
+            motions[moving] = each.factor.solve(right).reshape(len(moving), 3, -1)
+            rows = np.zeros((len(shape.change_m), motions.shape[2]))
+            rows[each.view.block] = each.view.jacobian @ motions.reshape(3 * len(each.x), -1)
+            own = np.zeros((len(rows), self._size))
+            own[:, :2], own[:, place] = rows[:, 1:3], rows[:, 3:]
+            slopes.append(own)
+            by_stress.append(rows[:, 0])
+        return np.concatenate(slopes), np.concatenate(by_stress)
 
-    def _deviations(self, vector: np.ndarray) -> np.ndarray:
-        """Measured less modelled change over the noise of each block; NaN: not seen."""
+    def _missed(self, vector: np.ndarray) -> np.ndarray:
+        """Measured less modelled change, (D,), m; NaN: not seen, inf: no equilibrium."""
         found = self._at(vector)
         if found is None:
-            return np.full(sum(len(shape.change_m) for shape in self._shapes), np.inf)
-        return np.concatenate(
-            [
-                (shape.change_m - each.model_m) * self._root(shape)
-                for shape, each in zip(self._shapes, found, strict=True)
-            ]
-        )
-
-    @staticmethod
-    def _root(shape: _SeenShape) -> np.ndarray:
-        """1/σ of each block, NaN where it was not measured."""
-        return np.sqrt(np.where(shape.weight > 0.0, shape.weight, np.nan))
+            return np.full(len(self._change_m), np.inf)
+        return self._change_m - np.concatenate([each.change_m for each in found])
 
     # -- least squares --------------------------------------------------------------------------
 
-    def fit(
-        self,
-        prior_sigma: float = np.inf,  # of G over the one to begin with
-        stress_sigma: float = 0.0,  # relative, of the stress that shape and gauge pressure give
-        alone: _Fit | None = None,  # without the prior: where to begin, and how rows are tempered
-    ) -> _Fit:
-        """Least squares and covariance.
+    def fit(self, prior_sigma: float = np.inf, alone: _Fit | None = None) -> _Fit:
+        """Least squares and covariance, with G known otherwise to a relative σ or not at all.
 
-        Raises InputError: no rubber is near what is seen.
+        `alone` is the fit without that: where to begin, and how rows are tempered. Raises
+        InputError: no rubber is near what is seen.
         """
-        temper = 1.0
         if alone is not None:
-            vector, scale = alone.vector, alone.scale
-            temper = float(alone.covariance[1, 1] / alone.noise[1, 1])
-            vector, scale = self._descend(vector, scale, prior_sigma, temper)
-        else:
-            vector, scale = self._from_starts()
-        return self._with_errors(vector, scale, prior_sigma, temper, stress_sigma)
-
-    def _from_starts(self) -> tuple[np.ndarray, float]:
+            vector = self._descend(alone.vector, alone.scale, prior_sigma, alone.temper)
+            return self._with_errors(vector, prior_sigma, alone.temper)
         slid = None
         for q in _STARTS:
-            start = np.zeros(self._size)
-            start[:2] = q, 1.0
+            vector = np.zeros(self._size)
+            vector[:2] = q, 1.0
             self._near = [self._observer.mesh.nodes] * len(self._shapes)
-            if self._at(start) is None:
+            if self._at(vector) is None:
                 continue
-            vector, scale = self._descend(start, None, np.inf, 1.0)
+            vector = self._descend(vector, None, np.inf, 1.0)
+            vector = self._descend(vector, self._scale(vector), np.inf, 1.0)
             if vector[0] > 1.01 * SMALLEST_Q:
-                return vector, scale
-            slid = slid or (vector, scale)
+                return self._with_errors(vector, np.inf, 1.0)
+            slid = vector
         if slid is not None:
-            return slid
+            return self._with_errors(slid, np.inf, 1.0)
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape explains what"
             f" {', '.join(shape.samples.source_name for shape in self._shapes)} shows; check the"
             " gas pressures and the atmospheric pressure"
         )
 
-    def _descend(
-        self, vector: np.ndarray, scale: float | None, prior_sigma: float, temper: float
-    ) -> tuple[np.ndarray, float]:
-        """Least squares without outliers' loss to get near, then with Tukey's."""
-        for robust in (False, True) if scale is None else (True,):
-            z = self._deviations(vector)
-            scale = max(robust_sigma(z, center=0.0), 1e-9) if robust or scale is None else scale
-            found = self._least_squares(vector, scale, prior_sigma, temper, robust=robust)
-            vector = found.x
-        z = self._deviations(vector)
-        return vector, max(robust_sigma(z, center=0.0), 1e-9)
+    def _scale(self, vector: np.ndarray) -> float:
+        return max(robust_sigma(self._missed(vector) * self._root, center=0.0), 1e-9)
 
-    def _least_squares(
+    def _descend(
         self,
         vector: np.ndarray,
-        scale: float,
+        scale: float | None,  # of residuals, for Tukey's loss; None: least squares, to get near
         prior_sigma: float,
-        temper: float,
-        *,
-        robust: bool,
-    ) -> OptimizeResult:
+        temper: float,  # by which all rows but that of G count less
+    ) -> np.ndarray:
+        root, data = self._root / (scale or self._scale(vector)), len(self._root)
+
         def residuals(v: np.ndarray) -> np.ndarray:
-            z = np.nan_to_num(self._deviations(v) / scale, nan=_OUTLIER, posinf=np.inf)
+            z = np.nan_to_num(self._missed(v) * root, nan=_OUTLIER, posinf=np.inf)
             return np.concatenate([z, self._smooth @ v, [(v[1] - 1.0) / prior_sigma]])
 
         def jacobian(v: np.ndarray) -> np.ndarray:
-            roots = [np.nan_to_num(self._root(shape)) / scale for shape in self._shapes]
-            rows = [
-                -root[:, None] * slopes for root, slopes in zip(roots, self._slopes(v), strict=True)
-            ]
             prior = np.zeros((1, self._size))
             prior[0, 1] = 1.0 / prior_sigma
-            return np.concatenate([*rows, self._smooth, prior])
-
-        data = sum(len(shape.change_m) for shape in self._shapes)
+            rows = -np.nan_to_num(root)[:, None] * self._slopes(v)[0]
+            return np.concatenate([rows, self._smooth, prior])
 
         def loss(squares: np.ndarray) -> np.ndarray:
-            """Tukey's of the ranges; all but the last row tempered."""
             rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
-            if robust:
+            if scale is not None:
                 left = 1.0 - np.minimum(squares[:data] / TUKEY_TUNING**2, 1.0)
                 rho[0, :data] = TUKEY_TUNING**2 / 3.0 * (1.0 - left**3)
                 rho[1, :data], rho[2, :data] = left**2, -2.0 / TUKEY_TUNING**2 * left
@@ -681,155 +588,100 @@ class _Problem:
 
         low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
         low[:2], high[0] = (SMALLEST_Q, _LEAST_GAUGE), LARGEST_Q
-        start = vector.copy()
+        start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
-        x_scale = np.ones(self._size)
         x_scale[:2] = 0.1
-        return least_squares(
-            residuals,
-            start,
-            jacobian,
-            (low, high),
-            x_scale=x_scale,
-            loss=loss,  # type: ignore[arg-type]  # the stub's protocol names its argument
-            xtol=_CLOSE,
-            ftol=_CLOSE,
-            max_nfev=60,
-        )
+        found: np.ndarray = least_squares(
+            residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MOST_STEPS,
+            loss=loss, xtol=_CLOSE, ftol=_CLOSE,  # type: ignore[arg-type]  # loss's name in stubs
+        ).x  # fmt: skip
+        return found
 
     # -- errors ---------------------------------------------------------------------------------
 
-    def _with_errors(
-        self,
-        vector: np.ndarray,
-        scale: float,
-        prior_sigma: float,
-        temper: float,
-        stress_sigma: float,
-    ) -> _Fit:
-        found, slopes = self._at(vector), self._slopes(vector)
-        if found is None:
-            raise InputError(f"{self._rest.source_name}: the rubber found has no equilibrium")
-        z = self._deviations(vector)
-        roots = np.concatenate([np.nan_to_num(self._root(shape)) for shape in self._shapes]) / scale
-        rows = np.concatenate(slopes) * roots[:, None]
-        z = z / scale
-        system = _System(
-            rows,
-            np.nan_to_num(z),
-            tukey_weights(z, 1.0) / temper,
-            float(np.nan_to_num(tukey_slopes(z, 1.0)).sum() / tukey_weights(z, 1.0).sum()),
-            self._smooth.T @ self._smooth / temper,
-            vector,
-            prior_sigma,
-        )
-        influence = np.split(
-            system.gain() * roots[:, None],
-            np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1],
-        )
-        covariance = self._noise(found, influence)
-        ways = self._ways(vector, found, slopes, influence, stress_sigma)
-        ways.append(system.prior_gain)
-        ways += system.left_out(self._parts())
-        for way in ways:
-            covariance = covariance + np.outer(way, way)
-        change = np.concatenate([shape.change_m[shape.weight > 0.0] for shape in self._shapes])
-        missed = np.concatenate(
-            [shape.change_m - each.model_m for shape, each in zip(self._shapes, found, strict=True)]
-        )
+    def _with_errors(self, vector: np.ndarray, prior_sigma: float, temper: float) -> _Fit:
+        (slopes, by_stress), missed = self._slopes(vector), self._missed(vector)
+        scale = self._scale(vector)
+        root, z = np.nan_to_num(self._root) / scale, missed * self._root / scale
+        rows, z_known = slopes * root[:, None], np.nan_to_num(z)
+        weight = tukey_weights(z, 1.0) / temper
+        efficiency = float(np.nan_to_num(tukey_slopes(z, 1.0)).sum() / weight.sum() / temper)
+        prior = np.zeros((self._size, self._size))
+        prior[1, 1] = prior_sigma**-2
+        smooth = self._smooth.T @ self._smooth / temper + prior
+
+        def step(weight: np.ndarray) -> np.ndarray:
+            """Step of q and G under other weights of the rows of ranges."""
+            right = rows.T @ (weight * z_known) - smooth @ vector + prior[1]
+            normal = rows.T @ (weight[:, None] * rows) + smooth
+            return np.linalg.solve(normal, right)[:2]
+
+        normal = rows.T @ (efficiency * weight[:, None] * rows) + smooth
+        inverse = np.linalg.inv(normal)[:2]
+        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 2)
+        known = np.nan_to_num(missed)
+        ways = [
+            inverse[:, 1] * prior_sigma**-1,
+            (self._observer.mesh.edge_length * 0.5 * mean_curvature(self._observer.mesh)) ** 2
+            * (influence.T @ (self._change_m - known)),
+            -self._stress_sigma * (influence.T @ by_stress),
+            # shapes tell of μh, whatever share of it is taken for γ0 = (1 − q) μh
+            np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
+        ]
+        for mesh, degree in (
+            (self._rubber.mesh, STRESS_DEGREE - 2),
+            (self._other_mesh, STRESS_DEGREE),
+        ):
+            other = self._predicted(vector, _RestRubber(mesh, self._slack, degree))
+            if other is not None:
+                moved = np.concatenate([each.change_m for each in other])
+                ways.append(-influence.T @ np.nan_to_num(moved - self._change_m + missed))
+        # Uneven rubber, and a surface that is wrong where it is not seen, show as parts of the
+        # view that ask for different rubber: the jackknife over them.
+        sets = list(zip(*(shape.parts() for shape in self._shapes), strict=True))
+        for each in sets:
+            part = np.concatenate(each)
+            count = int(part.max()) + 1
+            steps = np.stack([step(weight * (part != k)) for k in range(count)])
+            share = np.sqrt((count - 1) / count / len(sets)) * student(count - 1)
+            ways += list(share * (steps - steps.mean(axis=0)))
+        covariance = self._noise(influence, known, -vector[1] * slopes[:, 1])
+        covariance = covariance + sum(np.outer(way, way) for way in ways)
         return _Fit(
             vector=vector,
             gauge_pa=self._gauge_pa * float(vector[1]),
+            gauge_sigma_pa=self._gauge_pa * float(np.sqrt(covariance[1, 1])),
             covariance=covariance,
-            noise=system.white(),
-            rises_pa=tuple(shape.rise_pa for shape in self._shapes),
-            change_rms_m=robust_sigma(change, center=0.0),
-            unexplained_rms_m=robust_sigma(missed, center=0.0),
+            temper=float(covariance[1, 1] / inverse[1, 1]),
             scale=scale,
+            rises_pa=tuple(shape.rise_pa for shape in self._shapes),
+            change_rms_m=robust_sigma(self._change_m[np.isfinite(self._root)], center=0.0),
+            unexplained_rms_m=robust_sigma(missed, center=0.0),
         )
 
-    def _parts(self) -> list[np.ndarray]:
-        """Sets of parts to leave out, numbers of all shapes' blocks."""
-        return [
-            np.concatenate(each) for each in zip(*(s.parts() for s in self._shapes), strict=True)
-        ]
-
-    def _ways(
+    def _noise(
         self,
-        vector: np.ndarray,
-        found: list[_Predicted],
-        slopes: list[np.ndarray],
-        influence: list[np.ndarray],
-        stress_sigma: float,
-    ) -> list[np.ndarray]:
-        """Errors (2,) of q and G by a standard deviation each of what the model is not sure of.
-
-        Stress at rest, its degree, the surface, facets, and the gas pressures. Shapes tell of μh,
-        whatever share of it is taken for γ0 = (1 − q) μh.
-        """
-        mesh, share = self._observer.mesh, 0.01
-        facets = (mesh.edge_length * 0.5 * mean_curvature(mesh)) ** 2
-        models = [each.model_m for each in found]
-        near = [each.x for each in found]
-
-        def moved(other: list[np.ndarray]) -> np.ndarray:
-            changes = (np.nan_to_num(b - a) for a, b in zip(models, other, strict=True))
-            pairs = zip(influence, changes, strict=True)
-            return -np.sum([each.T @ change for each, change in pairs], axis=0)
-
-        ways = [facets * moved([2.0 * each for each in models])]
-        ways.append(np.array([(1.0 - vector[0]) * stress_sigma, 0.0]))
-        for size, rubber in (
-            (stress_sigma / share, self._rubber.tighter(share)),
-            (1.0, _RestRubber(mesh, self._rubber.rim_slack_m, STRESS_DEGREE - 2)),
-        ):
-            other = self._predicted(vector, rubber, self._observer, near)
-            if other is not None:
-                ways.append(size * moved([each.model_m for each in other]))
-        elsewhere = self._on_other_surface(vector, near)
-        if elsewhere is not None:
-            ways.append(moved(elsewhere))
-        by_rise = [
-            each.T @ (-vector[1] * slope[:, 1] / shape.rise_pa)
-            for shape, slope, each in zip(self._shapes, slopes, influence, strict=True)
-        ]
-        ways += [-s.rise_sigma_pa * each for s, each in zip(self._shapes, by_rise, strict=True)]
-        ways.append(_mean_pressure(self._rest)[1] * np.sum(by_rise, axis=0))
-        return ways
-
-    def _on_other_surface(
-        self, vector: np.ndarray, near: list[np.ndarray]
-    ) -> list[np.ndarray] | None:
-        """Changes of range in the same blocks if the rest surface were the other one."""
-        mesh, own = self._other_mesh, self._observer
-        observer = replace(self._model, mesh=mesh).observer(own.block)
-        self._nearest = cKDTree(own.mesh.nodes).query(mesh.nodes)[1]
-        start = [mesh.nodes + (x - own.mesh.nodes)[self._nearest] for x in near]
-        rubber = _RestRubber(mesh, self._rubber.rim_slack_m)
-        found = self._predicted(vector, rubber, observer, start)
-        if found is None:
-            return None
-        common = np.intersect1d(own.block_number, observer.block_number, return_indices=True)
-        out = []
-        for each in found:
-            model = np.full(len(own.block_number), np.nan)
-            model[common[1]] = each.model_m[common[2]]
-            out.append(model)
-        return out
-
-    def _noise(self, found: list[_Predicted], influence: list[np.ndarray]) -> np.ndarray:
-        """Covariance (2, 2) by noise of all frames and by what the model leaves, by tiles."""
-        nothing = np.zeros(len(influence[0]))
-        total = self._scored(self._rest, -np.sum(influence, axis=0), nothing)
-        for shape, each, own in zip(self._shapes, found, influence, strict=True):
-            missed = np.nan_to_num(shape.change_m - each.model_m)
-            total = total + self._scored(shape.samples, own, missed)
-        return total
+        influence: np.ndarray,  # (D, 2), of every change of range
+        missed_m: np.ndarray,  # (D,)
+        by_rise_m: np.ndarray,  # (D,), change of range per relative change of its rise
+    ) -> np.ndarray:
+        """Covariance (2, 2) by noise of all frames and pressures, and what the model leaves."""
+        ends = np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1]
+        own, left, rises = (np.split(each, ends) for each in (influence, missed_m, by_rise_m))
+        total = self._scored(self._rest, -np.sum(own, axis=0), np.zeros(len(own[0])))
+        shared = np.zeros(2)
+        for shape, of, missed, rise in zip(self._shapes, own, left, rises, strict=True):
+            way = of.T @ rise / shape.rise_pa
+            shared = shared + _mean_pressure(self._rest)[1] * way
+            total = total + self._scored(shape.samples, of, missed)
+            total = total + shape.rise_sigma_pa**2 * np.outer(way, way)
+        return total + np.outer(shared, shared)
 
     def _scored(self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray) -> np.ndarray:
         observer, statistics = self._observer, samples.statistics
         used = np.flatnonzero(influence.any(axis=1))
-        frames = block_ranges(observer, samples.depth_m)[0][:, used]
+        seen = [observer.observe(image) for image in samples.depth_m]
+        frames = np.stack([np.where(s.weight > 0.0, s.residual_m, np.nan)[used] for s in seen])
         side = tile_side(len(used), statistics.correlation_length_px / observer.block)
         tile = tile_numbers(observer.block_number[used], observer.columns, side)
         mean = np.nan_to_num(np.nanmean(frames, axis=0))
@@ -838,66 +690,18 @@ class _Problem:
         return covariances(*scores, 2, frames_block(statistics)).total
 
 
-@dataclass(frozen=True)
-class _System:
-    """The least squares linearised where it ended: rows of ranges, roughness, and G."""
-
-    rows: np.ndarray  # (D, 2 + Z), derivatives of the modelled changes in standard deviations
-    missed: np.ndarray  # (D,), measured less modelled
-    weight: np.ndarray  # (D,), of the robust loss
-    efficiency: float  # mean second derivative of the loss over the mean weight
-    smooth: np.ndarray  # (2 + Z, 2 + Z)
-    vector: np.ndarray
-    prior_sigma: float
-
-    def normal(self, weight: np.ndarray) -> np.ndarray:
-        normal: np.ndarray = self.rows.T @ (weight[:, None] * self.rows) + self.smooth
-        normal[1, 1] += self.prior_sigma**-2
-        return normal
-
-    def gain(self) -> np.ndarray:
-        """Change of q and G per change of each row, (D, 2)."""
-        weighted = self.weight[:, None] * self.rows
-        return np.linalg.solve(self.normal(self.efficiency * self.weight), weighted.T)[:2].T
-
-    @property
-    def prior_gain(self) -> np.ndarray:
-        """Change of q and G per standard deviation of the G that is known, (2,)."""
-        if not np.isfinite(self.prior_sigma):
-            return np.zeros(2)
-        return np.linalg.inv(self.normal(self.efficiency * self.weight))[:2, 1] / self.prior_sigma
-
-    def white(self) -> np.ndarray:
-        """Covariance (2, 2) if residuals were white noise."""
-        return np.linalg.inv(self.normal(self.efficiency * self.weight))[:2, :2]
-
-    def left_out(self, parts: list[np.ndarray]) -> list[np.ndarray]:
-        """Errors (2,) of a standard deviation each by the jackknife over parts (D,) of the view.
-
-        Uneven rubber, and a surface that is wrong where it is not seen, show as parts that ask for
-        different rubber.
-        """
-        out: list[np.ndarray] = []
-        for part in parts:
-            count = int(part.max()) + 1
-            steps = np.stack([self._step(self.weight * (part != k)) for k in range(count)])
-            share = np.sqrt((count - 1) / count / len(parts)) * student(count - 1)
-            out += list(share * (steps - steps.mean(axis=0)))
-        return out
-
-    def _step(self, weight: np.ndarray) -> np.ndarray:
-        """Step of q and G, (2,), under other weights of the rows of ranges."""
-        right = self.rows.T @ (weight * self.missed) - self.smooth @ self.vector
-        right[1] -= (self.vector[1] - 1.0) / self.prior_sigma**2
-        return np.linalg.solve(self.normal(weight), right)[:2]
-
-
-def block_ranges(observer: RangeObserver, images_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Change of every block's range in z-depth images (F, H, W), (F, B), and its weight."""
-    seen = [observer.observe(image) for image in images_m]
-    weight = np.stack([each.weight for each in seen])
-    change = np.stack([each.residual_m for each in seen])
-    return np.where(weight > 0.0, change, np.nan), weight
+def _check_rise(shape: _SeenShape, gauge_pa: float, *, pressed: bool) -> None:
+    name, rise = shape.samples.source_name, shape.rise_pa
+    if pressed and rise < 0.0:
+        raise InputError(
+            f"{name}: the gas pressure falls by {-rise:.0f} Pa in the press, which a closed"
+            " chamber's cannot; check its topic, and the chamber for leaks"
+        )
+    if abs(rise) < _LEAST_RISE * gauge_pa:
+        raise InputError(
+            f"{name}: its gas pressure differs from that at rest by {rise:.0f} Pa only;"
+            + (" press deeper" if pressed else " inflate by 15 % more and less")
+        )
 
 
 def _mean_pressure(samples: Samples) -> tuple[float, float]:

@@ -285,10 +285,14 @@ class Surfaces:
 
     @property
     def other_mesh(self) -> MembraneMesh:
-        """Mesh of another surface, in B: what differs on it is as uncertain as the shape."""
+        """The mesh moved onto another surface, in B: what differs on it is as uncertain as that."""
         if self.chosen == "ellipsoid":
             return self.free_form.mesh
-        return mesh_ellipsoid(self.fits.cap.ellipsoid, len(self.mesh.nodes))
+        cap, arms = self.fits.cap.ellipsoid, self.mesh.nodes
+        a, b = arms @ cap.axes / cap.semi_axes_m, -cap.centre_m @ cap.axes / cap.semi_axes_m
+        square, half, rest = np.sum(a * a, axis=1), a @ b, b @ b - 1.0
+        length = (-half + np.sqrt(half**2 - square * rest)) / square  # |a t + b| = 1
+        return replace(self.mesh, nodes=length[:, None] * arms)
 
 
 def fit_surfaces(
