@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bubbleviz.pose import ObjectModel
+from bubbleviz.membrane import ObjectSurface
 
 SAMPLES = 20_000  # points of the object's surface that the libraries register to
 
@@ -26,7 +26,7 @@ def has_small_gicp() -> bool:
 class CloudRegistration:
     """Point-to-plane registration of points to a sampled object by a library."""
 
-    def __init__(self, model: ObjectModel, reach_m: float) -> None:
+    def __init__(self, model: ObjectSurface, reach_m: float) -> None:
         self._points, self._normals = model.sample(SAMPLES)
         self._reach = reach_m
         self._gicp: Any = None

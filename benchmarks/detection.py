@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.inverse import GAS_NOISE
 from bubbleviz.membrane import refine
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import ObjectModel
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import DepthNoise, RubberPresses, RubberTruth, TruthBank, made, noise_name
@@ -134,7 +133,7 @@ class Ladder:
             middles = mesh.nodes[mesh.triangles].mean(axis=1)
             mesh = refine(mesh, np.linalg.norm(middles - self._at, axis=1) < share * radius)
         self._presses = replace(presses, mesh=mesh)
-        self._object = ObjectModel(made(grid.object_name))
+        self._object = made(grid.object_name)
         self._truths: dict[int, RubberTruth] = {}
         self.bank = TruthBank(self._presses, grid.seed)
 

@@ -10,12 +10,12 @@ from functools import partial
 import numpy as np
 
 from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
+from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.pose import (
     START_DEVIATION,
     ContactPoints,
     Motion,
-    ObjectModel,
     PoseTracker,
     Prior,
     Registration,
@@ -121,7 +121,7 @@ class _Bench:
 
     def __init__(self, pipeline: Pipeline, obj: RigidObject, grid: PoseGrid) -> None:
         self._pipeline, self.obj, self._grid = pipeline, obj, grid
-        self._model = ObjectModel(obj)
+        self._model = ObjectSurface(obj)
         precision = precision_of(pipeline.estimator)
         self._registration = Registration(self._model, precision)
         self._judge = PoseJudge(self._model, precision)

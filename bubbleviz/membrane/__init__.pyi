@@ -1,15 +1,12 @@
+from .equilibrium import (
+    RubberContact as RubberContact,
+)
 from .forward_model import (
     Contact as Contact,
     ForwardModel as ForwardModel,
     GapFinder as GapFinder,
     ObstacleSolver as ObstacleSolver,
     checked_pose as checked_pose,
-)
-from .friction_forward import (
-    MOST_FRICTION as MOST_FRICTION,
-    FrictionContact as FrictionContact,
-    FrictionForward as FrictionForward,
-    checked_friction as checked_friction,
 )
 from .gas import (
     Gas as Gas,
@@ -58,14 +55,14 @@ from .reference_mesh import (
     varied_rubber as varied_rubber,
 )
 from .rubber import (
-    Inflation as Inflation,
     RubberMembrane as RubberMembrane,
     inverse_metric as inverse_metric,
 )
 from .rubber_forward import (
-    PressStart as PressStart,
-    RubberContact as RubberContact,
+    MOST_FRICTION as MOST_FRICTION,
+    Inflation as Inflation,
     RubberForward as RubberForward,
+    checked_friction as checked_friction,
 )
 from .sparse_factor import (
     Factor as Factor,

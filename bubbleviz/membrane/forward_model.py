@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh, area_vectors
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.object_surface import ObjectSurface
 from bubbleviz.membrane.sparse_factor import symmetric_lu
 from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.membrane.triangle_scene import TriangleScene
@@ -34,58 +35,20 @@ class GapFinder:
 
     def __init__(self, mesh: MembraneMesh) -> None:
         self.mesh = mesh
-        self._reach: np.ndarray | None = None
-        self._object: RigidObject | None = None
-        self._scene: TriangleScene | None = None
-        self._solid = False
+        self._surface: ObjectSurface | None = None
 
     def gaps(self, obj: RigidObject, T_B_O: np.ndarray) -> np.ndarray:
         """Upper bound g of the displacement, shape (n,), m; inf where the object is not met."""
         pose = checked_pose(T_B_O)
-        if obj is not self._object:
-            self._load(obj)
+        if self._surface is None or obj is not self._surface.obj:
+            self._surface = ObjectSurface(obj)
         nodes = (self.mesh.nodes - pose[:3, 3]) @ pose[:3, :3]
-        normals = self.mesh.normals @ pose[:3, :3]
-        ray, where, entering = self._hits(nodes, normals)
-        return self._lowest_entry(ray, where, entering)
+        ray, where, entering = self._surface.crossings(nodes, self.mesh.normals @ pose[:3, :3])
+        return self._lowest_entry(ray, where, entering | (not self._surface.solid))
 
-    def _load(self, obj: RigidObject) -> None:
-        scene = TriangleScene(obj.vertices, obj.triangles)
-        a, vectors = obj.vertices[obj.triangles[:, 0]], area_vectors(obj.vertices, obj.triangles)
-        self._solid = is_watertight(obj.triangles)
-        if self._solid and np.einsum("ij,ij->", vectors, a) < 0.0:
-            vectors = -vectors  # inward normals: the signed volume is negative
-        self._object, self._scene = obj, scene
-        self._corner, self._vectors = a, vectors
-        self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
-        self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
-
-    def _hits(
-        self, nodes: np.ndarray, normals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """All crossings of the node's lines: node, place along n̂ in m, entering or leaving."""
-        # Start each ray just before the object's bounding sphere, where single precision is best.
-        middle = np.einsum("ij,ij->i", self._centre - nodes, normals)
-        miss = np.linalg.norm(nodes + middle[:, None] * normals - self._centre, axis=1)
-        near = np.flatnonzero(miss <= self._radius)
-        if not len(near):  # Open3D crashes on no rays
-            return near, np.zeros(0), np.zeros(0, dtype=bool)
-        start = middle[near] - 1.01 * self._radius
-        origins = nodes[near] + start[:, None] * normals[near]
-        assert self._scene is not None
-        hit, facet = self._scene.crossings(np.hstack([origins, normals[near]]))
-        ray = near[hit]
-        # The place again in double precision, from the plane of the facet that was hit.
-        vectors = self._vectors[facet]
-        slope = np.einsum("ij,ij->i", vectors, normals[ray])
-        distance = np.einsum("ij,ij->i", vectors, self._corner[facet] - nodes[ray])
-        kept = np.abs(slope) > 1e-7 * np.linalg.norm(vectors, axis=1)  # not along the facet
-        return ray[kept], distance[kept] / slope[kept], slope[kept] < 0.0
-
-    def _lowest_entry(self, ray: np.ndarray, where: np.ndarray, entering: np.ndarray) -> np.ndarray:
+    def _lowest_entry(self, ray: np.ndarray, where: np.ndarray, counts: np.ndarray) -> np.ndarray:
         n = len(self.mesh.nodes)
         lowest = np.full(n, np.inf)
-        counts = entering if self._solid else np.ones_like(entering)
         # The stretch the node is in: its highest crossing below the node is an entry.
         below = counts & (where <= 0.0)
         last = np.full(n, -np.inf)
@@ -95,16 +58,14 @@ class GapFinder:
         np.minimum.at(lowest, ray[valid], where[valid])
         return lowest
 
-    @property
+    @cached_property
     def reach(self) -> np.ndarray:
         """Distance inward along each normal that belongs to the node's own line, (n,), m."""
-        if self._reach is None:
-            mesh = self.mesh
-            step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
-            rays = np.hstack([mesh.nodes - step * mesh.normals, -mesh.normals])
-            across = 0.5 * (TriangleScene(mesh.nodes, mesh.triangles).cast(rays).distance + step)
-            self._reach = np.minimum(across, _way_through_chamber(mesh))
-        return self._reach
+        mesh = self.mesh
+        step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
+        rays = np.hstack([mesh.nodes - step * mesh.normals, -mesh.normals])
+        across = 0.5 * (TriangleScene(mesh.nodes, mesh.triangles).cast(rays).distance + step)
+        return np.minimum(across, _way_through_chamber(mesh))
 
 
 def _way_through_chamber(mesh: MembraneMesh) -> np.ndarray:
@@ -134,15 +95,6 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
             f"pose T_B_O: {np.abs(pose[:3, 3]).max():.4g} m away; is it in millimetres? use metres"
         )
     return pose
-
-
-def is_watertight(triangles: np.ndarray) -> bool:
-    """Whether every edge has two triangles that run along it in opposite directions."""
-    n = int(triangles.max()) + 1
-    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    forward, backward = np.sort(start * n + end), np.sort(end * n + start)
-    once = bool((np.diff(forward) > 0).all())
-    return once and bool((forward == backward).all())
 
 
 # The obstacle problem: a membrane under pressure that may not pass a bound (Eqs. 15 and 16).
@@ -248,9 +200,6 @@ class ObstacleSolver:
         return np.where(active, pulls, u > g + 1e-11 * scale)
 
 
-Outer = Literal["joint", "bracket"]
-
-
 @dataclass(frozen=True)
 class Contact:
     """Equilibrium of the membrane pressed by a rigid object, and how well it holds."""
@@ -270,40 +219,20 @@ class Contact:
     balance_residual: float
     gas_law_residual: float  # |P(V(u)) − P0 − p_v| / P0
     iterations: int  # sparse factorisations
-    outer_iterations: int  # gas-law iterations; 1 where it is solved together with the contact
     converged: bool  # contact and gas law both hold
 
 
 class ForwardModel:
-    """Presses rigid objects into one membrane.
+    """Presses rigid objects into one linear membrane (Eq. 16).
 
-    Parameters
-    ----------
-    mesh : MembraneMesh
-    tension_n_per_m : float
-        γ0.
-    gas : Gas
-    outer : {"joint", "bracket"}
-        How the gas law is met. `joint`: solved exactly in every step of the contact solver,
-        with `bracket` behind it. `bracket`: a root of P(V(u(p_v))) − P0 − p_v, which falls
-        monotonically, between bounds that always hold it. (The paper's fixed point
-        p ← p + ω (P(V) − P0 − p) diverges where the gas is stiff; dropped in 0.3.)
+    The gas law is met exactly in every step of the contact solver. (The paper's fixed point
+    p ← p + ω (P(V) − P0 − p) diverges where the gas is stiff.)
     """
 
-    def __init__(
-        self,
-        mesh: MembraneMesh,
-        tension_n_per_m: float,
-        gas: Gas,
-        *,
-        outer: Outer = "joint",
-    ) -> None:
+    def __init__(self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas) -> None:
         if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
             raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
         self.mesh, self.tension, self.gas = mesh, tension_n_per_m, gas
-        if outer not in ("joint", "bracket"):
-            raise InputError(f"outer={outer!r}: use joint; relaxed is gone since 0.3")
-        self.outer = outer
         self._finder = GapFinder(mesh)
         self._laplacian = cotangent_laplacian(mesh)
         free = mesh.free
@@ -322,17 +251,9 @@ class ForwardModel:
 
     def solve(self, gap_m: np.ndarray) -> Contact:
         """Equilibrium under given bounds g (n,) on the displacement, m."""
-        bound = gap_m[self.mesh.free]
-        if self.outer == "bracket":
-            state, factorisations, outers, ok = self._bracketed(bound)
-        else:
-            state = self._solver.solve(bound, self._gas_rule, self._active)
-            factorisations, outers, ok = state.iterations, 1, state.converged
-            if not ok:
-                state, more, outers, ok = self._bracketed(bound)
-                factorisations += more
-        self._active = state.active if ok else None
-        return self._certified(state, gap_m, factorisations, outers, ok)
+        state = self._solver.solve(gap_m[self.mesh.free], self._gas_rule, self._active)
+        self._active = state.active if state.converged else None
+        return self._certified(state, gap_m)
 
     def _gas_rule(self, volume: float, slope: float) -> float:
         """Pressure over γ0 at which gas law and membrane agree: the upper root of a quadratic.
@@ -349,43 +270,7 @@ class ForwardModel:
         change = 2.0 * P0 * (V0 - Vc) / (q + root) if q > 0.0 else (root - q) / (2.0 * s)
         return change / self.tension
 
-    def _at_pressure(self, bound: np.ndarray, pressure_pa: float) -> Obstacle:
-        fixed = pressure_pa / self.tension
-        state = self._solver.solve(bound, lambda *_: fixed, self._active, max_iterations=2_000)
-        self._active = state.active
-        return state
-
-    def _volume(self, state: Obstacle) -> float:
-        u = np.zeros(len(self.mesh.nodes))
-        u[self.mesh.free] = state.displacement
-        return self.gas.volume(u)
-
-    def _bracketed(self, bound: np.ndarray) -> tuple[Obstacle, int, int, bool]:
-        """Root of P0 V0 − (P0 + p_v) V(u(p_v)), by Brent's method between bounds that hold it.
-
-        V grows with p_v, so the sign changes once, above −P0; where no gas volume is left the
-        sign is that of a pressure too low, and the function stays finite.
-        """
-        from scipy.optimize import brentq  # 0.2 s; estimates do not need it
-
-        P0, V0 = self.gas.P0, self.gas.V0
-        states: list[Obstacle] = []
-
-        def excess(pressure_pa: float) -> float:
-            states.append(self._at_pressure(bound, pressure_pa))
-            return P0 * V0 - (P0 + pressure_pa) * self._volume(states[-1])
-
-        low, high = -P0, 1e-2 * P0
-        while excess(high) > 0.0:
-            low, high = high, 4.0 * high
-        root = brentq(excess, low, high, xtol=1e-13 * P0, rtol=1e-14, maxiter=200)
-        states.append(self._at_pressure(bound, root))
-        iterations = sum(s.iterations for s in states)
-        return states[-1], iterations, len(states), states[-1].converged
-
-    def _certified(
-        self, state: Obstacle, gap_m: np.ndarray, factorisations: int, outers: int, ok: bool
-    ) -> Contact:
+    def _certified(self, state: Obstacle, gap_m: np.ndarray) -> Contact:
         """Full-size fields and residuals, computed afresh from them."""
         mesh, free = self.mesh, self.mesh.free
         u = np.zeros(len(mesh.nodes))
@@ -410,7 +295,6 @@ class ForwardModel:
             rim_penetration_m=float(over[mesh.rim].max(initial=0.0)),
             balance_residual=float(np.abs(elastic - gas + contact).max()) / max(largest, 1e-300),
             gas_law_residual=abs(self.gas.pressure_change(u) - p_v) / self.gas.P0,
-            iterations=factorisations,
-            outer_iterations=outers,
-            converged=ok and bool(np.isfinite(u).all()),
+            iterations=state.iterations,
+            converged=state.converged and bool(np.isfinite(u).all()),
         )

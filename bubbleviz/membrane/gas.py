@@ -43,16 +43,54 @@ class Gas:
         """The same gas behind another mesh of the same facets."""
         return replace(self, dV_du=self.dV_du.sum() / mesh.areas.sum() * mesh.areas)
 
+    def at(self, growth_m3: float, give: float = 0.0) -> tuple[float, float]:
+        """p_v, Pa, and −dp_v/dV, Pa/m³, of a volume that has grown; inf where none is left.
+
+        With a `give` c in m³/Pa, by which something else makes room, it is the upper root of
+        (P0 + p_v)(V + c p_v) = P0 V0.
+        """
+        volume = self.V0 + growth_m3
+        if not volume > 0.0:
+            return np.inf, np.inf
+        if give == 0.0:
+            pressure = self.P0 * self.V0 / volume
+            return pressure - self.P0, pressure / volume
+        both = volume + give * self.P0
+        root = np.sqrt(both**2 - 4.0 * give * self.P0 * growth_m3)
+        change = -2.0 * self.P0 * growth_m3 / (both + root)
+        beta = (self.P0 + change) / (volume + give * change)
+        return change, beta / (1.0 + beta * give)
+
+    def energy(self, growth_m3: float) -> float:
+        """Work −∫ p_v dV done on the gas, J; inf where no volume is left."""
+        if not self.V0 + growth_m3 > 0.0:
+            return np.inf
+        return self.P0 * (growth_m3 - self.V0 * float(np.log1p(growth_m3 / self.V0)))
+
     def volume(self, displacement: np.ndarray) -> float:
         """Gas volume V in m³ at displacement u (first order in u, as the membrane is)."""
         return self.V0 + float(self.dV_du @ displacement)
 
     def pressure_change(self, displacement: np.ndarray) -> float:
-        """Pressure change p_v = P0 V0 / V − P0 in Pa (Eq. 6); inf when no volume is left."""
-        volume = self.volume(displacement)
-        return self.P0 * self.V0 / volume - self.P0 if volume > 0.0 else np.inf
+        """p_v in Pa at displacement u, to first order in u, as the membrane is (Eq. 6)."""
+        return self.at(float(self.dV_du @ displacement))[0]
 
     @property
     def beta(self) -> np.ndarray:
         """−∂p_v/∂u at u = 0, shape (n,), Pa/m (Eq. 22)."""
         return self.P0 / self.V0 * self.dV_du
+
+
+@dataclass(frozen=True)
+class HeldPressure:
+    """Gas that keeps its pressure whatever its volume: an open chamber, or a measured pressure."""
+
+    change_pa: float  # p_v
+
+    def at(self, growth_m3: float, give: float = 0.0) -> tuple[float, float]:
+        """p_v and −dp_v/dV, as of `Gas`."""
+        return self.change_pa, 0.0
+
+    def energy(self, growth_m3: float) -> float:
+        """Work done on the gas, J."""
+        return -self.change_pa * growth_m3

@@ -1,14 +1,16 @@
-"""The surface of a rigid object as a contact condition: distance and normal near any point."""
+"""The surface of a rigid object: distance, normal and edges near any point."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
-from bubbleviz.membrane.forward_model import is_watertight
+from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh, area_vectors, cross, triangles_across
 from bubbleviz.membrane.triangle_scene import TriangleScene
 from bubbleviz.rigid_object import RigidObject
@@ -59,9 +61,11 @@ def _inward(obj: RigidObject) -> np.ndarray:
     return moved
 
 
-_SHARP, _FLAT = np.radians(30.0), np.radians(0.1)
-"""Facets that meet at less than the first are taken as parts of one smooth surface, at less than
-the second as parts of one face."""
+CREASE_RAD = np.radians(20.0)
+"""Angle between facets from which their common edge is an edge of the object, and not of its mesh:
+a circle of 20 facets still counts as round."""
+_FLAT = np.radians(0.1)  # facets that meet at less are parts of one face
+_STEP = 0.01  # distance of points along creases over the object's size
 
 MOST_TURN_RAD = 0.6
 """Turn of the object's normal along a triangle above which the triangle is too large to be taken as
@@ -90,12 +94,29 @@ class Planes(NamedTuple):
         return Planes(self.gap[points], self.normal[points], self.turn[points])
 
 
+class Closest(NamedTuple):
+    """The places on an object that are closest to some points, in O."""
+
+    place: np.ndarray  # (k, 3)
+    normal: np.ndarray  # (k, 3), outward, smooth but across creases
+
+
+@dataclass(frozen=True)
+class Creases:
+    """Points along the convex edges of an object, in O."""
+
+    tree: Any  # of the points (c, 3)
+    normals: np.ndarray  # (c, 2, 3), of the two faces that meet there
+
+
 class ObjectSurface:
-    """Closest places on an object's surface.
+    """Surface of a rigid object: distances, closest places, crossings, edges, samples.
 
     Facets that meet at a blunt angle are parts of a smooth surface, whose normal is interpolated
     between their corners; others keep their edge, or are rounded. An object that is not watertight
-    is a sheet, and presses from outside.
+    is a sheet, and presses from outside. Facets without area are left out.
+
+    Raises InputError: the mesh has no area.
     """
 
     def __init__(
@@ -103,24 +124,90 @@ class ObjectSurface:
         obj: RigidObject,
         rounding_m: float = 0.0,  # radius of sharp edges; see `rounded_object`
     ) -> None:
-        self.object = obj
-        triangles, corners = obj.triangles, obj.vertices[obj.triangles]
-        vectors = area_vectors(obj.vertices, triangles)
-        self._solid = is_watertight(triangles)
-        if self._solid and np.einsum("ij,ij->", vectors, corners[:, 0]) < 0.0:
+        self.obj, self.size_m = obj, float(np.ptp(obj.vertices, axis=0).max())
+        vectors = area_vectors(obj.vertices, obj.triangles)
+        areas = np.linalg.norm(vectors, axis=1)
+        self.area_m2 = float(areas.sum())
+        if not self.area_m2 > 1e-8 * self.size_m**2:
+            raise InputError(f"object {obj.name}: its triangles have no area; export a surface")
+        self.solid = _is_watertight(obj.triangles)
+        kept = areas > 1e-12 * self.size_m**2
+        triangles, vectors, self.facet_areas = obj.triangles[kept], vectors[kept], areas[kept]
+        corners = obj.vertices[triangles[:, 0]]
+        if self.solid and np.einsum("ij,ij->", vectors, corners) < 0.0:
             vectors = -vectors  # normals pointed inward: the signed volume was negative
             triangles = triangles[:, [0, 2, 1]]
         vertices, self._rounding_m = obj.vertices, 0.0
-        if self._solid and rounding_m > 0.0:
+        if self.solid and rounding_m > 0.0:
             vertices, self._rounding_m = core_of(replace(obj, triangles=triangles), rounding_m)
-        self._triangles, self._corners = triangles, vertices[triangles]
-        self._facet_normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-        self._corner_normals = self._smoothed(vectors)
-        self._corner_slopes = _slopes(self._corners)
-        self._side_bends, self._corner_bends = self._bends()
+        self.triangles, self._corners = triangles, vertices[triangles]
+        self._vectors = vectors
+        self.facet_normals = vectors / self.facet_areas[:, None]
+        self._corner_normals = self._smoothed()
         self._scene = TriangleScene(vertices, triangles)
         self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
         self._radius = float(np.linalg.norm(obj.vertices - self._centre, axis=1).max())
+
+    def closest(self, points: np.ndarray) -> Closest:
+        """Closest places to points (k, 3) in O."""
+        place, facet, weights = self._scene.closest(points)
+        normal = np.einsum("ki,kij->kj", weights, self._corner_normals[facet])
+        return Closest(place, normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+    def sample(self, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Points (count, 3) spread evenly over the surface, and their normals, in O."""
+        random = np.random.default_rng(seed)
+        shares = self.facet_areas / self.facet_areas.sum()
+        facet = random.choice(len(shares), count, p=shares)
+        a, b = random.random((2, count))
+        a, b = np.where(a + b > 1.0, 1.0 - a, a), np.where(a + b > 1.0, 1.0 - b, b)
+        weights = np.column_stack([1.0 - a - b, a, b])
+        return np.einsum("ij,ijk->ik", weights, self._corners[facet]), self.facet_normals[facet]
+
+    @cached_property
+    def creases(self) -> Creases | None:
+        """Points along the edges at which two faces meet at a convex angle; None without any."""
+        sides, _ = self._bends
+        across = triangles_across(self.triangles)
+        facet, corner = np.nonzero(
+            (across > np.arange(len(across))[:, None]) & (sides > CREASE_RAD)
+        )
+        a, b = (self._corners[facet, (corner + k) % 3] for k in (1, 2))
+        first, second = self.facet_normals[facet], self.facet_normals[across[facet, corner]]
+        # Counter-clockwise around the first face: out of it is along × normal.
+        convex = np.einsum("ij,ij->i", second, cross(b - a, first)) > 0.0
+        if not convex.any():
+            return None
+        a, b, first, second = a[convex], b[convex], first[convex], second[convex]
+        count = np.ceil(np.linalg.norm(b - a, axis=1) / (_STEP * self.size_m)).astype(int)
+        edge = np.repeat(np.arange(len(a)), count)
+        step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+        share = ((step + 0.5) / count[edge])[:, None]
+        points = (1.0 - share) * a[edge] + share * b[edge]
+        return Creases(cKDTree(points), np.stack([first, second], axis=1)[edge])
+
+    def crossings(
+        self, points: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All crossings of lines through points (k, 3) along unit directions, both in O.
+
+        Number of the line (h,), place along it in m from the point, and whether it enters there.
+        """
+        # Start each ray just before the object's bounding sphere, where single precision is best.
+        middle = np.einsum("ij,ij->i", self._centre - points, directions)
+        miss = np.linalg.norm(points + middle[:, None] * directions - self._centre, axis=1)
+        near = np.flatnonzero(miss <= self._radius)
+        if not len(near):  # Open3D crashes on no rays
+            return near, np.zeros(0), np.zeros(0, bool)
+        start = points[near] + (middle[near] - 1.01 * self._radius)[:, None] * directions[near]
+        hit, facet = self._scene.crossings(np.hstack([start, directions[near]]))
+        line = near[hit]
+        # The place again in double precision, from the plane of the facet that was hit.
+        vectors, away = self._vectors[facet], self._corners[facet, 0] - points[line]
+        slope = np.einsum("ij,ij->i", vectors, directions[line])
+        distance = np.einsum("ij,ij->i", vectors, away)
+        kept = np.abs(slope) > 1e-7 * self.facet_areas[facet]  # not along the facet
+        return line[kept], distance[kept] / slope[kept], slope[kept] < 0.0
 
     def planes(
         self,
@@ -155,18 +242,18 @@ class ObjectSurface:
         _, facet, weights = self._scene.closest(x)
         away = x - np.einsum("ki,kij->kj", weights, self._corners[facet])
         normal = self._corner_normals[facet]
-        turn = normal.swapaxes(1, 2) @ self._corner_slopes[facet]
+        turn = normal.swapaxes(1, 2) @ _slopes(self._corners[facet])
         normal = np.einsum("ki,kij->kj", weights, normal)
         length = np.linalg.norm(normal, axis=1)
         normal /= length[:, None]
         turn = _across(normal, turn / length[:, None, None])
-        gap = np.einsum("ij,ij->i", away, self._facet_normals[facet])
-        aside = np.linalg.norm(away - gap[:, None] * self._facet_normals[facet], axis=1)
+        gap = np.einsum("ij,ij->i", away, self.facet_normals[facet])
+        aside = np.linalg.norm(away - gap[:, None] * self.facet_normals[facet], axis=1)
         beside = weights.min(axis=1) < _ON_EDGE
         # Nearest to a sharp edge or corner, not to the face it belongs to.
         edge = beside & (aside > np.maximum(0.5 * np.abs(gap), _LEAST_M))
-        if not self._solid:
-            behind = np.einsum("ij,ij->i", self._facet_normals[facet], out) > 0.0
+        if not self.solid:
+            behind = np.einsum("ij,ij->i", self.facet_normals[facet], out) > 0.0
             sign = np.where(behind, -1.0, 1.0)
             gap = np.where(edge, np.inf, sign * gap)
             return Planes(gap, sign[:, None] * normal, sign[:, None, None] * turn)
@@ -198,15 +285,16 @@ class ObjectSurface:
         along /= length[:, None]
         from_start = x[some] - start
         way = np.einsum("ij,ij->i", from_start, along)
-        outside = np.einsum("ij,ij->i", from_start, cross(along, self._facet_normals[facets])) > 0.0
+        outside = np.einsum("ij,ij->i", from_start, cross(along, self.facet_normals[facets])) > 0.0
         between = (way > 0.0) & (way < length)
         corner = (side + np.where(way > 0.0, 2, 1)) % 3
-        bend = np.where(between, self._side_bends[facets, side], self._corner_bends[facets, corner])
+        sides, corners = self._bends
+        bend = np.where(between, sides[facets, side], corners[facets, corner])
         kept = (outside | ~between) & (bend > _FLAT)
         away = from_start - np.clip(way, 0.0, length)[:, None] * along
         distance = np.linalg.norm(away, axis=1)
         found.gap[some[kept]] = distance[kept]
-        kept &= (bend > _SHARP) & (distance > max(0.1 * self._rounding_m, _LEAST_M))
+        kept &= (bend > CREASE_RAD) & (distance > max(0.1 * self._rounding_m, _LEAST_M))
         some, normal = some[kept], away[kept] / distance[kept, None]
         plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
         line = np.where(between[kept, None], along[kept], 0.0)
@@ -215,11 +303,12 @@ class ObjectSurface:
         if self._rounding_m > 0.0:
             found.turn[some] = plane / distance[kept, None, None]
 
+    @cached_property
     def _bends(self) -> tuple[np.ndarray, np.ndarray]:
         """Angles between facets, (m, 3), rad: across the side opposite each corner, at it."""
-        triangles = self._triangles
+        triangles = self.triangles
         across = triangles_across(triangles)
-        dots = np.einsum("ij,ikj->ik", self._facet_normals, self._facet_normals[across])
+        dots = np.einsum("ij,ikj->ik", self.facet_normals, self.facet_normals[across])
         sides = np.where(across >= 0, np.arccos(np.clip(dots, -1.0, 1.0)), 0.0)
         vertices = np.zeros(int(triangles.max()) + 1)
         for k in range(3):
@@ -232,13 +321,13 @@ class ObjectSurface:
         facet, distance = self._scene.cast(np.hstack([x, -out]))
         met = np.isfinite(distance)
         facet[~met] = 0
-        normal = self._facet_normals[facet]
+        normal = self.facet_normals[facet]
         gap = np.einsum("ij,ij->i", x - self._corners[facet, 0], normal)
         return np.where(met & (gap < 0.0), gap, np.inf), normal
 
-    def _smoothed(self, vectors: np.ndarray) -> np.ndarray:
+    def _smoothed(self) -> np.ndarray:
         """Unit normals (m, 3, 3) at the facets' corners: means over facets of the same surface."""
-        triangles = self._triangles
+        triangles = self.triangles
         count, n = len(triangles), int(triangles.max()) + 1
         facets = np.repeat(np.arange(count), 3)
         ones = np.ones(3 * count)
@@ -246,11 +335,11 @@ class ObjectSurface:
         of = sparse.csr_array((ones, (triangles.ravel(), facets)), (n, count))
         pairs = (at @ of).tocoo()
         corner, other = pairs.coords
-        dots = np.einsum("ij,ij->i", self._facet_normals[corner // 3], self._facet_normals[other])
-        kept = dots > np.cos(_SHARP)
+        dots = np.einsum("ij,ij->i", self.facet_normals[corner // 3], self.facet_normals[other])
+        kept = dots > np.cos(CREASE_RAD)
         sums = np.stack(
             [
-                np.bincount(corner[kept], vectors[other[kept], i], minlength=3 * count)
+                np.bincount(corner[kept], self._vectors[other[kept], i], minlength=3 * count)
                 for i in range(3)
             ],
             axis=1,
@@ -270,3 +359,12 @@ def _slopes(corners: np.ndarray) -> np.ndarray:
     vector = cross(sides[0], sides[1])
     square = np.einsum("ij,ij->i", vector, vector)[:, None, None]
     return np.stack([cross(vector, side) for side in sides], axis=1) / square
+
+
+def _is_watertight(triangles: np.ndarray) -> bool:
+    """Whether every edge has two triangles that run along it in opposite directions."""
+    n = int(triangles.max()) + 1
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    forward, backward = np.sort(start * n + end), np.sort(end * n + start)
+    once = bool((np.diff(forward) > 0).all())
+    return once and bool((forward == backward).all())

@@ -15,7 +15,6 @@ from .motion import (
     way_at as way_at,
 )
 from .object_model import (
-    ObjectModel as ObjectModel,
     check_size as check_size,
     symmetries as symmetries,
 )

@@ -11,10 +11,9 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.inverse import Estimator
-from bubbleviz.membrane import RubberMembrane, area_vectors
+from bubbleviz.membrane import ObjectSurface, RubberMembrane, area_vectors
 from bubbleviz.pose.image_fit import ImageFit
 from bubbleviz.pose.motion import SEARCH_DEVIATION, Motion, motion_between, moved
-from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.pose_options import PoseOptions
 from bubbleviz.pose.pressed_membrane import PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Fit, Prior, Registration, directions
@@ -169,7 +168,7 @@ _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _FAR_M = 5e-3  # m, distance beyond which a point is simply not on the object
 
 
-def touching_directions(model: ObjectModel) -> np.ndarray:
+def touching_directions(model: ObjectSurface) -> np.ndarray:
     """Directions (d, 3) in O in which the object may lie on the membrane.
 
     The largest faces of its convex hull, on which it rests stably, and its axes both ways where
@@ -201,7 +200,7 @@ def _hull(vertices: np.ndarray) -> ConvexHull | None:
 class StartFinder:
     """Lists coarse starts of one object, the most promising first."""
 
-    def __init__(self, model: ObjectModel) -> None:
+    def __init__(self, model: ObjectSurface) -> None:
         self._model = model
         self._directions = touching_directions(model)
         heights = model.obj.vertices @ self._directions.T

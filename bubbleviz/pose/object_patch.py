@@ -15,8 +15,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bubbleviz.inverse import area_above, touching_share
-from bubbleviz.membrane import Gas, MembraneMesh, build_rubber, level_line, refinement
-from bubbleviz.pose.object_model import ObjectModel
+from bubbleviz.membrane import (
+    Gas,
+    MembraneMesh,
+    ObjectSurface,
+    build_rubber,
+    level_line,
+    refinement,
+)
 from bubbleviz.pose.pose_options import PressOptions
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, contact_points, object_distance
@@ -35,7 +41,7 @@ _NEWTON_STEPS = 40
 class ObjectPatchFinder:
     """Finds the patch of one object, each frame's from the press of the one before."""
 
-    def __init__(self, sensor: SensorModel, obj: ObjectModel) -> None:
+    def __init__(self, sensor: SensorModel, obj: ObjectSurface) -> None:
         self._sensor, self._object = sensor, obj
         self._press: _FinePress | None = None
 
@@ -92,7 +98,7 @@ class ObjectPatchFinder:
 class _FinePress:
     """An object pressed into a membrane whose mesh is finer around a contact."""
 
-    def __init__(self, sensor: SensorModel, obj: ObjectModel, contact: ContactPoints) -> None:
+    def __init__(self, sensor: SensorModel, obj: ObjectSurface, contact: ContactPoints) -> None:
         coarse = sensor.mesh
         self._center, self._reach_m = contact.rest_center, contact.extent_m + _AROUND_M + _MARGIN_M
         close = np.linalg.norm(coarse.nodes - self._center, axis=1) < self._reach_m

@@ -22,12 +22,12 @@ from bubbleviz.membrane import (
     Factoriser,
     Gas,
     MembraneMesh,
+    ObjectSurface,
     RubberMembrane,
     TriangleScene,
     cross,
 )
 from bubbleviz.pose.motion import motion_between
-from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.pose.pose_options import PressOptions
 from bubbleviz.pose.registration import ContactPoints
 
@@ -44,7 +44,7 @@ _KEENEST = 0.1
 the tip of a rounded blade would be far back."""
 
 
-def contact_samples(model: ObjectModel, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+def contact_samples(model: ObjectSurface, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Points (k, 3) in O about `spacing_m` apart, half that along creases, and normals (k, 2, 3).
 
     Along a crease the two normals are those of its faces, elsewhere they are the same.
@@ -128,7 +128,7 @@ class ObjectContact:
 
     def __init__(
         self,
-        model: ObjectModel,
+        model: ObjectSurface,
         spacing_m: float,  # distance of the points on the object
         # pressure_pa, tension_n_per_m: under which a face and an edge sink in by the softness
         pressure_pa: float,
@@ -422,7 +422,7 @@ class PressedMembrane:
     """Presses one object into a membrane, pose after pose."""
 
     def __init__(
-        self, membrane: RubberMembrane, gas: Gas, model: ObjectModel, options: PressOptions
+        self, membrane: RubberMembrane, gas: Gas, model: ObjectSurface, options: PressOptions
     ) -> None:
         self.mesh = membrane.mesh
         self._membrane, self._gas, self._options = membrane, gas, options

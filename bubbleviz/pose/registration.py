@@ -12,9 +12,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.membrane import MembraneMesh, area_vectors
+from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
 from bubbleviz.pose.motion import motion_between, moved, rows, way_at
-from bubbleviz.pose.object_model import ObjectModel
 from bubbleviz.result import Estimate, Patch
 
 # What the estimated membrane says about an object that touches it.
@@ -135,7 +134,7 @@ class ObjectDistance:
         return ObjectDistance(*(getattr(self, field.name)[some] for field in fields(self)))
 
 
-def object_distance(model: ObjectModel, points: np.ndarray, T_B_O: np.ndarray) -> ObjectDistance:
+def object_distance(model: ObjectSurface, points: np.ndarray, T_B_O: np.ndarray) -> ObjectDistance:
     """Distances of points (k, 3) in B from an object at a pose (4, 4)."""
     R = T_B_O[:3, :3]
     found = model.closest((points - T_B_O[:3, 3]) @ R)
@@ -256,7 +255,7 @@ _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 class Registration:
     """Fits one object to contact points."""
 
-    def __init__(self, model: ObjectModel, precision: Precision) -> None:
+    def __init__(self, model: ObjectSurface, precision: Precision) -> None:
         self.model, self.precision = model, precision
 
     def stage_one(

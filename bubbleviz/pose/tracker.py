@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from bubbleviz.inverse import Estimator
-from bubbleviz.membrane import RubberMembrane
+from bubbleviz.membrane import ObjectSurface, RubberMembrane
 from bubbleviz.pose.dual_stage import Solution, Solver, StartFinder
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
-from bubbleviz.pose.object_model import ObjectModel, check_size
+from bubbleviz.pose.object_model import check_size
 from bubbleviz.pose.pose_options import PoseOptions
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
@@ -38,7 +38,7 @@ class PoseTracker:
         options: PoseOptions | None = None,
     ) -> None:
         check_size(obj, estimator.mesh)
-        self.model = ObjectModel(obj)
+        self.model = ObjectSurface(obj)
         registration = Registration(self.model, precision_of(estimator))
         options = options or PoseOptions()
         self._solver = Solver(registration, estimator, membrane, options)

@@ -17,14 +17,12 @@ from bubbleviz.membrane import (
     Gas,
     MembraneMesh,
     ObjectSurface,
-    PressStart,
     RubberContact,
     RubberForward,
     RubberMembrane,
     build_rubber,
     refinement,
 )
-from bubbleviz.pose import ObjectModel
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
@@ -74,9 +72,7 @@ def refined_press(
             break
         finer = refinement(mesh, cut)
         mesh, forward = finer.mesh, forward_on(finer.mesh)
-        near = PressStart(
-            finer.values(contact.displacement_3d_m), finer.values(contact.contact_pressure_pa)
-        )
+        near = (finer.values(contact.displacement_3d_m), finer.values(contact.contact_pressure_pa))
         contact = forward.press(obj, T_B_O, near, quick=True)
     if not contact.converged:
         contact = forward.press(obj, T_B_O)
@@ -136,16 +132,16 @@ class RubberPresses:
         mesh = simulation_mesh(model, nodes)
         return cls(model.camera, mesh, rubber, model.sensor.pneumatics)
 
-    def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
+    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
 
         Raises SolveError: no equilibrium was found.
         """
         mesh, contact = refined_press(
-            self.rubber, partial(Gas.of, self.pneumatics), self.mesh, model.obj, T_B_O
+            self.rubber, partial(Gas.of, self.pneumatics), self.mesh, obj, T_B_O
         )
         if not contact.converged:
-            raise SolveError(f"no equilibrium of {model.obj.name} at this pose")
+            raise SolveError(f"no equilibrium of {obj.name} at this pose")
         view = MembraneView(self.camera, mesh)
         return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
 

@@ -16,13 +16,13 @@ from bubbleviz.inverse import area_above, touching_share
 from bubbleviz.membrane import (
     Contact,
     ForwardModel,
-    FrictionForward,
     GapFinder,
     Gas,
     MembraneMesh,
     RubberForward,
     build_mesh,
     build_rubber,
+    checked_friction,
     refine,
 )
 from bubbleviz.recordings import Frame, FrameSource, usual_step
@@ -83,17 +83,16 @@ class Truth:
     @classmethod
     def of(cls, contact: Contact, view: MembraneView) -> Truth:
         """What is true of a contact on the mesh of a view."""
-        # the window, which only reads truths, starts without a simulator
-        from bubbleviz.membrane import FrictionContact
-
         touching = touching_share(view.mesh, contact.contact_pressure_pa)
         moved = contact.displacement_3d_m
         x = view.mesh.deformed(moved)
         areas = replace(view.mesh, nodes=x).areas
         load = np.linalg.norm(contact.nodal_force_n, axis=1)
-        slip = np.full(len(load), np.nan)
-        if isinstance(contact, FrictionContact):
-            load, slip = contact.contact_pressure_pa * areas, contact.slip_m
+        slip = getattr(contact, "slip_m", None)
+        if slip is None:
+            slip = np.full(len(load), np.nan)
+        else:
+            load = contact.contact_pressure_pa * areas
         center, torque = np.full(3, np.nan), np.zeros(3)
         if load.sum() > 0.0:
             center = load @ x / load.sum()
@@ -197,12 +196,11 @@ class SyntheticSource:
         tension = own.tension_n_per_m
         gas = Gas.of(sensor.pneumatics, self.mesh)
         self._gas = gas
-        self._model: ForwardModel | RubberForward | FrictionForward
+        self._model: ForwardModel | RubberForward
+        self._friction = checked_friction(friction) if friction else 0.0
         if model == "rubber" or (model is None and sensor.membrane.prestretch is not None):
             rubber = build_rubber(sensor, self.mesh, tension)
-            self._model = (
-                FrictionForward(rubber, gas, friction) if friction else RubberForward(rubber, gas)
-            )
+            self._model = RubberForward(rubber, gas)
         elif friction:
             raise InputError(
                 f"friction {friction:g}: the linear membrane has none; choose the model rubber, or "
@@ -278,10 +276,10 @@ class SyntheticSource:
         return contact
 
     def _pressed(self, index: int) -> Contact:
-        if not isinstance(self._model, FrictionForward):
+        if not (self._friction and isinstance(self._model, RubberForward)):
             return self._model.press(self.obj, self.poses[index])
         if self._path is None:
-            self._path = self._model.follow(self.obj, self.poses)
+            self._path = self._model.follow(self.obj, self.poses, self._friction)
         while len(self._past) <= index:
             contact = next(self._path, None)
             if contact is None:

@@ -12,9 +12,9 @@ from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import whole_file
 from bubbleviz.membrane import ForwardModel, Gas, MembraneMesh
-from bubbleviz.pose import ObjectModel
 from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.recordings import Frame
+from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Pneumatics
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -40,7 +40,7 @@ class Presses(Protocol):
     def pneumatics(self) -> Pneumatics:
         """The gas behind it."""
 
-    def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
+    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4); SolveError where no equilibrium was found."""
 
 
@@ -66,18 +66,18 @@ class LinearPresses:
         """Those of the sensor."""
         return self.model.sensor.pneumatics
 
-    def press(self, model: ObjectModel, T_B_O: np.ndarray) -> RubberTruth:
+    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
 
         Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
         """
         mesh = self.mesh
         forward = ForwardModel(mesh, self.model.tension_n_per_m, Gas.of(self.pneumatics, mesh))
-        contact = forward.press(model.obj, T_B_O)
+        contact = forward.press(obj, T_B_O)
         if contact.rim_penetration_m > 1e-6:
-            raise InputError(f"{model.obj.name} cuts into the clamped rim")
+            raise InputError(f"{obj.name} cuts into the clamped rim")
         if not contact.converged:
-            raise SolveError(f"no equilibrium of {model.obj.name} at this pose")
+            raise SolveError(f"no equilibrium of {obj.name} at this pose")
         view = MembraneView(self.camera, mesh)
         return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
 
@@ -165,7 +165,7 @@ class TruthBank:
 
 
 def _pressed(presses: Presses, press: Press, T_B_O: np.ndarray) -> RubberTruth:
-    return presses.press(ObjectModel(made(press.object_name)), T_B_O)
+    return presses.press(made(press.object_name), T_B_O)
 
 
 def _save(sighting: Sighting, path: Path) -> None:

@@ -8,14 +8,13 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.membrane import MembraneMesh
+from bubbleviz.membrane import MembraneMesh, ObjectSurface
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import (
     LEAST_RADIUS_M,
     Directions,
     ImageFit,
     ImageOptions,
-    ObjectModel,
     Precision,
     PressedMembrane,
     about,
@@ -92,7 +91,7 @@ class TrueContact:
 class PoseJudge:
     """Judges poses of one object, by the precision of the sensor at its own noise."""
 
-    def __init__(self, model: ObjectModel, precision: Precision) -> None:
+    def __init__(self, model: ObjectSurface, precision: Precision) -> None:
         self._model, self._precision = model, precision
         self._symmetries = symmetries(model)
 
@@ -198,7 +197,7 @@ class _Bench:
 
     def __init__(self, pipeline: Pipeline, bank: TruthBank, name: str, grid: Grid) -> None:
         self._pipeline, self._bank, self._grid = pipeline, bank, grid
-        self._model = ObjectModel(made(name))
+        self._model = ObjectSurface(made(name))
         self._judge = PoseJudge(self._model, precision_of(pipeline.estimator))
 
     def rows(self, press: Press, random: np.random.Generator) -> list[Row]:

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
 from benchmarks.pose_rivals import BOTH, WHOLE_CLOUD, PoseGrid, rivals_study
 from benchmarks.screws import report_of, run_screw, screw_path, screw_source
-from bubbleviz.pose import ObjectModel, moved
+from bubbleviz.membrane import ObjectSurface
+from bubbleviz.pose import moved
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import made, with_nodes
 
@@ -26,7 +27,7 @@ def sensor():
 
 
 def test_rivals_find_a_whole_surface_again():
-    model = ObjectModel(made("frustum"))
+    model = ObjectSurface(made("frustum"))
     points, _ = model.sample(2_000, seed=8)
     T = np.eye(4)
     T[:3, 3] = [0.01, 0.0, 0.04]

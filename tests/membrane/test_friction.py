@@ -6,12 +6,11 @@ from domes import AIR, GAUGE, A, H, dome, plate, pose
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import (
-    FrictionForward,
     Gas,
     MembraneMesh,
     RubberForward,
     RubberMembrane,
-    friction_forward,
+    rubber_forward,
 )
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import made
@@ -65,13 +64,13 @@ def flat_sheet(sectors, rings, prestretch):
     rim[-sectors:] = True
     mesh = MembraneMesh(nodes, np.vstack(triangles), rim)
     rubber = RubberMembrane.uniform(mesh, 1.0, 100.0, prestretch)  # 1 Pa: hardly any gauge
-    return FrictionForward(rubber, Gas(AIR + 1.0, 10.0, mesh.areas), 5.0)
+    return RubberForward(rubber, Gas(AIR + 1.0, 10.0, mesh.areas))
 
 
 def moved_by_a_disc(model, x, twist):
     """Change of force and torque as a cylinder's end that sticks 0.1 mm deep moves by a little."""
     poses = [pose(z=-1e-4), pose(x, 0.0, -1e-4, twist)]
-    before, after = model.follow(load_object("cylinder"), poses)
+    before, after = model.follow(load_object("cylinder"), poses, 5.0)
     assert_equilibrium(after)
     assert after.slip_m.max() == 0.0
     turned = torque(after, model.mesh) - torque(before, model.mesh)
@@ -156,10 +155,12 @@ def test_a_plate_that_sticks_to_a_pressed_dome_twists_its_free_part():
     wanted = 2 * np.pi * axial.mu_h_n_per_m * twist / compliance
     membrane, gas = dome(1200)  # 300: 15 %, 2500: 2 %
     start = RubberForward(membrane, gas).press(plate(), pose(z=H - depth))
-    model = FrictionForward(membrane, gas, 5.0)
-    small, *_ = model.follow(plate(), [pose(z=H - depth, twist=0.0)], start)
+    model = RubberForward(membrane, gas)
+    small, *_ = model.follow(plate(), [pose(z=H - depth, twist=0.0)], 5.0, start)
     np.testing.assert_allclose(small.displacement_3d_m, start.displacement_3d_m, atol=1e-9)
-    _, turned = model.follow(plate(), [pose(z=H - depth), pose(z=H - depth, twist=twist)], start)
+    _, turned = model.follow(
+        plate(), [pose(z=H - depth), pose(z=H - depth, twist=twist)], 5.0, start
+    )
     assert_equilibrium(turned)
     assert torque(turned, model.mesh) == pytest.approx(wanted, rel=0.05)
     assert force(turned)[2] == pytest.approx(force(start)[2], rel=2e-3)
@@ -169,7 +170,7 @@ def test_without_friction_it_is_the_press_that_was():
     membrane, gas = dome(300)
     poses = [pose(0.003, 0.0, H - depth) for depth in (0.002, 0.004, 0.006)]
     free = RubberForward(membrane, gas).press(made("puck"), poses[-1])
-    *_, slippery = FrictionForward(membrane, gas, 1e-4).follow(made("puck"), poses)
+    *_, slippery = RubberForward(membrane, gas).follow(made("puck"), poses, 1e-4)
     assert_equilibrium(slippery)
     difference = slippery.displacement_3d_m - free.displacement_3d_m
     assert np.abs(difference).max() < 1e-6
@@ -181,7 +182,7 @@ def test_a_sliding_plate_is_dragged_by_mu_times_its_load():
     membrane, gas = dome(300)
     friction = 0.2
     poses = [pose(z=H - 0.005), *(pose(1e-3 * k, 0.0, H - 0.005) for k in range(1, 9))]
-    *_, contact = FrictionForward(membrane, gas, friction).follow(plate(), poses)
+    *_, contact = RubberForward(membrane, gas).follow(plate(), poses, friction)
     assert_equilibrium(contact)
     pushed = -contact.nodal_force_n[:, 2]
     touching = pushed > 0.0
@@ -199,7 +200,7 @@ def test_sticking_and_slipping_takes_few_factorisations():
     membrane, gas = dome(300)
     pressed, turned = pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0))
     poses = [pressed, turned, pose(3e-3, 0.0, H - 0.006, np.radians(9.0))]
-    contacts = list(FrictionForward(membrane, gas, 0.5).follow(made("puck"), poses))
+    contacts = list(RubberForward(membrane, gas).follow(made("puck"), poses, 0.5))
     for contact in contacts:
         assert_equilibrium(contact)
     assert sum(contact.iterations for contact in contacts) < 90
@@ -208,9 +209,9 @@ def test_sticking_and_slipping_takes_few_factorisations():
 def test_a_sticking_object_takes_the_membrane_along():
     """Nodes that touched before move as the object does, while |t| ≤ μ f_n at all of them."""
     membrane, gas = dome(300)
-    model = FrictionForward(membrane, gas, 5.0)
+    model = RubberForward(membrane, gas)
     before, after = (pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0)))
-    pressed, moved = model.follow(made("puck"), [before, after])
+    pressed, moved = model.follow(made("puck"), [before, after], 5.0)
     assert_equilibrium(moved)
     assert moved.dissipated_j < 0.05 * -force(pressed)[2] * 1e-3
     held = (pressed.contact_pressure_pa > 0.0) & (moved.contact_pressure_pa > 0.0)
@@ -228,14 +229,14 @@ def test_a_sticking_object_takes_the_membrane_along():
 @pytest.mark.parametrize(("friction", "lost"), [(5.0, (-0.01, 0.15)), (0.4, (0.2, 0.9))])
 def test_work_of_the_object_is_stored_or_lost_to_slip(friction, lost):
     membrane, gas = dome(250)
-    model = FrictionForward(membrane, gas, friction)
+    model = RubberForward(membrane, gas)
     z = H - 0.005
     poses = [
         pose(z=z),
         *(pose(1e-4 * k, 0.0, z) for k in range(1, 26)),
         *(pose(2.5e-3, 0.0, z, np.radians(k)) for k in range(1, 13)),
     ]
-    contacts = list(model.follow(made("puck"), poses))
+    contacts = list(model.follow(made("puck"), poses, friction))
     for contact in contacts:
         assert_equilibrium(contact)
     work = 0.0
@@ -256,9 +257,11 @@ def test_work_of_the_object_is_stored_or_lost_to_slip(friction, lost):
 
 def test_a_twisted_puck_slips_at_its_outer_ring_first():
     membrane, gas = dome(600)
-    model = FrictionForward(membrane, gas, 0.5)
+    model = RubberForward(membrane, gas)
     depth = H - 0.004
-    *_, contact = model.follow(made("puck"), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))])
+    *_, contact = model.follow(
+        made("puck"), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))], 0.5
+    )
     assert_equilibrium(contact)
     radius = np.hypot(*model.mesh.deformed(contact.displacement_3d_m)[:, :2].T)
     touching = contact.contact_pressure_pa > 0.0
@@ -277,7 +280,7 @@ def test_shorter_steps_and_finer_meshes_change_little():
     def dragged(nodes, frames):
         membrane, gas = dome(nodes)
         poses = [pose(z=H - 0.006), *(pose(x, 0.0, H - 0.006) for x in np.linspace(0, way, frames))]
-        *_, contact = FrictionForward(membrane, gas, 0.5).follow(load_object("sphere"), poses)
+        *_, contact = RubberForward(membrane, gas).follow(load_object("sphere"), poses, 0.5)
         assert_equilibrium(contact)
         return force(contact)[[0, 2]]
 
@@ -288,6 +291,6 @@ def test_shorter_steps_and_finer_meshes_change_little():
 
 @pytest.mark.parametrize("friction", [-0.1, 0.0, 50.0, np.nan])
 def test_friction_out_of_range_is_refused(friction, monkeypatch):
-    monkeypatch.setattr(friction_forward, "MOST_FRICTION", 4.5)
+    monkeypatch.setattr(rubber_forward, "MOST_FRICTION", 4.5)
     with pytest.raises(InputError, match=r"friction .*: give a number above 0, up to 4\.5$"):
-        FrictionForward(*dome(250), friction)
+        next(RubberForward(*dome(250)).follow(plate(), [pose()], friction))

@@ -9,7 +9,6 @@ import numpy as np
 
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane import (
-    FrictionForward,
     Gas,
     MembraneMesh,
     RubberForward,
@@ -85,9 +84,9 @@ def dragged_truths(
         cut = touching[mesh.triangles].any(axis=1)
         beside = np.isin(np.arange(len(mesh.nodes)), mesh.triangles[cut])
         mesh = refine(mesh, beside[mesh.triangles].any(axis=1))
-    model = FrictionForward(rubber_on(mesh), gas_on(mesh), press.friction)
+    model = RubberForward(rubber_on(mesh), gas_on(mesh))
     slipped = np.zeros(len(mesh.nodes))
-    for pose, contact in zip(poses, model.follow(obj, poses), strict=False):
+    for pose, contact in zip(poses, model.follow(obj, poses, press.friction), strict=False):
         if not contact.converged:
             raise SolveError(f"no equilibrium of {obj.name} with friction {press.friction:g}")
         touching, moved = contact.contact_pressure_pa > 0.0, contact.displacement_3d_m

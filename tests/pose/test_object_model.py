@@ -6,9 +6,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import build_mesh
+from bubbleviz.membrane import ObjectSurface, build_mesh
 from bubbleviz.pose import (
-    ObjectModel,
     check_size,
     contact_samples,
     object_distance,
@@ -21,7 +20,7 @@ from bubbleviz.simulation import made
 
 
 def test_closest_places_on_a_ball_are_radial():
-    model = ObjectModel(made("sphere"))
+    model = ObjectSurface(made("sphere"))
     middle = np.array([0.0, 0.0, 0.015])
     away = np.random.default_rng(0).standard_normal((50, 3))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -34,14 +33,14 @@ def test_closest_places_on_a_ball_are_radial():
 
 
 def test_normals_do_not_smooth_over_an_edge():
-    model = ObjectModel(made("frustum"))
+    model = ObjectSurface(made("frustum"))
     found = model.closest(np.array([[0.012, 0.0, -0.001], [0.04, 0.0, 0.02]]))
     side = np.array([0.040, 0.0, -0.0175]) / np.hypot(0.040, 0.0175)
     assert np.allclose(found.normal, [[0.0, 0.0, -1.0], side], atol=1e-4)
 
 
 def test_creases_of_a_nut_are_its_edges_and_not_those_of_its_mesh():
-    model = ObjectModel(made("hex_nut"))
+    model = ObjectSurface(made("hex_nut"))
     points = np.asarray(model.creases.tree.data)
     radius = np.hypot(points[:, 0], points[:, 1])
     on_end = (points[:, 2] < 1e-6) | (points[:, 2] > 0.01 - 1e-6)
@@ -53,7 +52,7 @@ def test_creases_of_a_nut_are_its_edges_and_not_those_of_its_mesh():
 
 
 def test_samples_are_on_the_surface_and_spread():
-    model = ObjectModel(made("bridge"))
+    model = ObjectSurface(made("bridge"))
     points, normals = contact_samples(model, 2e-3)
     assert np.linalg.norm(points - model.closest(points).place, axis=1).max() < 1e-6
     assert np.allclose(np.linalg.norm(normals, axis=2), 1.0)
@@ -66,7 +65,7 @@ def test_a_mesh_without_area_is_refused():
         "line", np.array([[0.0, 0, 0], [0.01, 0, 0], [0.02, 0, 0]]), np.array([[0, 1, 2]])
     )
     with pytest.raises(InputError, match="object line: its triangles have no area"):
-        ObjectModel(line)
+        ObjectSurface(line)
 
 
 def test_millimetres_taken_for_metres_are_refused():
@@ -84,7 +83,7 @@ GROUPS = {
 
 @pytest.mark.parametrize(("name", "count"), GROUPS.items())
 def test_symmetries(name, count):
-    model = ObjectModel(made(name))
+    model = ObjectSurface(made(name))
     found = symmetries(model)
     assert len(found) == count
     assert np.allclose(found[0], np.eye(4))
@@ -108,7 +107,7 @@ def prism(sides):
 
 @pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
 def test_a_prism_has_the_turns_of_its_polygon_and_as_many_flips(sides):
-    assert len(symmetries(ObjectModel(prism(sides)))) == 2 * sides
+    assert len(symmetries(ObjectSurface(prism(sides)))) == 2 * sides
 
 
 @pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
@@ -119,7 +118,7 @@ def test_a_pyramid_has_the_turns_of_its_polygon_alone(sides):
     faces = np.c_[k, (k + 1) % sides, np.full(sides, sides)]
     vertices = np.vstack([whole.vertices[:sides], [0.0, 0.0, 0.025]])
     pyramid = RigidObject(f"pyramid {sides}", vertices, np.vstack([faces, base]))
-    assert len(symmetries(ObjectModel(pyramid))) == sides
+    assert len(symmetries(ObjectSurface(pyramid))) == sides
 
 
 @pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])
@@ -132,7 +131,7 @@ def test_distances_are_those_of_a_signed_distance_field(name):
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(obj.vertices.astype("f4"), obj.triangles.astype("u4"))
     exact = scene.compute_signed_distance(points.astype("f4"), nsamples=5).numpy()
-    found = object_distance(ObjectModel(obj), points, np.eye(4))
+    found = object_distance(ObjectSurface(obj), points, np.eye(4))
     clear = np.abs(exact) > 5e-4
     assert np.mean(np.sign(found.signed_m[clear]) == np.sign(exact[clear])) > 0.995
     beside = clear & ~found.over
@@ -147,7 +146,7 @@ def test_a_brick_lies_on_its_largest_faces_first():
     corners = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     faces = ConvexHull(corners).simplices
     chosen = touching_directions(
-        ObjectModel(RigidObject("brick", corners * [2e-2, 5e-3, 1e-2], faces))
+        ObjectSurface(RigidObject("brick", corners * [2e-2, 5e-3, 1e-2], faces))
     )
     assert np.allclose(np.abs(chosen[:6]), np.repeat(np.eye(3)[[1, 2, 0]], 2, axis=0), atol=1e-3)
     assert np.allclose(chosen[:6:2], -chosen[1:6:2], atol=1e-3)
@@ -159,13 +158,13 @@ def test_a_roof_lies_on_both_slopes_unless_registration_turns_one_into_the_other
     gable = np.array([[-0.01, 0.0], [0.01, 0.0], [0.0, 0.01 * np.tan(slope)]])
     corners = np.array([[x, y, z] for y in (-0.02, 0.02) for x, z in gable])
     roof = RigidObject("roof", corners, ConvexHull(corners).simplices)
-    chosen = touching_directions(ObjectModel(roof))
+    chosen = touching_directions(ObjectSurface(roof))
     up = chosen[chosen[:, 2] > np.cos(np.radians(20.0))]
     assert len(up) == (2 if both else 1)
     np.testing.assert_allclose(np.abs(up[:, 0]), np.sin(slope), atol=1e-3)
 
 
 def test_stable_faces_come_first():
-    chosen = touching_directions(ObjectModel(made("hex_nut")))
+    chosen = touching_directions(ObjectSurface(made("hex_nut")))
     assert np.allclose(np.abs(chosen[:2, 2]), 1.0, atol=1e-2)
     assert len(chosen) >= 8  # its two ends and six sides

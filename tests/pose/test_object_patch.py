@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.membrane import level_line
+from bubbleviz.membrane import ObjectSurface, level_line
 from bubbleviz.pipeline import OF_OBJECT, Pipeline
-from bubbleviz.pose import ObjectModel, ObjectPatchFinder
+from bubbleviz.pose import ObjectPatchFinder
 from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
@@ -43,7 +43,7 @@ def seen(model, source):
 
 def outline(model, seen, T):
     """The patch by a cylinder at a pose, the middle (2,) of its outline, and radii about T."""
-    finder = ObjectPatchFinder(model, ObjectModel(made("cylinder")))
+    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
     found = finder.find(seen.estimate, seen.patch, Pose("ok", T))
     nodes = model.mesh.deformed(seen.estimate.motion_m)
     pieces = level_line(nodes, model.mesh.corners, found.level)[:, :, :2]
@@ -60,7 +60,7 @@ def test_the_patch_of_a_flat_face_ends_at_the_edge_of_the_face(model, seen):
 
 
 def test_a_face_ends_at_its_edge_where_the_sides_lean_outward_too(model, seen):
-    finder = ObjectPatchFinder(model, ObjectModel(made("frustum")))
+    finder = ObjectPatchFinder(model, ObjectSurface(made("frustum")))
     found = finder.find(seen.estimate, seen.patch, Pose("ok", upright(z=0.044)))
     assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
 
@@ -73,7 +73,7 @@ def test_the_outline_moves_with_the_object_though_the_depth_image_stays(model, s
 
 @pytest.mark.parametrize("status", ["lost", "no_contact", "few_points", "no_data"])
 def test_without_a_pose_of_the_frame_there_is_none(model, seen, status):
-    finder = ObjectPatchFinder(model, ObjectModel(made("cylinder")))
+    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
     assert finder.find(seen.estimate, seen.patch, Pose(status, upright())) is None
 
 

@@ -13,7 +13,6 @@ from bubbleviz.pose import (
     ImageFit,
     ImageOptions,
     ObjectContact,
-    ObjectModel,
     PressedMembrane,
     PressOptions,
     contact_points,
@@ -55,9 +54,8 @@ def contact(pipeline):
 
 
 def pressed(pipeline, rubber, name, options=PRECISE):
-    return PressedMembrane(
-        rubber, pipeline.estimator.equilibrium.gas, ObjectModel(made(name)), options
-    )
+    gas = pipeline.estimator.equilibrium.gas
+    return PressedMembrane(rubber, gas, ObjectSurface(made(name)), options)
 
 
 def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
@@ -109,7 +107,7 @@ def test_rounder_edges_let_the_membrane_out(pipeline, rubber, contact):
 def test_edges_move_onto_the_rounded_object(pipeline, rubber, contact, radius_m):
     press = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     options = PressOptions()
-    sharp = ObjectContact(ObjectModel(made("cylinder")), 1e-3, 1e3, 50.0, options)
+    sharp = ObjectContact(ObjectSurface(made("cylinder")), 1e-3, 1e3, 50.0, options)
     touching = sharp.touching(press.nodes, press.window.mesh.triangles, pose())
     assert touching.edge.sum() > 20
     points, normals = touching.points[touching.edge], touching.normals[touching.edge]

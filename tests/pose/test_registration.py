@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pose import (
     ContactPoints,
-    ObjectModel,
     Precision,
     Prior,
     Registration,
@@ -64,7 +64,7 @@ def on_surface(model, T, count=240, keep=None):
 
 @pytest.fixture(scope="module")
 def frustum():
-    return ObjectModel(made("frustum"))
+    return ObjectSurface(made("frustum"))
 
 
 def test_points_on_the_surface_give_the_pose_back(frustum):
@@ -107,7 +107,7 @@ def test_contact_with_the_wrong_side_does_not_count(frustum):
 
 def test_a_face_lies_at_the_mean_of_its_points_weighted_by_their_pressure_first():
     """Stage one by force, stage two by area; how much the whole pressure is decides nothing."""
-    slab = ObjectModel(plate(half=0.02))
+    slab = ObjectSurface(plate(half=0.02))
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-4e-3, 4e-3, 9)] * 2))
     height = np.where(x * y > 0.0, 4e-5, -2e-5)  # a saddle: no plane but a level one is nearer
     contact = contact_of(np.column_stack([x, y, height]), np.tile([0.0, 0.0, -1.0], (81, 1)))
@@ -230,7 +230,7 @@ def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_i
 
 def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
     shift = np.array([0.03, -0.02, 0.05])
-    away = ObjectModel(replace(frustum.obj, vertices=frustum.obj.vertices + shift))
+    away = ObjectSurface(replace(frustum.obj, vertices=frustum.obj.vertices + shift))
     tip = on_surface(frustum, pose(), keep=lambda points, normals: points[:, 2] < 1e-6)
     starts, others = (StartFinder(model).starts(tip) for model in (frustum, away))
     others[:, :3, 3] += others[:, :3, :3] @ shift
@@ -241,7 +241,7 @@ def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
 def test_starts_turn_the_object_all_the_way_round():
     """An oblong slab on its large face: one of them is within half a step of 30° of the truth."""
     slab = plate(half=0.01)
-    model = ObjectModel(replace(slab, vertices=slab.vertices * [1.0, 0.5, 1.0]))
+    model = ObjectSurface(replace(slab, vertices=slab.vertices * [1.0, 0.5, 1.0]))
     x, y = (
         axis.ravel()
         for axis in np.meshgrid(np.linspace(-9e-3, 9e-3, 13), np.linspace(-4e-3, 4e-3, 7))

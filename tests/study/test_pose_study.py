@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import ObjectModel, moved, precision_of
+from bubbleviz.pose import moved, precision_of
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import Press, SyntheticSource, made, with_nodes
 from bubbleviz.study.pose import Grid, PoseJudge, pose_study
@@ -44,7 +45,7 @@ def test_judge_of_a_flat_face(sensor):
     pipeline = Pipeline.of(sensor)
     true_pose = Press("frustum", 0.012, False).pose(pipeline.mesh, 5)
     source = SyntheticSource(sensor, made("frustum"), true_pose[None], nodes=1_500)
-    judge = PoseJudge(ObjectModel(made("frustum")), precision_of(pipeline.estimator))
+    judge = PoseJudge(ObjectSurface(made("frustum")), precision_of(pipeline.estimator))
     truth = source.truth(0)
     touched = source.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
     true = judge.touching(*touched, true_pose)
