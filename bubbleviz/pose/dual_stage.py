@@ -140,7 +140,7 @@ class Solver:
             way = directed.motions @ (way * directed.determined)
             start = moved(prior.T_B_O, way, contact.center)
         change = self._estimator.observer.pixel_residuals(frame.depth_m)
-        valid_m = options.valid_m if settled else options.settled_m
+        valid_m = self._image.valid_m if settled else options.settled_m
         T, step = start, None
         for _ in range(options.next_steps if settled else options.first_steps):
             pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)

@@ -40,11 +40,16 @@ class PredictedImage:
     held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
 
-    def residual_m(self, change_m: np.ndarray, T_B_O: np.ndarray) -> np.ndarray:
-        """Measured minus modelled (b,) at a pose close by; NaN where there is no return."""
-        way = motion_between(self.T_B_O, T_B_O, self.center)
-        residual: np.ndarray = change_m[self.pixel] - self.expected_m - self.jacobian @ way
-        return residual
+    def at(self, T_B_O: np.ndarray) -> np.ndarray:
+        """What is expected at a pose close by, (b,)."""
+        return self.expected_m + self.jacobian @ motion_between(self.T_B_O, T_B_O, self.center)
+
+    def missed_by(self, before: PredictedImage) -> np.ndarray:
+        """Error (b,) of an earlier linear model at this pose; 0 in pixels that it does not have."""
+        _, own, others = np.intersect1d(self.pixel, before.pixel, True, return_indices=True)
+        error = np.zeros(len(self.pixel))
+        error[own] = self.expected_m[own] - before.at(self.T_B_O)[others]
+        return error
 
 
 class ImageFit:
@@ -70,6 +75,8 @@ class ImageFit:
     def forget(self) -> None:
         """Look anew at the next frame."""
         self._predicted: PredictedImage | None = None
+        self._failed: np.ndarray | None = None
+        self.valid_m = self._options.valid_m
         self._pressed.forget()
 
     def step(
@@ -92,10 +99,11 @@ class ImageFit:
         move it, so that these are known from the faces, and the other directions from what is
         around.
         """
+        before = self._predicted
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
             return None
-        residual = predicted.residual_m(change_m, T_B_O)
+        residual = change_m[predicted.pixel] - predicted.at(T_B_O)
         seen = np.isfinite(residual)
         residual = residual[seen]
         J = predicted.jacobian[seen] @ about(contact.center, predicted.center)
@@ -112,9 +120,25 @@ class ImageFit:
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
         motion = np.linalg.solve(information + known, g - pull)
+        if before is not None and predicted is not before:
+            pushed = J.T @ (weight * predicted.missed_by(before)[seen])
+            pushed = pushed[:6] - gain @ pushed[6:]
+            squared = float(pushed @ np.linalg.solve(information + known, pushed))
+            between = motion_between(before.T_B_O, predicted.T_B_O, contact.center)
+            self._hold(way_at(contact.radius_m, between), squared)
         way = way_at(contact.radius_m, motion)
         motion *= min(1.0, self._options.step_m / max(way, 1e-300))
         return ImageStep(motion, information, way)
+
+    def _hold(self, way_m: float, squared: float) -> None:
+        """Set how far a linear model serves, by what one has missed over a way of the patch's edge.
+
+        `squared` is the error that it has brought into the pose over the pose's own deviation,
+        squared. It grows with the square of the way, and may be as large as the deviation.
+        """
+        reach_m = way_m / max(squared, 1e-12) ** 0.25
+        reach_m = float(np.clip(reach_m, self._options.settled_m, self._options.step_m))
+        self.valid_m = float(np.sqrt(self.valid_m * reach_m))
 
     def _weights(self, residual_m: np.ndarray) -> np.ndarray:
         """1/σ² of pixels by their residuals (b,), less where they are outliers."""
@@ -123,8 +147,7 @@ class ImageFit:
         spread = float(np.median(np.abs(residual_m))) / MAD
         sigma = max(spread, self._options.least_sigma_m)
         outlying = (residual_m / (self._options.outlying * sigma)) ** 2
-        weights: np.ndarray = 1.0 / (sigma * (1.0 + outlying)) ** 2
-        return weights
+        return 1.0 / (sigma * (1.0 + outlying)) ** 2
 
     def predicted(
         self,
@@ -134,14 +157,18 @@ class ImageFit:
         *,
         valid_m: float = 0.0,
     ) -> PredictedImage | None:
-        """The linear model around a pose, or the last one where that holds still; see `step`."""
-        known = self._predicted
-        if known is not None:
-            way = motion_between(known.T_B_O, T_B_O, contact.center)
+        """The linear model around a pose, or the last one where that holds still; see `step`.
+
+        None where the press fails, or has just failed close by.
+        """
+        last = self._failed if self._predicted is None else self._predicted.T_B_O
+        if last is not None:
+            way = motion_between(last, T_B_O, contact.center)
             if way_at(contact.radius_m, way) < valid_m:
-                return known
+                return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
         self._predicted = None if press is None else self._seen(press, contact)
+        self._failed = T_B_O if press is None else None
         return self._predicted
 
     def _seen(self, press: Press, contact: ContactPoints) -> PredictedImage:

@@ -58,7 +58,8 @@ class ImageOptions:
     # and derivatives hold over half of that
     step_m: float = 1.5e-3
     # valid_m, settled_m: way of the patch's edge over which the linear model is kept from frame to
-    # frame, and below which the first pose of an object is settled
+    # frame before it is known how much it misses, and below which the first pose of an object is
+    # settled
     valid_m: float = 5e-4
     settled_m: float = 2e-4
     # first_steps, next_steps: most linear models in a first frame and in those that follow it

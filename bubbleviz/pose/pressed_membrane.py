@@ -77,8 +77,9 @@ def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Touching:
-    """Points of the object that are inside the membrane."""
+    """Points of the object that carry the membrane."""
 
+    which: np.ndarray  # (c,) int, of all of the object's
     points: np.ndarray  # (c, 3), in B
     triangle: np.ndarray  # (c,) int, of the membrane, the one below each
     corners: np.ndarray  # (c, 3) int, its nodes
@@ -86,7 +87,7 @@ class Touching:
     gradients: np.ndarray  # (c, 3, 3), of these in B, by corner, 1/m
     # (c, 3), direction in which the object pushes the membrane, out of the object
     normals: np.ndarray
-    force_n: np.ndarray  # (c,), with which it pushes
+    force_n: np.ndarray  # (c,), with which it pushes; below 0 where it would have to pull
     stiffness_n_per_m: np.ndarray  # (c,), of the point
     edge: np.ndarray  # (c,) bool, on an edge of the object
     # (c, 3), motion of points on edges by the radius of these; 0 on faces. The middle of a rounding
@@ -146,11 +147,25 @@ class ObjectContact:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew with the directions in which edges push."""
+        """Begin anew with the directions in which edges push, and with what touches."""
         self._pushing = np.zeros_like(self._points)
+        self._held = np.zeros(len(self._points), bool)
+
+    def hold(self, touching: Touching, motion: np.ndarray) -> None:
+        """Take as touching what still pushes after a motion (n, 3) of the nodes, to first order.
+
+        Geometry of second order lifts the membrane off a face by more than the face sinks in. A
+        tangent without what touches there would throw the membrane through the object (primal-dual
+        active set).
+        """
+        way = np.einsum("ca,cai->ci", touching.weights, motion[touching.corners])
+        sinking = np.einsum("ci,ci->c", way, touching.normals)
+        self._held[:] = False
+        left = touching.force_n - touching.stiffness_n_per_m * sinking
+        self._held[touching.which[left > 0.0]] = True
 
     def touching(self, x: np.ndarray, triangles: np.ndarray, T_B_O: np.ndarray) -> Touching:
-        """Points inside the membrane with nodes x (n, 3) and triangles (m, 3)."""
+        """Points that are inside the membrane with nodes x (n, 3) and triangles (m, 3), or held."""
         R = T_B_O[:3, :3]
         places = x[triangles]
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
@@ -170,9 +185,10 @@ class ObjectContact:
         way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
         depth = -np.einsum("ij,ij->i", way, pushing)
         near = np.linalg.norm(way, axis=1) < self._options.deepest_m
-        inside = np.flatnonzero(facing & near & (depth > 0.0))
+        inside = np.flatnonzero(near & ((facing & (depth > 0.0)) | self._held[close]))
         kept, corners = close[inside], corners[inside]
         return Touching(
+            which=kept,
             points=points[kept],
             triangle=found.triangle[inside],
             corners=corners,
@@ -491,7 +507,9 @@ class PressedMembrane:
                 return None
             step = tangent.moved(missed[None])[0]
             longest = float(np.abs(step).max())
-            x = x + min(1.0, self._options.longest_step_m / max(longest, 1e-300)) * step
+            step *= min(1.0, self._options.longest_step_m / max(longest, 1e-300))
+            self._object.hold(touching, step)
+            x = x + step
             if longest < self._options.settled_m:
                 return _pressed(window, x, T_B_O, center, touching, tangent)
         return None
