@@ -10,6 +10,7 @@ from .forward_model import (
 )
 from .gas import (
     Gas as Gas,
+    HeldPressure as HeldPressure,
 )
 from .mesh import (
     MembraneMesh as MembraneMesh,
@@ -65,7 +66,6 @@ from .rubber_forward import (
     checked_friction as checked_friction,
 )
 from .sparse_factor import (
-    Factor as Factor,
     Factoriser as Factoriser,
     NodeBlocks as NodeBlocks,
     symmetric_lu as symmetric_lu,
@@ -76,6 +76,10 @@ from .stiffness import (
     balance_tension as balance_tension,
     cotangent_laplacian as cotangent_laplacian,
     mean_curvature as mean_curvature,
+)
+from .submodel import (
+    Submodel as Submodel,
+    Tangent as Tangent,
 )
 from .triangle_scene import (
     TriangleScene as TriangleScene,

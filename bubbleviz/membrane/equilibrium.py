@@ -51,8 +51,8 @@ class RubberContact(Contact):
     rest_force_n: np.ndarray
     stable: bool  # the energy is at a minimum; with friction: no pivot of the tangent is negative
     # (n,), way that each touching node slipped over the object since the contact before, m, 0 where
-    # nothing touches; None without friction
-    slip_m: np.ndarray | None = None
+    # nothing touches; NaN without friction
+    slip_m: np.ndarray
     stick_error_m: float = 0.0  # largest distance of a sticking node from its anchor, m
     # largest |t| of a node over μ times its load, less 1; 0 where none is above
     cone_violation: float = 0.0
@@ -411,6 +411,7 @@ class Equilibrium:
             gas_force_n=from_gas.sum(axis=0),
             rest_force_n=membrane.rest_force[moving].sum(axis=0),
             stable=solved.stable,
+            slip_m=np.full(len(x), np.nan),
             stick_error_m=off,
             cone_violation=float((over - 1.0).max(initial=0.0)),
         )

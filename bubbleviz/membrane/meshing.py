@@ -278,6 +278,12 @@ def midway(coarse: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return values
 
 
+def part_of(mesh: MembraneMesh, triangles: np.ndarray) -> tuple[np.ndarray, MembraneMesh]:
+    """Nodes (k,) of some triangles (j,) of a mesh, and the mesh that these are."""
+    nodes, corners = np.unique(mesh.triangles[triangles], return_inverse=True)
+    return nodes, MembraneMesh(mesh.nodes[nodes], corners.reshape(-1, 3), mesh.rim[nodes])
+
+
 def refined_part(mesh: MembraneMesh, inside: np.ndarray, chosen: np.ndarray) -> Refined:
     """Part of a mesh with some of its triangles cut into four.
 
@@ -288,8 +294,7 @@ def refined_part(mesh: MembraneMesh, inside: np.ndarray, chosen: np.ndarray) -> 
         Triangles of the part, and those to cut. Where the part ends its nodes are held.
     """
     triangles = np.flatnonzero(inside)
-    nodes, corners = np.unique(mesh.triangles[triangles], return_inverse=True)
-    part = MembraneMesh(mesh.nodes[nodes], corners.reshape(-1, 3), mesh.rim[nodes])
+    nodes, part = part_of(mesh, triangles)
     triangle, corner = np.nonzero(triangles_across(part.triangles) < 0)
     part.rim[part.triangles[triangle, (corner + 1) % 3]] = True
     part.rim[part.triangles[triangle, (corner + 2) % 3]] = True

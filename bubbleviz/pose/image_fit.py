@@ -173,7 +173,7 @@ class ImageFit:
 
     def _seen(self, press: Press, contact: ContactPoints) -> PredictedImage:
         """The membrane and its derivatives as the camera would see them."""
-        mesh = press.window.mesh
+        mesh = press.part.mesh
         reach = contact.extent_m + self._options.around_m
         pixel = np.flatnonzero(_near(self._places, contact.rest_center, reach))
         every = max(1, -(-len(pixel) // self._options.most_pixels))

@@ -22,6 +22,8 @@ class PressOptions:
     # by how much more at first, so that the contact may move that far before another part of the
     # membrane is followed
     margin_m: float = 8e-3
+    # way around the patch in which the mesh is twice as fine; 0: nowhere
+    finer_m: float = 0.0
     # depth inside the membrane beyond which a point belongs to the far side of the object
     deepest_m: float = 6e-3
     # cosine between the normals of object and membrane beyond which they face the same way

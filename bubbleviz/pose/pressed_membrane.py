@@ -4,7 +4,7 @@ Points of the object that are inside the membrane push it outward (`object_conta
 
     ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j,   f_j = k_j × depth of point j.
 
-Newton's method from the membrane of the last pose, in a `window` around the contact; the last
+Newton's method from the membrane of the last pose, in a `Submodel` around the contact; the last
 tangent also gives how the membrane moves with the object. An edge that moves over the membrane
 takes its load along, which is what shows that a flat face slides in its own plane.
 """
@@ -12,20 +12,19 @@ takes its load along, which is what shows that a flat face slides in its own pla
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from bubbleviz.membrane import (
-    Factor,
-    Factoriser,
     Gas,
-    MembraneMesh,
+    HeldPressure,
     ObjectSurface,
     RubberMembrane,
+    Submodel,
+    Tangent,
     TriangleScene,
     cross,
+    midway,
 )
 from bubbleviz.pose.motion import motion_between
 from bubbleviz.pose.pose_options import PressOptions
@@ -230,8 +229,7 @@ def _between(first: np.ndarray, second: np.ndarray, wanted: np.ndarray) -> np.nd
     none = by_first + by_second == 0.0
     by_first[none], by_second[none] = 1.0, 1.0
     mixed = by_first[:, None] * first + by_second[:, None] * second
-    unit: np.ndarray = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-    return unit
+    return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
 
 
 def _gradients(places: np.ndarray) -> np.ndarray:
@@ -249,177 +247,13 @@ def _gathered(corners: np.ndarray, shares: np.ndarray, count: int) -> np.ndarray
     return np.stack(sums, axis=1)
 
 
-# The membrane around a contact; the rest of it moves little, and is condensed onto the border.
-#
-# With K and g = ∂V/∂x of the rest at the reference surface, its border b and its other nodes f:
-#
-#     S = K_bb − K_bf K_ff⁻¹ K_fb,   ĝ = g_b − K_bf K_ff⁻¹ g_f,   c = g_fᵀ K_ff⁻¹ g_f
-#
-# are its stiffness, and its change of volume by the border's motion and by the gas pressure.
-
-
-class Tangent(NamedTuple):
-    """The factorised tangent at some nodes."""
-
-    factor: Factor
-    gas: np.ndarray  # (3f,), change of the volume by motions of the moving nodes, m²
-    stiffness: float  # fall of the gas pressure with it, Pa/m³; 0 where the pressure is measured
-    moving: np.ndarray  # (f,) int
-
-    def moved(self, forces: np.ndarray) -> np.ndarray:
-        """Motions (j, k, 3) of the nodes under forces (j, k, 3) on them."""
-        right = np.ascontiguousarray(forces[:, self.moving].reshape(len(forces), -1).T)
-        found = self.factor.solve_with(right, self.gas, self.stiffness)
-        motions = np.zeros_like(forces)
-        motions[:, self.moving] = found.T.reshape(len(forces), -1, 3)
-        return motions
-
-
-class Window:
-    """Equilibrium of a membrane around one place.
-
-    Attributes
-    ----------
-    center, reach_m
-        As given.
-    nodes : (k,) int array
-        Of the whole mesh.
-    mesh : MembraneMesh
-        Inside; its nodes are those.
-    """
-
-    def __init__(
-        self,
-        membrane: RubberMembrane,  # the whole, its rim clamped
-        gas: Gas,
-        center: np.ndarray,  # (3,), on the reference surface
-        reach_m: float,  # triangles with a node closer than this are inside
-    ) -> None:
-        self.center, self.reach_m = center, reach_m
-        whole = membrane.mesh
-        close = np.linalg.norm(whole.nodes - center, axis=1) < reach_m
-        inside = close[whole.triangles].any(axis=1)
-        self.nodes, self._inner = _part(membrane, inside)
-        self.mesh = self._inner.mesh
-        self._moving = self._inner.moving
-        self._gauge_pa, self._gas = membrane.gauge_pressure_pa, gas
-        self._rest_volume = self._inner.volume(self.mesh.nodes)
-        self._condense(membrane, ~inside)
-        pattern = self._inner.tangent(self.mesh.nodes, 0.0)
-        self._merge(pattern.indices, pattern.indptr)
-
-    def _condense(self, membrane: RubberMembrane, outside: np.ndarray) -> None:
-        """Border, S, ĝ and c of the rest, in the order of the border's rows inside."""
-        free = self.nodes[self._moving]
-        self._border = np.zeros(0, int)
-        self._stiffness, self._gradient, self._give = np.zeros((0, 0)), np.zeros(0), 0.0
-        if not outside.any():
-            return
-        nodes, outer = _part(membrane, outside)
-        moving = nodes[outer.moving]
-        shared = np.isin(moving, free)
-        b, f = (_rows(np.flatnonzero(some)) for some in (shared, ~shared))
-        self._border = _rows(np.searchsorted(free, moving[shared]))
-        rest = outer.mesh.nodes
-        K = outer.tangent(rest, membrane.gauge_pressure_pa)
-        g = outer.volume_gradient(rest)[outer.moving].ravel()
-        self._stiffness, self._gradient = K[b][:, b].toarray(), g[b]
-        if not len(f):
-            return
-        far = K[f][:, f].tocsc()
-        far.sort_indices()
-        right = np.column_stack([K[f][:, b].toarray(), g[f]])
-        moved = Factoriser(far).factor(far.data).solve(right)
-        back = right.T @ moved
-        self._stiffness = self._stiffness - back[:-1, :-1]
-        self._gradient = self._gradient - back[:-1, -1]
-        self._give = float(back[-1, -1])
-
-    def _merge(self, indices: np.ndarray, indptr: np.ndarray) -> None:
-        """Pattern of the tangent inside and the dense S together."""
-        size = len(indptr) - 1
-        columns = np.repeat(np.arange(size), np.diff(indptr))
-        inner = columns * size + indices
-        outer = (self._border[:, None] * size + self._border).ravel()
-        keys, places = np.unique(np.concatenate([inner, outer]), return_inverse=True)
-        self._inner_places, self._outer_places = np.split(places, [len(inner)])
-        columns, rows = np.divmod(keys, size)
-        starts = np.searchsorted(columns, np.arange(size + 1))
-        data = np.ones(len(keys))
-        pattern = sparse.csc_array((data, rows, starts), shape=(size, size))
-        self._factoriser, self._entries = Factoriser(pattern), len(keys)
-
-    def covers(self, center: np.ndarray, reach_m: float) -> bool:
-        """Whether all within some way of a place is inside."""
-        return float(np.linalg.norm(center - self.center)) + reach_m <= self.reach_m
-
-    def linearised(
-        self,
-        # x, forces: (k, 3), nodes, m, and forces on them, N
-        x: np.ndarray,
-        forces: np.ndarray,
-        # (6, 3, 3, m), stiffness of what exerts them, as of `RubberMembrane.tangent`
-        added: np.ndarray,
-        gas_pressure_pa: float | None,  # absolute; by the gas law where it is not measured
-    ) -> tuple[Tangent, np.ndarray]:
-        """Tangent at nodes x (k, 3), and the forces (k, 3) that are missing for equilibrium."""
-        inner = self._inner
-        border = (x - self.mesh.nodes)[self._moving].ravel()[self._border]
-        change, weight = self._gas_at(x, border, gas_pressure_pa)
-        pressure = self._gauge_pa + change
-        missed = forces - inner.residual(x, pressure)
-        rest = np.zeros(3 * len(self._moving))
-        rest[self._border] = self._stiffness @ border - change * self._gradient
-        missed[self._moving] -= rest.reshape(-1, 3)
-        data = np.zeros(self._entries)
-        data[self._inner_places] = inner.tangent(x, pressure, added).data
-        data[self._outer_places] += self._stiffness.T.ravel()
-        gradient = inner.volume_gradient(x)[self._moving].ravel()
-        gradient[self._border] += self._gradient
-        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), missed
-
-    def _gas_at(
-        self, x: np.ndarray, border: np.ndarray, measured: float | None
-    ) -> tuple[float, float]:
-        """Change of the gas pressure, Pa, and its fall with the volume by motions inside, Pa/m³.
-
-        The rest gives way by c to the pressure, (P0 + Δp)(V + c Δp) = P0 V0: the upper root.
-        """
-        P0, V0, c = self._gas.P0, self._gas.V0, self._give
-        if measured is not None and np.isfinite(measured):
-            return measured - P0, 0.0
-        volume = V0 + self._inner.volume(x) - self._rest_volume + float(self._gradient @ border)
-        if not volume > 0.0:
-            return np.nan, 0.0
-        sum_ = volume + c * P0
-        change = 2.0 * P0 * (V0 - volume) / (sum_ + np.sqrt(sum_**2 + 4.0 * c * P0 * (V0 - volume)))
-        beta = (P0 + change) / (volume + c * change)
-        return change, beta / (1.0 + beta * c)
-
-
-def _part(membrane: RubberMembrane, chosen: np.ndarray) -> tuple[np.ndarray, RubberMembrane]:
-    """Nodes (k,) of some triangles (m,) bool, and the membrane that these are."""
-    mesh = membrane.mesh
-    nodes, triangles = np.unique(mesh.triangles[chosen], return_inverse=True)
-    part = MembraneMesh(mesh.nodes[nodes], triangles.reshape(-1, 3), mesh.rim[nodes])
-    return nodes, RubberMembrane(
-        part, membrane.gauge_pressure_pa, membrane.inverse[chosen], membrane.mu_h[chosen]
-    )
-
-
-def _rows(nodes: np.ndarray) -> np.ndarray:
-    """Rows (3k,) of nodes (k,)."""
-    rows: np.ndarray = (3 * nodes[:, None] + np.arange(3)).ravel()
-    return rows
-
-
 @dataclass(frozen=True)
 class Press:
     """An object pressed into the membrane."""
 
     T_B_O: np.ndarray  # (4, 4)
     center: np.ndarray  # (3,), that motions are about
-    window: Window  # part of the membrane that all else is about
+    part: Submodel  # of the membrane, that all else is about
     nodes: np.ndarray  # (k, 3), of it
     # (6, k, 3), their derivatives by small motions of the object in B about the centre
     slopes: np.ndarray
@@ -430,8 +264,7 @@ class Press:
     @property
     def force_n(self) -> np.ndarray:
         """Of the object on the membrane, (3,)."""
-        total: np.ndarray = self.push_n.sum(axis=0)
-        return total
+        return self.push_n.sum(axis=0)
 
 
 class PressedMembrane:
@@ -449,7 +282,7 @@ class PressedMembrane:
             membrane.mean_tension,
             options,
         )
-        self._window: Window | None = None
+        self._part: Submodel | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -464,45 +297,49 @@ class PressedMembrane:
         gas_pressure_pa: float | None = None,  # absolute; by the gas law where it is not measured
     ) -> Press | None:
         """Press the object at a pose (4, 4); None where no equilibrium is found."""
-        window = self._around(contact)
+        gas: Gas | HeldPressure = self._gas
+        if gas_pressure_pa is not None and np.isfinite(gas_pressure_pa):
+            gas = HeldPressure(gas_pressure_pa - self._gas.P0)
+        part = self._around(contact)
         if self._last is not None:
             start = _followed(self._last, T_B_O, self._options.longest_step_m)
-            self._last = self._solve(window, start, T_B_O, contact.center, gas_pressure_pa)
+            self._last = self._solve(part, start, T_B_O, contact.center, gas)
         if self._last is None:
             self._object.forget()
-            mesh, estimated = window.mesh, contact.membrane[window.nodes]
-            start = np.where(mesh.rim[:, None], mesh.nodes, estimated)
-            self._last = self._solve(window, start, T_B_O, contact.center, gas_pressure_pa)
+            estimated = midway(contact.membrane, part.ends)
+            start = np.where(part.mesh.rim[:, None], part.mesh.nodes, estimated)
+            self._last = self._solve(part, start, T_B_O, contact.center, gas)
         return self._last
 
-    def _around(self, contact: ContactPoints) -> Window:
-        """The window that the contact is in; another one where it has moved on."""
-        reach_m = contact.extent_m + self._options.reach_m
-        if self._window is None or not self._window.covers(contact.rest_center, reach_m):
-            reach_m += self._options.margin_m
-            self._window = Window(self._membrane, self._gas, contact.rest_center, reach_m)
+    def _around(self, contact: ContactPoints) -> Submodel:
+        """The part that the contact is in; another one where it has moved on."""
+        options, extent_m = self._options, contact.extent_m
+        if self._part is None or not self._part.covers(
+            contact.rest_center, extent_m + options.reach_m
+        ):
+            finer_m = extent_m + options.finer_m + options.margin_m if options.finer_m else 0.0
+            reach_m = extent_m + options.reach_m + options.margin_m
+            self._part = Submodel(self._membrane, contact.rest_center, reach_m, finer_m)
             self.forget()
-        return self._window
+        return self._part
 
     def _solve(
         self,
-        window: Window,
+        part: Submodel,
         x: np.ndarray,
         T_B_O: np.ndarray,
         center: np.ndarray,
-        measured: float | None,
+        gas: Gas | HeldPressure,
     ) -> Press | None:
         """Newton's method from nodes x (k, 3)."""
-        triangles = window.mesh.triangles
+        triangles = part.mesh.triangles
         for _ in range(self._options.newton_steps):
             if not np.isfinite(x).all():
                 return None
             touching = self._object.touching(x, triangles, T_B_O)
             push = touching.on_nodes(touching.force_n[:, None] * touching.normals, len(x))
             try:
-                tangent, missed = window.linearised(
-                    x, push, touching.blocks(len(triangles)), measured
-                )
+                tangent, missed = part.linearised(x, push, touching.blocks(len(triangles)), gas)
             except RuntimeError:  # singular
                 return None
             step = tangent.moved(missed[None])[0]
@@ -511,19 +348,19 @@ class PressedMembrane:
             self._object.hold(touching, step)
             x = x + step
             if longest < self._options.settled_m:
-                return _pressed(window, x, T_B_O, center, touching, tangent)
+                return _pressed(part, x, T_B_O, center, touching, tangent)
         return None
 
 
 def _pressed(
-    window: Window,
+    part: Submodel,
     x: np.ndarray,
     T_B_O: np.ndarray,
     center: np.ndarray,
     touching: Touching,
     tangent: Tangent,
 ) -> Press:
-    n, triangles = len(x), window.mesh.triangles
+    n, triangles = len(x), part.mesh.triangles
     unit, arms = np.eye(3), touching.points - center
     motions = [np.broadcast_to(axis, arms.shape) for axis in unit]
     motions += [np.cross(axis, arms) for axis in unit]
@@ -535,7 +372,7 @@ def _pressed(
     held[touching.triangle[touching.edge]] = False
     push = touching.on_nodes(touching.force_n[:, None] * touching.normals, n)
     slopes = tangent.moved(pulls)
-    return Press(T_B_O, center, window, x, slopes[:6], slopes[6], push, held)
+    return Press(T_B_O, center, part, x, slopes[:6], slopes[6], push, held)
 
 
 def _followed(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:
@@ -543,5 +380,4 @@ def _followed(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:
     motion = motion_between(press.T_B_O, T_B_O, press.center)
     step = np.einsum("q,qni->ni", motion, press.slopes)
     share = min(1.0, longest_m / max(float(np.abs(step).max()), 1e-300))
-    nodes: np.ndarray = press.nodes + share * step
-    return nodes
+    return press.nodes + share * step

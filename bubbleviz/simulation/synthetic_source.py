@@ -88,10 +88,8 @@ class Truth:
         x = view.mesh.deformed(moved)
         areas = replace(view.mesh, nodes=x).areas
         load = np.linalg.norm(contact.nodal_force_n, axis=1)
-        slip = getattr(contact, "slip_m", None)
-        if slip is None:
-            slip = np.full(len(load), np.nan)
-        else:
+        slip = getattr(contact, "slip_m", np.full(len(load), np.nan))
+        if not np.isnan(slip).any():  # of the force along the normals alone
             load = contact.contact_pressure_pa * areas
         center, torque = np.full(3, np.nan), np.zeros(3)
         if load.sum() > 0.0:

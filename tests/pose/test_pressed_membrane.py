@@ -63,8 +63,8 @@ def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
     gas = pipeline.estimator.equilibrium.gas
     expected = RubberForward(rubber, gas).press(made("sphere"), pose())
     assert expected.converged
-    displacement = found.nodes - found.window.mesh.nodes
-    there = expected.displacement_3d_m[found.window.nodes]
+    displacement = found.nodes - found.part.mesh.nodes
+    there = expected.displacement_3d_m[found.part.ends[:, 0]]
     largest = np.abs(there).max()
     assert largest > 8e-3
     # nodes are kept out of the object there, points of the object out of the membrane here
@@ -76,7 +76,7 @@ def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
 def test_slopes_are_what_the_membrane_does_when_the_object_moves(pipeline, rubber, contact):
     membrane = pressed(pipeline, rubber, "cylinder")
     press = membrane.press(pose(), contact)
-    normals = press.window.mesh.normals
+    normals = press.part.mesh.normals
     for motion, size, alike, off in (
         ([0, 0, 1, 0, 0, 0], 5e-4, 0.98, 0.05),
         ([0, 0, 0, 1, 0, 0], 0.01, 0.95, 0.1),
@@ -95,7 +95,7 @@ def test_slopes_are_what_the_membrane_does_when_the_object_moves(pipeline, rubbe
 
 def test_rounder_edges_let_the_membrane_out(pipeline, rubber, contact):
     puck = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
-    mesh = puck.window.mesh
+    mesh = puck.part.mesh
     outward = np.einsum("ij,ij->i", puck.rounding, mesh.normals)
     assert outward.max() > 0.3
     assert mesh.areas @ outward > 0.1 * mesh.areas @ np.abs(outward)
@@ -108,7 +108,7 @@ def test_edges_move_onto_the_rounded_object(pipeline, rubber, contact, radius_m)
     press = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     options = PressOptions()
     sharp = ObjectContact(ObjectSurface(made("cylinder")), 1e-3, 1e3, 50.0, options)
-    touching = sharp.touching(press.nodes, press.window.mesh.triangles, pose())
+    touching = sharp.touching(press.nodes, press.part.mesh.triangles, pose())
     assert touching.edge.sum() > 20
     points, normals = touching.points[touching.edge], touching.normals[touching.edge]
     points = points + radius_m * touching.rounding[touching.edge]
@@ -125,12 +125,12 @@ def test_from_pose_to_pose_as_from_the_start(pipeline, rubber, contact):
     membrane.forget()
     anew = membrane.press(there, contact)
     assert np.abs(followed.nodes - anew.nodes).max() < 1e-4
-    assert np.abs(followed.nodes - followed.window.mesh.nodes).max() > 8e-3
+    assert np.abs(followed.nodes - followed.part.mesh.nodes).max() > 8e-3
 
 
 def test_no_contact_and_the_membrane_is_at_rest(pipeline, rubber, contact):
     press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), contact)
-    assert np.abs(press.nodes - press.window.mesh.nodes).max() < 1e-6
+    assert np.abs(press.nodes - press.part.mesh.nodes).max() < 1e-6
     assert not press.slopes.any()
     assert not press.held.any()
 
@@ -139,7 +139,7 @@ def test_a_measured_gas_pressure_holds_where_the_gas_law_does_not(pipeline, rubb
     gas = pipeline.estimator.equilibrium.gas
     by_law = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     more = pressed(pipeline, rubber, "cylinder").press(pose(), contact, gas.P0 + 1500.0)
-    bulge = np.einsum("ij,ij->i", more.nodes - by_law.nodes, more.window.mesh.normals)
+    bulge = np.einsum("ij,ij->i", more.nodes - by_law.nodes, more.part.mesh.normals)
     assert np.median(bulge) > 1e-3
     assert np.linalg.norm(more.force_n) > 1.2 * np.linalg.norm(by_law.force_n)
 
@@ -172,7 +172,7 @@ def image(pipeline, rubber, contact):
 def test_the_image_of_the_press_is_the_change_of_range(pipeline, rubber, contact, image):
     found = image[1]
     press, mesh = pressed(pipeline, rubber, "cylinder").press(pose(), contact), pipeline.mesh
-    triangles = press.window.mesh.triangles
+    triangles = press.part.mesh.triangles
     now = ranges(pipeline, found.pixel, press.nodes, triangles)
     at_rest = ranges(pipeline, found.pixel, mesh.nodes, mesh.triangles)
     np.testing.assert_allclose(found.expected_m, now - at_rest, atol=2e-6)

@@ -1,0 +1,143 @@
+"""Part of an exact membrane, finer where asked; the rest moves little and is condensed onto it.
+
+With K and g = ∂V/∂x of the rest at the reference surface, its border b and its other nodes f:
+
+    S = K_bb − K_bf K_ff⁻¹ K_fb,   ĝ = g_b − K_bf K_ff⁻¹ g_f,   c = g_fᵀ K_ff⁻¹ g_f
+
+are its stiffness, and its change of volume by the border's motion and by the gas pressure.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.membrane.gas import Gas, HeldPressure
+from bubbleviz.membrane.meshing import part_of, refinement
+from bubbleviz.membrane.rubber import RubberMembrane
+from bubbleviz.membrane.sparse_factor import Factor, Factoriser
+
+
+class Tangent(NamedTuple):
+    """The factorised tangent at some nodes."""
+
+    factor: Factor
+    gas: np.ndarray  # (3f,), change of the volume by motions of the moving nodes, m²
+    stiffness: float  # fall of the gas pressure with it, Pa/m³
+    moving: np.ndarray  # (f,) int
+
+    def moved(self, forces: np.ndarray) -> np.ndarray:
+        """Motions (j, k, 3) of the nodes under forces (j, k, 3) on them."""
+        right = np.ascontiguousarray(forces[:, self.moving].reshape(len(forces), -1).T)
+        found = self.factor.solve_with(right, self.gas, self.stiffness)
+        motions = np.zeros_like(forces)
+        motions[:, self.moving] = found.T.reshape(len(forces), -1, 3)
+        return motions
+
+
+class Submodel:
+    """The membrane around one place.
+
+    Attributes
+    ----------
+    mesh : MembraneMesh
+        Of the part, k nodes.
+    ends : (k, 2) int array
+        Nodes of the whole mesh that each lies midway between, as of `Refined`.
+    """
+
+    def __init__(
+        self,
+        whole: RubberMembrane,  # its rim clamped
+        center: np.ndarray,  # (3,), on the reference surface
+        reach_m: float,  # triangles with a node closer than this are inside
+        finer_m: float = 0.0,  # those with a node closer than this are cut into four
+    ) -> None:
+        self._center, self._reach_m = center, reach_m
+        away = np.linalg.norm(whole.mesh.nodes - center, axis=1)[whole.mesh.triangles].min(axis=1)
+        inside, outside = np.flatnonzero(away < reach_m), np.flatnonzero(away >= reach_m)
+        nodes, part = part_of(whole.mesh, inside)
+        finer = refinement(part, away[inside] < finer_m)
+        self.mesh, self.ends = finer.mesh, nodes[finer.ends]
+        self._inner = whole.on(self.mesh, inside[finer.parent])
+        self._moving, self._gauge_pa = self._inner.moving, whole.gauge_pressure_pa
+        self._rest_volume = self._inner.volume(self.mesh.nodes)
+        self._border = np.zeros(0, int)
+        self._stiffness, self._gradient, self._give = np.zeros((0, 0)), np.zeros(0), 0.0
+        if len(outside):
+            self._condense(whole, outside)
+        self._merge()
+
+    def _condense(self, whole: RubberMembrane, outside: np.ndarray) -> None:
+        """Border, S, ĝ and c of the rest, in the order of the border's rows inside."""
+        nodes, part = part_of(whole.mesh, outside)
+        outer = whole.on(part, outside)
+        moving, own = nodes[outer.moving], self.ends[self._moving]
+        number = np.full(len(whole.mesh.nodes), -1)
+        same = np.flatnonzero(own[:, 0] == own[:, 1])
+        number[own[same, 0]] = same
+        shared = number[moving] >= 0
+        b, f = (_rows(np.flatnonzero(some)) for some in (shared, ~shared))
+        self._border = _rows(number[moving[shared]])
+        K = outer.tangent(part.nodes, self._gauge_pa)
+        g = outer.volume_gradient(part.nodes)[outer.moving].ravel()
+        self._stiffness, self._gradient = K[b][:, b].toarray(), g[b]
+        if not len(f):
+            return
+        far = K[f][:, f].tocsc()
+        far.sort_indices()
+        right = np.column_stack([K[f][:, b].toarray(), g[f]])
+        back = right.T @ Factoriser(far).factor(far.data).solve(right)
+        self._stiffness = self._stiffness - back[:-1, :-1]
+        self._gradient = self._gradient - back[:-1, -1]
+        self._give = float(back[-1, -1])
+
+    def _merge(self) -> None:
+        """Pattern of the tangent inside and the dense S together."""
+        own = self._inner.tangent(self.mesh.nodes, 0.0)
+        size = own.shape[0]
+        columns = np.repeat(np.arange(size), np.diff(own.indptr))
+        outer = (self._border[:, None] * size + self._border).ravel()
+        both = np.concatenate([columns * size + own.indices, outer])
+        keys, places = np.unique(both, return_inverse=True)
+        self._inner_places, self._outer_places = np.split(places, [own.nnz])
+        columns, rows = np.divmod(keys, size)
+        starts = np.searchsorted(columns, np.arange(size + 1))
+        pattern = sparse.csc_array((np.ones(len(keys)), rows, starts), shape=(size, size))
+        self._factoriser, self._entries = Factoriser(pattern), len(keys)
+
+    def covers(self, center: np.ndarray, reach_m: float) -> bool:
+        """Whether all within some way of a place is inside."""
+        return float(np.linalg.norm(center - self._center)) + reach_m <= self._reach_m
+
+    def linearised(
+        self,
+        # x, forces: (k, 3), nodes, m, and forces on them, N
+        x: np.ndarray,
+        forces: np.ndarray,
+        # (6, 3, 3, m), stiffness of what exerts them, as of `RubberMembrane.tangent`
+        added: np.ndarray,
+        gas: Gas | HeldPressure,
+    ) -> tuple[Tangent, np.ndarray]:
+        """Tangent at nodes x (k, 3), and the forces (k, 3) that are missing for equilibrium."""
+        inner = self._inner
+        border = (x - self.mesh.nodes)[self._moving].ravel()[self._border]
+        growth = inner.volume(x) - self._rest_volume + float(self._gradient @ border)
+        change, weight = gas.at(growth, self._give)
+        missed = forces - inner.residual(x, self._gauge_pa + change)
+        rest = np.zeros(3 * len(self._moving))
+        rest[self._border] = self._stiffness @ border - change * self._gradient
+        missed[self._moving] -= rest.reshape(-1, 3)
+        data = np.zeros(self._entries)
+        data[self._inner_places] = inner.tangent(x, self._gauge_pa + change, added).data
+        data[self._outer_places] += self._stiffness.T.ravel()
+        gradient = inner.volume_gradient(x)[self._moving].ravel()
+        gradient[self._border] += self._gradient
+        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), missed
+
+
+def _rows(nodes: np.ndarray) -> np.ndarray:
+    """Rows (3k,) of nodes (k,)."""
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
