@@ -6,7 +6,7 @@ import numpy as np
 import open3d
 import pytest
 
-from bubbleviz.membrane import ObjectSurface, RubberForward
+from bubbleviz.membrane import ObjectSurface, RubberForward, Submodel
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import (
     Directions,
@@ -128,6 +128,17 @@ def test_from_pose_to_pose_as_from_the_start(pipeline, rubber, contact):
     assert np.abs(followed.nodes - followed.part.mesh.nodes).max() > 8e-3
 
 
+def test_a_moved_object_is_followed_in_few_steps(pipeline, rubber, contact, monkeypatch):
+    """What touches stays in the tangent from pose to pose: 9 here, 15 where it is not kept."""
+    membrane, count = pressed(pipeline, rubber, "cylinder", PressOptions()), []
+    membrane.press(pose(), contact)
+    linearised = Submodel.linearised
+    monkeypatch.setattr(Submodel, "linearised", lambda *a: count.append(1) or linearised(*a))
+    for k in range(1, 5):
+        assert membrane.press(pose(x=0.003 + 4e-4 * k, z=0.040 - 2e-4 * k), contact) is not None
+    assert len(count) < 12
+
+
 def test_no_contact_and_the_membrane_is_at_rest(pipeline, rubber, contact):
     press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), contact)
     assert np.abs(press.nodes - press.part.mesh.nodes).max() < 1e-6
@@ -216,3 +227,31 @@ def test_a_step_is_least_squares_with_the_noise_that_the_image_has(contact, imag
     far = fit.step(change, contact, pose(), every, weak, none, valid_m=1e-3)
     assert far.way_m > options.step_m
     assert way_at(contact.radius_m, far.motion) == pytest.approx(options.step_m)
+
+
+def test_a_linear_model_serves_as_far_as_the_noise_hides_its_error(pipeline, rubber, contact):
+    """The noisier the image, the less a pose is off by an old model over what it does not know."""
+    every, none = Directions(np.eye(6), np.ones(6), np.zeros(6, bool)), np.zeros(6)
+    observer, served = pipeline.estimator.observer, []
+    look, fit = (
+        ImageFit(observer, pressed(pipeline, rubber, "cylinder"), ImageOptions()) for _ in range(2)
+    )
+    noise = np.random.default_rng(0).standard_normal(len(observer.pixel))
+    for sigma in (5e-4, 5e-3):
+        fit.forget()
+        for T in (pose(), pose(x=0.0045)):
+            found = look.predicted(T, contact)
+            change = np.full(len(noise), np.nan)
+            change[found.pixel] = found.expected_m + sigma * noise[found.pixel]
+            fit.step(change, contact, T, every, 1e-6 * np.eye(6), none, valid_m=0.0)
+        served.append(fit.valid_m)
+    assert served[1] > 1.1 * served[0]
+
+
+def test_a_press_that_failed_is_not_tried_again_close_by(pipeline, rubber, contact):
+    membrane = pressed(pipeline, rubber, "cylinder")
+    fit = ImageFit(pipeline.estimator.observer, membrane, ImageOptions())
+    lost = replace(contact, membrane=np.full_like(contact.membrane, np.nan))
+    assert fit.predicted(pose(), lost, valid_m=1e-3) is None
+    assert fit.predicted(pose(x=0.0032), contact, valid_m=1e-3) is None  # as nothing has changed
+    assert fit.predicted(pose(x=0.005), contact, valid_m=1e-3) is not None

@@ -1,0 +1,82 @@
+"""Part of a membrane with the rest condensed, against the whole; the gas that gives way."""
+
+import numpy as np
+import pytest
+from domes import GAUGE, A, H, dome
+
+from bubbleviz.membrane import Gas, HeldPressure, Submodel
+
+PLACE = np.array([0.01, 0.0, H])
+
+
+def whole_motion(membrane, gas, forces):
+    """Motions of all nodes under small forces on them, by the whole tangent with its gas."""
+    rest = membrane.mesh.nodes
+    K = membrane.tangent(rest, GAUGE).toarray()
+    g = membrane.volume_gradient(rest)[membrane.moving].ravel()
+    K += gas.at(0.0)[1] * np.outer(g, g)
+    motion = np.zeros_like(rest)
+    motion[membrane.moving] = np.linalg.solve(K, forces[membrane.moving].ravel()).reshape(-1, 3)
+    return motion
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("reach_m", [0.3 * A, 0.6 * A, 3.0 * A])
+def test_small_forces_move_a_part_as_they_move_the_whole(reach_m, held):
+    membrane, gas = dome(300)
+    if held:
+        gas = HeldPressure(0.0)
+    part = Submodel(membrane, PLACE, reach_m)
+    nodes = part.ends[:, 0]
+    inside = np.linalg.norm(part.mesh.nodes - PLACE, axis=1) < 0.2 * A
+    forces = np.where(inside[:, None], [1e-4, 2e-4, -1e-3], 0.0)
+    nothing = np.zeros((6, 3, 3, len(part.mesh.triangles)))
+    tangent, missed = part.linearised(part.mesh.nodes, forces, nothing, gas)
+    everywhere = np.zeros_like(membrane.mesh.nodes)
+    everywhere[nodes] = np.where(part.mesh.rim[:, None], 0.0, forces)
+    exact = whole_motion(membrane, gas, everywhere)[nodes]
+    assert inside.sum() > 5
+    np.testing.assert_allclose(tangent.moved(missed[None])[0], exact, atol=1e-9 * H)
+
+
+def test_a_finer_part_moves_as_a_coarse_one_and_keeps_its_nodes():
+    membrane, gas = dome(600)
+    motions = []
+    for finer_m in (0.0, 0.3 * A):
+        part = Submodel(membrane, PLACE, 0.7 * A, finer_m)
+        own = np.flatnonzero(part.ends[:, 0] == part.ends[:, 1])
+        areas = part.mesh.areas * (np.linalg.norm(part.mesh.nodes - PLACE, axis=1) < 0.2 * A)
+        forces = -100.0 * areas[:, None] * part.mesh.normals
+        nothing = np.zeros((6, 3, 3, len(part.mesh.triangles)))
+        tangent, missed = part.linearised(part.mesh.nodes, forces, nothing, gas)
+        whole = np.full(membrane.mesh.nodes.shape, np.nan)
+        whole[part.ends[own, 0]] = tangent.moved(missed[None])[0][own]
+        motions.append(whole)
+        np.testing.assert_array_equal(part.mesh.nodes[own], membrane.mesh.nodes[part.ends[own, 0]])
+    there = np.isfinite(motions[0][:, 0])
+    assert (there == np.isfinite(motions[1][:, 0])).all()
+    off = np.linalg.norm((motions[1] - motions[0])[there], axis=1).max()
+    assert off < 0.1 * np.linalg.norm(motions[0][there], axis=1).max()
+
+
+@pytest.mark.parametrize("give", [0.0, 1e-9, 3e-8])
+@pytest.mark.parametrize("growth", [-4e-5, 0.0, 6e-5])
+def test_gas_that_gives_way_obeys_boyle(growth, give):
+    gas = Gas(103_000.0, 5e-4, np.zeros(1))
+    change, stiffness = gas.at(growth, give)
+    assert (gas.P0 + change) * (gas.V0 + growth + give * change) == pytest.approx(gas.P0 * gas.V0)
+    step = 1e-9
+    slope = (gas.at(growth - step, give)[0] - gas.at(growth + step, give)[0]) / (2.0 * step)
+    assert stiffness == pytest.approx(slope, rel=1e-6)
+
+
+def test_work_on_the_gas_is_what_its_pressure_takes():
+    for gas in (Gas(103_000.0, 5e-4, np.zeros(1)), HeldPressure(-250.0)):
+        way = np.linspace(0.0, -5e-5, 2001)
+        work = -np.trapezoid([gas.at(v)[0] for v in way], way)
+        assert gas.energy(-5e-5) == pytest.approx(work, rel=1e-6)
+
+
+def test_no_volume_has_no_finite_pressure():
+    gas = Gas(103_000.0, 5e-4, np.zeros(1))
+    assert not np.isfinite([gas.at(-5e-4)[0], gas.energy(-5e-4)]).any()
