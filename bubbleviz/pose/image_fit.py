@@ -134,10 +134,10 @@ class ImageFit:
         """Set how far a linear model serves, by what one has missed over a way of the patch's edge.
 
         `squared` is the error that it has brought into the pose over the pose's own deviation,
-        squared. It grows with the square of the way, and may be as large as the deviation.
+        squared. That error grows with the square of the way.
         """
-        reach_m = way_m / max(squared, 1e-12) ** 0.25
-        reach_m = float(np.clip(reach_m, self._options.settled_m, self._options.step_m))
+        share = np.sqrt(max(squared, 1e-12)) / self._options.missed_share
+        reach_m = min(way_m / float(np.sqrt(share)), self._options.step_m)
         self.valid_m = float(np.sqrt(self.valid_m * reach_m))
 
     def _weights(self, residual_m: np.ndarray) -> np.ndarray:

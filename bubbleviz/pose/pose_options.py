@@ -64,6 +64,9 @@ class ImageOptions:
     # settled
     valid_m: float = 5e-4
     settled_m: float = 2e-4
+    # error that a kept linear model may bring into the pose, over the pose's standard deviation. It
+    # lasts from frame to frame, and is not averaged out as noise is.
+    missed_share: float = 0.1
     # first_steps, next_steps: most linear models in a first frame and in those that follow it
     first_steps: int = 10
     next_steps: int = 2
