@@ -87,6 +87,11 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     assert "marked" not in driver.window.playback.timeline.words(6)
     driver.key(Qt.Key.Key_PageDown)
     driver.wait(lambda: driver.state.frame == 3)
+    # one that ends early says so
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((tmp_path / "marked.mcap").read_bytes()[:-40])
+    driver.opens("cut.mcap", recording(cut), sensor)
+    driver.told("cut.mcap ends early")
 
 
 def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another_s(
@@ -98,18 +103,9 @@ def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another
     driver.wait(lambda: says_iou(driver))
     truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
     np.savez(tmp_path / "sim.npz", **truth)
-    driver = opened(drive, sensor, tmp_path / "sim.mcap")
+    driver.act("File › Reload")
     driver.told("sim.npz: is the truth of another recording")
-    assert not says_iou(driver)
-
-
-def test_recording_sensor_and_truth_are_dropped_together(drive, files):
-    driver = drive()
-    driver.show("threshold")
-    driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
-    driver.wait(lambda: driver.state.facts.frames == FRAMES)
-    driver.state.set_playing(False)
-    driver.wait(lambda: says_iou(driver))
+    driver.wait(lambda: not says_iou(driver))
 
 
 def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
@@ -120,12 +116,21 @@ def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     driver = drive()
     driver.act(menu)  # what is open is no recording
     driver.told("open the recording of that simulation first")
-    driver = opened(drive, sensor, files / "sim.mcap")
+    # recording, sensor and truth are dropped together
+    driver.show("threshold")
+    driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    driver.state.set_playing(False)
+    driver.wait(lambda: says_iou(driver))
+    # and without the truth there is no IoU until it is opened
+    driver.opens("sim.mcap", recording(files / "sim.mcap"), sensor, frame=2, playing=False)
+    driver.wait(lambda: not says_iou(driver))
+    driver.settle()
     arrays = dict(np.load(files / "what_is_true.npz"))
     np.savez(tmp_path / "other.npz", **{**arrays, "time_s": 1.5 * arrays["time_s"]})
     driver.drop(tmp_path / "other.npz")
     driver.told("other.npz: is the truth of another recording")
-    assert driver.state.facts.frames == FRAMES and driver.state.frame == 2
+    assert driver.state.facts.frames == FRAMES and driver.state.frame == 2 and not says_iou(driver)
     driver.act(menu)
     driver.wait(lambda: says_iou(driver))
 
@@ -143,9 +148,3 @@ def test_the_command_line_takes_a_truth(qtbot, sensor, files):
     assert "cannot be read as TRUTH.npz" in done.stderr
     refused = CliRunner().invoke(main, ["open", "--source", "synthetic:", "--truth", str(truth)])
     assert refused.exit_code == 2 and "--truth" in refused.stderr
-
-
-def test_a_recording_that_ends_early_says_so(drive, sensor, files, tmp_path):
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes((files / "sim.mcap").read_bytes()[:-40])
-    drive(recording(cut), sensor).told("cut.mcap ends early")

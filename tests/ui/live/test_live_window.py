@@ -139,7 +139,7 @@ def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
     live.follow(2)
     live.window.message.hide()
     monkeypatch.setattr(live_frames, "KEPT_S", 0.0)
-    for _ in range(3):
+    for _ in range(2):
         live.follow(5)
         live.key(Qt.Key.Key_F)
         assert live.state.frozen
@@ -180,7 +180,7 @@ def test_a_frozen_view_shows_one_frame_everywhere_and_what_it_missed_is_no_outag
     assert last not in [gap.after_frame for gap in live.state.facts.gaps]
     # a frozen view and a source that ended show one frame everywhere
     live.show("threshold")
-    for _ in range(3):
+    for _ in range(2):
         live.follow(3)
         live.window.playback.freeze.click()
         live.wait(lambda: live.state.frozen and one_frame_everywhere(live))

@@ -121,7 +121,7 @@ def test_both_stop_at_one_moment_and_the_panels_turn_to_the_other_and_back(open_
     """Whatever was asked for before and comes after."""
     bench = paired(open_bench)
     frames = bench.run.frames[1]
-    for _ in range(3):
+    for _ in range(2):
         bench.follow(3)
         bench.state.set_playing(False)
         bench.messages_come(3, sensor=1)

@@ -37,7 +37,7 @@ def wait_until_as_shown(driver):
     driver.wait(as_shown)
 
 
-def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive):
+def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_everywhere(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
     a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=20.0)
@@ -83,6 +83,34 @@ def test_both_outlines_are_in_the_picture_of_their_frame_alone(drive):
     driver.wait(lambda: outlines(driver)[0] > 20)
     dock.hide()
     assert outlines(driver) == [0, 0]
+    # a setting is used everywhere, and that is undone
+    window, panel, state = driver.window, driver.window.compare, driver.state
+    dock.show()
+    state.choose(compared=(Setting(), Setting(solver="linear", nodes=300, kappa=2.5)))
+    driver.click(panel.b.used)
+    driver.wait(lambda: driver.pipeline.options.nodes == 300)
+    driver.settle()
+    assert driver.pipeline.options.solver == "linear" and state.choices.kappa == 2.5
+    assert window.kappa.solver.currentText() == "setting B of Compare"
+    panel.b.block.setValue(2)  # of what is in use
+    driver.wait(lambda: driver.pipeline.options.block == 2)
+    session = driver.server.session.number
+    panel.a.block.setValue(3)  # of what is not
+    driver.settle()
+    assert driver.server.session.number == session
+    driver.type(panel.b.kappa, "4.5")
+    driver.wait(driver.thresholded)
+    assert state.choices.kappa == window.kappa.box.value() == 4.5
+    panel.a.kappa.setValue(7.0)
+    assert state.choices.kappa == 4.5
+    for _ in range(2):
+        window.undo_stack.undo()
+    assert state.choices.kappa == panel.b.kappa.value() == 2.5
+    for _ in range(3):
+        window.undo_stack.undo()
+    driver.wait(lambda: driver.pipeline.options.solver is None)
+    driver.settle()
+    assert state.choices.kappa is None and state.choices.solver is None
 
 
 def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
@@ -158,34 +186,3 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive)
     driver.wait(lambda: tangential() == f"{friction:.2f} N")
     driver.seek(0)
     assert window.status.labels["force"].toolTip().endswith("by depth alone: 0.00 N")
-
-
-def test_a_setting_is_used_everywhere_and_undone(drive):
-    driver = drive(DentSource, frame=PRESSED)
-    window, panel, state = driver.window, driver.window.compare, driver.state
-    driver.show("compare")
-    state.choose(compared=(Setting(), Setting(solver="linear", nodes=300, kappa=2.5)))
-    driver.click(panel.b.used)
-    driver.wait(lambda: driver.pipeline.options.nodes == 300)
-    driver.settle()
-    assert driver.pipeline.options.solver == "linear" and state.choices.kappa == 2.5
-    assert window.kappa.solver.currentText() == "setting B of Compare"
-    panel.b.block.setValue(2)  # of what is in use
-    driver.wait(lambda: driver.pipeline.options.block == 2)
-    session = driver.server.session.number
-    panel.a.block.setValue(3)  # of what is not
-    driver.settle()
-    assert driver.server.session.number == session
-    driver.type(panel.b.kappa, "4.5")
-    driver.wait(driver.thresholded)
-    assert state.choices.kappa == window.kappa.box.value() == 4.5
-    panel.a.kappa.setValue(7.0)
-    assert state.choices.kappa == 4.5
-    for _ in range(2):
-        window.undo_stack.undo()
-    assert state.choices.kappa == panel.b.kappa.value() == 2.5
-    for _ in range(3):
-        window.undo_stack.undo()
-    driver.wait(lambda: driver.pipeline.options.solver is None)
-    driver.settle()
-    assert state.choices.kappa is None and state.choices.solver is None

@@ -137,7 +137,9 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     assert len(middles) == 2
 
 
-def test_only_chosen_images_are_computed_and_nothing_is_picked_while_playing(drive):
+def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_playing(
+    drive, monkeypatch
+):
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts
     assert not any(name.startswith("look") for name in counts)
@@ -176,12 +178,9 @@ def test_only_chosen_images_are_computed_and_nothing_is_picked_while_playing(dri
     point()
     driver.wait(lambda: found.place is not None)
     driver.state.set_playing(False)
-
-
-def test_while_playing_not_every_frame_is_looked_at_closer(drive, monkeypatch):
-    driver = drive()
+    # while playing not every frame is looked at closer
     opened(driver, "depth", "change")
-    counts, controller = driver.pipeline.counts, driver.window.controller
+    controller = driver.window.controller
     monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
     before = counts["look change"], counts["total"]
     driver.state.choose(every_frame=True)

@@ -100,7 +100,9 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     assert not bench.pipelines
 
 
-def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive):
+def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_settings(
+    drive, press, sensor
+):
     """The automatic threshold has no κ, and the curve says what κ would make of the frame."""
     driver = drive(frame=CONTACT)
     panel, kappa = threshold(driver), driver.window.kappa
@@ -136,10 +138,9 @@ def test_one_rule_is_shown_at_a_time_and_small_parts_are_left_out(drive):
     driver.seek(CONTACT + 1)  # it stays left out
     left = components(driver.pipeline.mesh, driver.result.estimate, driver.result.patch)
     assert left and min(part.area_m2 for part in left) >= driver.state.choices.least_area_m2
-
-
-def test_in_a_simulation_the_curve_has_the_iou_and_two_settings_their_errors(drive, press, sensor):
-    driver = drive(frame=CONTACT)
+    # in a simulation the curve has the IoU
+    driver.choose(kappa=None, least_area_m2=0.0)
+    driver.seek(CONTACT)
     threshold(driver)
     curve = driver.inspection.kappa_curve
     driver.state.choose(kappa=float(curve.kappa[30]), images=frozenset({"patch"}))
@@ -156,19 +157,19 @@ def test_in_a_simulation_the_curve_has_the_iou_and_two_settings_their_errors(dri
     panel.b.nodes.setValue(100)
     driver.wait(lambda: panel.b.values["nodes"].text() not in ("–", panel.a.values["nodes"].text()))
     truth = truth_of(press, CONTACT)
-    for column in (panel.a, panel.b):
-        pipeline = Pipeline.of(sensor, options=column.setting.options)
+    for side in (panel.a, panel.b):
+        pipeline = Pipeline.of(sensor, options=side.setting.options)
         needed = frozenset({"estimate", "patch", "pixel_mask"})
         for _ in range(5):
             result = pipeline.process(press[CONTACT], needed)
         error = np.linalg.norm(result.patch.force_n - truth.force_n)
         relative = error / np.linalg.norm(truth.force_n)
-        shown = float(column.values["force_error"].text().removesuffix(" %"))
+        shown = float(side.values["force_error"].text().removesuffix(" %"))
         assert shown == pytest.approx(100 * relative, abs=1.0)
         agreed = iou(result.patch.pixel_mask, truth.patch_mask)
-        assert float(column.values["iou"].text()) == pytest.approx(agreed, abs=0.05)
-        assert column.values["total"].text().endswith(" ms")
-        assert column.values["nodes"].text() == str(len(pipeline.mesh.nodes))
+        assert float(side.values["iou"].text()) == pytest.approx(agreed, abs=0.05)
+        assert side.values["total"].text().endswith(" ms")
+        assert side.values["nodes"].text() == str(len(pipeline.mesh.nodes))
 
 
 def test_nothing_is_clipped(drive):

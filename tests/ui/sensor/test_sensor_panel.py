@@ -66,7 +66,9 @@ def bench(drive, left):
     made.let_go()
 
 
-def test_what_the_sensor_is_named_and_what_cannot_be_saved_is_not_lost(bench, left, monkeypatch):
+def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_used(
+    bench, left, monkeypatch
+):
     window, panel = bench.window, bench.panel
     assert "left finger (left.toml)" in window.windowTitle()
     assert "left finger (left.toml)" in window.status.labels["sensor"].toolTip()
@@ -93,27 +95,11 @@ def test_what_the_sensor_is_named_and_what_cannot_be_saved_is_not_lost(bench, le
     assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
     bench.click(bench.panel.cancel)
     assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
-
-
-def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
-    sensor = load_sensor(left)
-    camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
-    driver = drive(DentSource, sensor=sensor.model_copy(update={"camera": camera}))
-    driver.show("sensor")
-    panel = driver.window.sensor
-    row = panel.rows["camera.noise_relative"]
-    driver.wait(row.isVisible)
-    assert row.shown.text() == "0.0643 % of the range"
-    driver.click(panel.edit)
-    assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
-    assert row.unit.isVisible()
-    driver = drive(DentSource, sensor=load_sensor("pico_flexx_75mm"))
-    assert "soft-bubble pico flexx (preset)" in driver.window.windowTitle()
-    assert driver.window.sensor.file.text() == "preset"
-
-
-def test_a_copy_with_another_value_is_saved_and_used(bench, left, monkeypatch):
-    before, copy = left.read_bytes(), left.with_name("right.toml")
+    # a copy with another value is saved and used
+    bench.click(bench.window.message.dismiss)
+    bench.state.choose(pressure_unit="kPa", solver=None)
+    bench.settle()
+    copy = left.with_name("right.toml")
     bench.click(bench.panel.edit)
     bench.write(GAUGE, "5.259")
     assert "gauge_pressure_pa = 5.259" in bench.panel.problem.text()
@@ -142,6 +128,24 @@ def test_a_copy_with_another_value_is_saved_and_used(bench, left, monkeypatch):
     bench.told("double.toml: exists already")
 
 
+def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
+    sensor = load_sensor(left)
+    camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
+    driver = drive(DentSource, sensor=sensor.model_copy(update={"camera": camera}))
+    driver.show("sensor")
+    panel = driver.window.sensor
+    row = panel.rows["camera.noise_relative"]
+    driver.wait(row.isVisible)
+    assert row.shown.text() == "0.0643 % of the range"
+    driver.click(panel.edit)
+    assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
+    assert row.unit.isVisible()
+    driver.click(panel.cancel)
+    driver.opens("dent", DentSource, load_sensor("pico_flexx_75mm"), playing=False)
+    driver.wait(lambda: "soft-bubble pico flexx (preset)" in driver.window.windowTitle())
+    assert driver.window.sensor.file.text() == "preset"
+
+
 def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench, left):
     message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
@@ -162,9 +166,7 @@ def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench, left):
     bench.wait(lambda: "is gone" in message.label.text())
     left.write_text(text.replace("90.25", "95.5"))
     bench.wait(lambda: bench.panel.difference.isHidden())
-
-
-def test_pixels_that_change_are_told_and_the_panel_fits_a_small_screen(bench, left):
+    # so are pixels that change, and the panel fits a small screen
     pixels, dock = left.with_suffix(".npz"), bench.window.panels["sensor"]
     pixels.write_bytes(pixels.read_bytes())
     bench.told("mesh or pixels have changed on disk")

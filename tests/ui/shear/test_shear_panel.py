@@ -76,16 +76,22 @@ def test_hidden_nothing_of_it_runs_and_its_scene_opens_it(drive, rubber):
 
 
 def test_frames_that_pass_without_contact_are_the_reference(drive, rubber):
+    """One of another size among them begins them anew, and one after them is left to depth."""
     pytest.importorskip("cv2")
-    driver, _ = opened(drive, rubber)
+    odd = COLLECTED + 1
+    driver, _ = opened(drive, rubber, halved=frozenset({0, odd}))
     shown(driver)
     panel, controller = driver.window.shear, driver.window.controller
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
-    for k in range(1, COLLECTED):
+    for k in range(1, odd):
         driver.seek(k)
     driver.wait(lambda: f"{COLLECTED - LAG} images without contact" in panel.reference.text())
     assert panel.reference.text().endswith("; colour camera: no pose")
-    driver.seek(COLLECTED)
+    driver.seek(odd)
+    result = controller.result
+    assert result.frame.index == odd and result.estimate.status == "no_contact"
+    assert not len(result.flow.pixel) and "40×30 pixels, the contact-free" in result.flow.problem
+    driver.seek(odd + 1)
     flow = controller.result.flow
     assert len(flow.pixel) > 20
     assert np.sqrt(np.mean(flow.moved_px**2)) < 0.1  # nothing moved
@@ -94,22 +100,6 @@ def test_frames_that_pass_without_contact_are_the_reference(drive, rubber):
     assert panel.values["direction"].text() == "–"
     driver.click(panel.collect)
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
-
-
-def test_an_image_of_another_size_leaves_its_frame_to_depth(drive, rubber):
-    """Among those that are collected it begins them anew."""
-    pytest.importorskip("cv2")
-    driver, _ = opened(drive, rubber, halved=frozenset({0, COLLECTED + 1}))
-    shown(driver)
-    panel, controller = driver.window.shear, driver.window.controller
-    driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
-    for k in range(1, COLLECTED + 1):
-        driver.seek(k)
-    driver.wait(lambda: f"{COLLECTED - LAG} images without contact" in panel.reference.text())
-    driver.seek(COLLECTED + 1)
-    result = controller.result
-    assert result.frame.index == COLLECTED + 1 and result.estimate.status == "no_contact"
-    assert not len(result.flow.pixel) and "40×30 pixels, the contact-free" in result.flow.problem
 
 
 def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):

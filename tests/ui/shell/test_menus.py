@@ -8,8 +8,17 @@ from window_driver import CTRL, texts
 from bubbleviz_ui.live.connection import single
 
 
-def test_check_marks_follow_the_state(drive):
-    driver = drive(frame=3)
+def close(driver):
+    """Press Ctrl+W and wait until the sensor is alone."""
+    driver.key(Qt.Key.Key_W, CTRL)
+    assert driver.window.busy.label.text() == "Closing …"
+    driver.wait(lambda: driver.window.windowTitle().startswith("nothing open – "))
+    driver.settle()
+
+
+def test_check_marks_follow_the_state_and_close_leaves_the_sensor_at_rest(drive, sensor):
+    source = DentSource(sensor)
+    driver = drive(lambda _: source, frame=3)
     state, tools = driver.state, driver.window.tools
     for name, choice in (("Playback › Loop", "loop"), ("Playback › Every frame", "every_frame")):
         before = getattr(state.choices, choice)
@@ -44,19 +53,8 @@ def test_check_marks_follow_the_state(drive):
         assert driver.window.shortcuts.actions[name].isCheckable()
         driver.act(name)
         assert not driver.ticked(name), name
-
-
-def close(driver):
-    """Press Ctrl+W and wait until the sensor is alone."""
-    driver.key(Qt.Key.Key_W, CTRL)
-    assert driver.window.busy.label.text() == "Closing …"
-    driver.wait(lambda: driver.window.windowTitle().startswith("nothing open – "))
-    driver.settle()
-
-
-def test_a_recording_is_closed_by_its_key_and_the_sensor_stays_at_rest(drive, sensor):
-    source = DentSource(sensor)
-    driver = drive(lambda _: source, frame=11)
+    # a recording is closed by its key, and the sensor stays at rest
+    driver.seek(11)
     assert len(driver.warm_pixels()) > 100 and not source.closed
     close(driver)
     assert source.closed and driver.pipeline.model.sensor == sensor

@@ -51,13 +51,12 @@ def test_keys_are_listed_changed_refused_and_reset(drive):
     driver.click(dialog.clear)
     assert shortcuts.keys(PLAY) == ""
     dialog.close()
-
-
-def test_keys_go_with_the_session(drive):
-    one, other = drive(), drive()
-    one.window.shortcuts.set_keys(LOOP, QKeySequence())
-    one.window.shortcuts.set_keys(PLAY, QKeySequence("L"))
-    saved = one.window.session_saver.snapshot().shortcuts
+    # they go with the session
+    shortcuts.set_keys(LOOP, QKeySequence())
+    shortcuts.set_keys(PLAY, QKeySequence("L"))
+    saved = driver.window.session_saver.snapshot().shortcuts
     assert saved == {PLAY: "L", LOOP: ""}
-    other.window.shortcuts.use(saved)
-    assert other.window.shortcuts.changed == saved
+    shortcuts.reset_all()
+    assert not shortcuts.changed
+    shortcuts.use(saved)
+    assert shortcuts.changed == saved
