@@ -66,6 +66,7 @@ from .rubber_forward import (
     checked_friction as checked_friction,
 )
 from .sparse_factor import (
+    Factor as Factor,
     Factoriser as Factoriser,
     NodeBlocks as NodeBlocks,
     symmetric_lu as symmetric_lu,
