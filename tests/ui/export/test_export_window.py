@@ -109,7 +109,7 @@ SERIES = {
 }
 
 
-def test_series_are_folders_and_plots_files(bench, tmp_path):
+def test_series_are_folders_plots_files_and_what_is_cancelled_nothing(bench, tmp_path):
     first, last = 3, 6
     bench.state.choose_range((first, last))
     for title, suffix in SERIES.items():
@@ -127,6 +127,21 @@ def test_series_are_folders_and_plots_files(bench, tmp_path):
         bench.export("Plots", tmp_path / "plots", f"{suffix.upper()} (*.{suffix})")
         assert (tmp_path / f"plots.{suffix}").stat().st_size > 10_000
     assert not QImage(str(tmp_path / "plots.png")).isNull()
+    # one that is cancelled leaves nothing
+    dialog, cancelled = bench.dialog, tmp_path / "cancelled"
+    cancelled.mkdir()
+    bench.state.choose(picture_size=(1600, 1200))
+    for title, out in (
+        ("Video of the view", cancelled / "a.mp4"),
+        ("Membrane series", cancelled / "b"),
+    ):
+        bench.begin(title, out)
+        assert dialog.cancel.isVisible() and not dialog.export.isEnabled()
+        bench.click(dialog.cancel)
+        assert not dialog.cancel.isVisible() and dialog.export.isEnabled()
+    bench.seek(9)
+    bench.window.exporting.close()
+    assert not list(cancelled.iterdir()) and bench.state.frame == 9
 
 
 def pictures(path):
@@ -195,22 +210,6 @@ def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tm
         pipeline.settle(source[frame])
         alone = pipeline.process(source[frame], frozenset({"patch"}), options)
         assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
-
-
-def test_a_cancelled_export_leaves_nothing(bench, tmp_path):
-    driver, dialog = bench, bench.dialog
-    driver.state.choose(picture_size=(1600, 1200))
-    for title, out in (
-        ("Video of the view", tmp_path / "a.mp4"),
-        ("Membrane series", tmp_path / "b"),
-    ):
-        bench.begin(title, out)
-        assert dialog.cancel.isVisible() and not dialog.export.isEnabled()
-        driver.click(dialog.cancel)
-        assert not dialog.cancel.isVisible() and dialog.export.isEnabled()
-    driver.seek(9)
-    driver.window.exporting.close()
-    assert not list(tmp_path.iterdir()) and driver.state.frame == 9
 
 
 def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(drive, monkeypatch, tmp_path):

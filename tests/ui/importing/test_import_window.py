@@ -124,7 +124,7 @@ def test_only_what_applies_is_shown(bench, images, tmp_path):
         np.testing.assert_array_equal(after[5].depth_m, before[5].depth_m)
 
 
-def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, images):
+def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, images, tmp_path):
     before = sorted(images.parent.rglob("*"))
     bench.choose_folder(images)
     assert "give a rate, or their times" in bench.run()
@@ -139,9 +139,8 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, imag
     assert "3 frames" in bench.run()
     assert not bench.window.message.isVisible()
     assert "exists already" in bench.run()
-
-
-def test_typing_a_name_that_is_not_there(bench, tmp_path):
+    # a name that is typed is not there
+    bench.dialog.source.line.clear()
     bench.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
     assert bench.dialog.out.text() == str(tmp_path / "such.mcap")
     assert "/no/such.bag" in bench.run()

@@ -14,7 +14,6 @@ from bubbleviz_ui.view3d.render_view import FAST, SMOOTH
 DIFFERENT = 30
 """Steps of 255: what dithering or rounding may make is less."""
 NAMES = FAST.name, SMOOTH.name
-QUALITIES = pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
 
 
 def on_screen(driver):
@@ -50,8 +49,8 @@ def assert_shown(driver, before):
     assert share_that_differs(seen[-1], driver.pixels()) < 1e-3
 
 
-@QUALITIES
-def test_every_frame_reaches_the_screen(drive, quality):
+@pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
+def test_every_frame_reaches_the_screen_and_what_covered_it_leaves_nothing_behind(drive, quality):
     """By the view's own swap, and by Qt's."""
     driver = drive(quality=quality)
     assert (driver.window.view.windowHandle() is not None) is quality.own_swap
@@ -60,6 +59,19 @@ def test_every_frame_reaches_the_screen(drive, quality):
         driver.state.seek(frame)
         driver.wait(lambda frame=frame: driver.result.frame.index == frame)
         assert_shown(driver, before)
+    # what covered the panels leaves nothing behind
+    driver.seek(3)
+    kinds = (Qt.WindowType.Popup, Qt.WindowType.ToolTip, Qt.WindowType.Dialog)
+    for kind, panel in product(kinds, (driver.window.playback, driver.window.layers)):
+        before = seen_of(panel)
+        above = QLabel("menu")
+        above.setStyleSheet("background: #a03030")
+        above.setWindowFlags(kind)
+        above.setGeometry(QRect(panel.mapToGlobal(QPoint(20, 10)), QSize(200, 90)))
+        above.show()
+        driver.wait(lambda panel=panel, before=before: not same(seen_of(panel), before))
+        above.close()
+        driver.wait(lambda panel=panel, before=before: same(seen_of(panel), before))
 
 
 @pytest.mark.parametrize("quality", [FAST, pytest.param(SMOOTH, marks=pytest.mark.long)], ids=NAMES)
@@ -102,23 +114,6 @@ def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive, qu
     old = before()
     driver.state.choose(theme="light")
     assert_shown(driver, old)
-
-
-@QUALITIES
-def test_what_covered_the_panels_leaves_nothing_behind(drive, quality):
-    driver = drive(quality=quality)
-    driver.seek(3)
-    kinds = (Qt.WindowType.Popup, Qt.WindowType.ToolTip, Qt.WindowType.Dialog)
-    for kind, panel in product(kinds, (driver.window.playback, driver.window.layers)):
-        before = seen_of(panel)
-        above = QLabel("menu")
-        above.setStyleSheet("background: #a03030")
-        above.setWindowFlags(kind)
-        above.setGeometry(QRect(panel.mapToGlobal(QPoint(20, 10)), QSize(200, 90)))
-        above.show()
-        driver.wait(lambda panel=panel, before=before: not same(seen_of(panel), before))
-        above.close()
-        driver.wait(lambda panel=panel, before=before: same(seen_of(panel), before))
 
 
 def same(a, b):
