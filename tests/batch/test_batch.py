@@ -29,7 +29,7 @@ from bubbleviz.errors import InputError
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
-LONG = 150  # frames
+LONG = 80  # frames
 FILES = {"result.npz", "result.csv", "summary.json"}
 
 

@@ -4,20 +4,16 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import tomli_w
 from click.testing import CliRunner
+from small_press import small_source, write_small_sensor
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "frames"))
-from small_press import small_source, write_small_sensor
-
 from tests.recordings.bagmaker import START, BagMaker, depth_image
 
 SIZE = (32, 24)

@@ -194,33 +194,9 @@ def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     bench.wait(lambda: bench.text("state") == "not fitted yet")
 
 
-def test_poses_that_were_forgotten_are_brought_back(bench):
-    bench.choose_object("frustum")
-    bench.click(bench.panel.track)
-    session, stack = bench.panel.session, bench.window.undo_stack
-    for frame in (1, 2):
-        bench.seek(frame)
-    bench.wait(lambda: {1, 2} <= session.rows.keys())
-    rows, steps = dict(session.rows), stack.index()
-    place = bench.window.scene.object.place
-    bench.key(Qt.Key.Key_X)  # beside Z: no key of anything
-    assert stack.index() == steps and session.rows == rows
-    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
-    bench.settle()
-    assert not session.rows and not bench.panel.track.isChecked()
-    assert bench.drawn() == GAP and stack.index() == steps + 1  # above the membrane, not found
-    bench.key(Qt.Key.Key_Z, CTRL)
-    assert session.rows == rows and bench.panel.track.isChecked()
-    assert np.array_equal(bench.window.scene.object.place, place)
-    bench.seek(3)  # tracked on
-    bench.wait(lambda: 3 in session.rows)
-    assert session.rows[3]["status"] == "ok"
-    bench.key(Qt.Key.Key_Z, CTRL | SHIFT)
-    bench.wait(lambda: bench.text("state") == "not fitted yet")
-    assert not session.rows and not bench.panel.track.isChecked()
-
-
-def test_tracking_runs_only_when_asked_and_exports(bench, tmp_path, monkeypatch):
+def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_brought_back(
+    bench, tmp_path, monkeypatch
+):
     bench.choose_object("frustum")
     counts = bench.pipeline.counts
     bench.seek(1)
@@ -243,11 +219,32 @@ def test_tracking_runs_only_when_asked_and_exports(bench, tmp_path, monkeypatch)
     assert np.loadtxt(tmp_path / "p.tum").shape == (FRAMES - 1, 8)
     bench.click(bench.panel.csv)  # the name of the last dialog is taken
     assert "exists already" in bench.window.message.label.text()
+    # poses that were forgotten are brought back
+    stack, rows = bench.window.undo_stack, dict(session.rows)
+    steps, place = stack.index(), bench.window.scene.object.place
+    bench.key(Qt.Key.Key_X)  # beside Z: no key of anything
+    assert stack.index() == steps and session.rows == rows
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
+    bench.settle()
+    assert not session.rows and not bench.panel.track.isChecked()
+    assert bench.drawn() == GAP and stack.index() == steps + 1  # above the membrane, not found
+    bench.key(Qt.Key.Key_Z, CTRL)
+    assert session.rows == rows and bench.panel.track.isChecked()
+    assert np.array_equal(bench.window.scene.object.place, place)
+    bench.seek(0)  # tracked on
+    bench.wait(lambda: 0 in session.rows)
+    assert session.rows[0]["status"] == "ok"
+    bench.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    bench.wait(lambda: bench.text("state") == "not fitted yet")
+    assert not session.rows and not bench.panel.track.isChecked()
+    bench.click(bench.panel.track)
+    bench.seek(2)
+    bench.wait(lambda: session.pose is not None)
     # closing what shows it stops it
     ran = counts["pose"]
     bench.window.panels["pose"].hide()
     bench.state.choose(layers=frozenset({"membrane"}))
-    bench.seek(0)
+    bench.seek(1)
     assert counts["pose"] == ran
 
 
