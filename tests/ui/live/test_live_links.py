@@ -15,7 +15,7 @@ SHORT, FULL = 1, 3
 """How often a robot is killed."""
 
 
-def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench):
+def test_what_cannot_be_connected_or_ends_is_a_sentence_and_the_rest_goes_on(open_bench, tmp_path):
     live, port = connected(open_bench), free_port()
     name, control = sensor_file(live.folder), live.live_controller
     for source, words in (
@@ -34,24 +34,20 @@ def test_what_cannot_be_connected_is_a_sentence_and_the_rest_goes_on(open_bench)
     live.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in live.window.live.state.text())
     live.window.live.leave.click()
     assert control.connection is None
-
-
-def test_after_the_end_one_goes_on_with_what_there_is(open_bench, tmp_path):
-    bench = open_bench()
-    name = sensor_file(bench.folder)
+    # after the end of a source one goes on with what there is
     path = record_dents(tmp_path / "rec.mcap", presses=1)
     slowly = f"replay:{path}?speed=0.2"  # slow machines leave some out, not the last
-    bench.live_controller.connect_to(single(slowly, name))
-    bench.wait(lambda: "ended" in bench.window.live.state.text())
-    bench.state.seek(1)
-    bench.wait(lambda: bench.shown == 1)
-    layers = bench.state.choices.layers | {"wireframe", "cloud"}
-    bench.state.choose(layers=layers)
-    bench.wait(lambda: bench.window.controller.result.cloud_m is not None)
-    bench.window.live.leave.click()
-    assert bench.live_controller.run is None
-    bench.state.seek(0)
-    bench.wait(lambda: bench.shown == 0)
+    control.connect_to(single(slowly, name))
+    live.wait(lambda: "ended" in live.window.live.state.text())
+    live.state.seek(1)
+    live.wait(lambda: live.shown == 1)
+    layers = live.state.choices.layers | {"wireframe", "cloud"}
+    live.state.choose(layers=layers)
+    live.wait(lambda: live.window.controller.result.cloud_m is not None)
+    live.window.live.leave.click()
+    assert control.run is None
+    live.state.seek(0)
+    live.wait(lambda: live.shown == 0)
 
 
 def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench):

@@ -19,8 +19,30 @@ from bubbleviz.live import SessionOptions, TopicNames, ZenohSource
 from bubbleviz.recordings import Recording
 
 
-def test_the_recording_has_all_with_markers_and_notes(open_bench):
+def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_whole(
+    open_bench, monkeypatch
+):
     live = connected(open_bench)
+    live.window.live.record.button.click()
+    live.wait(lambda: live.status().messages > 5)
+    own = live.stop().parent
+    assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
+    assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
+    begun = list[str]()  # where a dialog that opens a recording begins
+
+    def asked(parent, title, folder, kinds):
+        begun.append(folder)
+        return "", ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
+    live.act("File › Open recording")
+    chosen = str(live.folder)
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
+    live.act("Live › Recordings go to")
+    assert live.state.choices.record_folder == chosen
+    live.act("File › Open recording")
+    assert begun == [str(own), chosen]
+    # it has all, with markers and notes
     controls = live.window.live.record
     controls.pre_roll.setValue(3.0)
     live.follow(5)
@@ -46,29 +68,7 @@ def test_the_recording_has_all_with_markers_and_notes(open_bench):
     assert live.state.markers
     with AnyReader([path]) as reader:
         assert {c.msgtype for c in reader.connections} == set(found)
-
-
-def test_recordings_have_a_folder_of_their_own_and_closing_ends_one_whole(open_bench, monkeypatch):
-    live = connected(open_bench)
-    live.window.live.record.button.click()
-    live.wait(lambda: live.status().messages > 5)
-    own = live.stop().parent
-    assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
-    assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
-    begun = list[str]()  # where a dialog that opens a recording begins
-
-    def asked(parent, title, folder, kinds):
-        begun.append(folder)
-        return "", ""
-
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
-    live.act("File › Open recording")
-    chosen = str(live.folder)
-    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
-    live.act("Live › Recordings go to")
-    assert live.state.choices.record_folder == chosen
-    live.act("File › Open recording")
-    assert begun == [str(own), chosen]
+    # closing ends one whole
     live.record()
     path = Path(live.status().path)
     live.window.close()

@@ -26,38 +26,6 @@ def said_m(driver):
     return 1e-3 * float(said.split()[0])
 
 
-def test_colour_bars_have_as_many_numbers_as_there_is_room_for(drive):
-    """Each row of text is apart from the next: no number touches another, or a title."""
-    driver = drive()
-    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
-    window, counts = driver.window, []
-    for height in (700, 340, 100):
-        window.resize(1024, height)
-        window.view.camera.Azimuth(180.0)  # nothing behind the bars
-        window.view.camera.Dolly(0.1)
-        driver.settle()
-        ink = window.view.pixels()[:, -WIDTH + 20 :].min(axis=2) > 120  # right of the colours
-        rows = np.flatnonzero(np.diff(np.r_[0, ink.any(axis=1), 0])).reshape(-1, 2)
-        assert (rows[1:, 0] - rows[:-1, 1]).min() >= 2
-        assert rows[0, 0] > 0 and rows[-1, 1] < window.view.height()
-        counts.append(int(np.count_nonzero(np.diff(rows, axis=1) <= TEXT)))
-    of_a_title = 2  # the other one's rows touch
-    assert counts == [10 + of_a_title, 6 + of_a_title, 4 + of_a_title]
-    assert window.view.height() == LOWEST
-    # scales end at round numbers in every unit
-    driver.seek(11)
-    bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
-    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
-    for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
-        driver.choose(**units)
-        ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
-        assert len(ends) == 2
-        assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends
-    driver.state.choose(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
-    driver.settle()
-    assert any(bar.GetLookupTable().GetRange()[1] == pytest.approx(2.2) for bar in bars)
-
-
 def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_says(drive):
     """Also after the window, and so the view, has another size."""
     driver = drive()
@@ -89,3 +57,32 @@ def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_
         assert f"{said_m(driver):.0e}"[0] in "125"
         lengths.add(said_m(driver))
     assert len(lengths) == 3
+    # colour bars have as many numbers as there is room for: no text touches another
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    window.scene.reset_view()
+    counts = []
+    for height in (700, 340, 100):
+        window.resize(1024, height)
+        window.view.camera.Azimuth(180.0)  # nothing behind the bars
+        window.view.camera.Dolly(0.1)
+        driver.settle()
+        ink = window.view.pixels()[:, -WIDTH + 20 :].min(axis=2) > 120  # right of the colours
+        rows = np.flatnonzero(np.diff(np.r_[0, ink.any(axis=1), 0])).reshape(-1, 2)
+        assert (rows[1:, 0] - rows[:-1, 1]).min() >= 2
+        assert rows[0, 0] > 0 and rows[-1, 1] < window.view.height()
+        counts.append(int(np.count_nonzero(np.diff(rows, axis=1) <= TEXT)))
+    of_a_title = 2  # the other one's rows touch
+    assert counts == [10 + of_a_title, 6 + of_a_title, 4 + of_a_title]
+    assert window.view.height() == LOWEST
+    # scales end at round numbers in every unit
+    driver.seek(11)
+    bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
+    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
+        driver.choose(**units)
+        ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
+        assert len(ends) == 2
+        assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends
+    driver.state.choose(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
+    driver.settle()
+    assert any(bar.GetLookupTable().GetRange()[1] == pytest.approx(2.2) for bar in bars)
