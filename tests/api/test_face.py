@@ -32,9 +32,15 @@ def recording(sensor):
     return write_press(sensor.with_name("press.mcap"), sensor)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def frames(recording):
     return bv.open(recording)
+
+
+@pytest.fixture(scope="module")
+def estimated(frames, sensor):
+    """The run of all frames."""
+    return bv.estimate(frames, sensor)
 
 
 def cli(*words):
@@ -106,8 +112,8 @@ def test_numbers_are_those_of_the_command(recording, sensor, tmp_path):
         np.testing.assert_array_equal(found.pixel_mask, mask)
 
 
-def test_a_run_is_like_a_list_with_arrays(frames, sensor):
-    run = bv.estimate(frames, sensor)
+def test_a_run_is_like_a_list_with_arrays(estimated):
+    run = estimated
     touched = run.status == "ok"
     assert np.flatnonzero(touched).tolist() == TOUCHING
     assert run.force_n.shape == (5, 3) and (run.force_n[touched, 2] < -1.0).all()
@@ -244,11 +250,11 @@ def test_a_saved_sensor_keeps_the_delay_of_colour(tmp_path):
         bv.load_sensor(tmp_path / "wrong.toml")
 
 
-def test_pictures(frames, sensor, tmp_path):
+def test_pictures(estimated, tmp_path):
     pytest.importorskip("pyvista", reason="the extra window is not installed")
     from matplotlib.image import imread
 
-    run = bv.estimate(frames[1:4], sensor)
+    run = estimated[1:4]
     run[1].plot(tmp_path / "frame.png")
     figure = run.plot(tmp_path / "run.svg")
     image = imread(tmp_path / "frame.png")[..., :3]
@@ -260,22 +266,21 @@ def test_pictures(frames, sensor, tmp_path):
         run[1].plot(tmp_path / "frame.png")
 
 
-def test_a_table_and_a_dataset(frames, sensor):
+def test_a_table_and_a_dataset(estimated):
     pytest.importorskip("pandas", reason="the extra notebook is not installed")
     pytest.importorskip("xarray", reason="the extra notebook is not installed")
-    run = bv.estimate(frames, sensor)
-    table, data = run.table(), run.dataset()
+    table, data = estimated.table(), estimated.dataset()
     assert table.index.tolist() == [0, 1, 2, 3, 4]
-    assert table.force_z_n[2] == run.force_n[2, 2]
+    assert table.force_z_n[2] == estimated.force_n[2, 2]
     pressed = data.contact_pressure_pa.sel(frame=2)
-    np.testing.assert_array_equal(pressed, run[2].contact_pressure_pa)
+    np.testing.assert_array_equal(pressed, estimated[2].contact_pressure_pa)
     assert data.force_n.dims == ("frame", "axis")
 
 
-def test_without_pandas_one_sentence_says_what_to_install(frames, sensor, monkeypatch):
+def test_without_pandas_one_sentence_says_what_to_install(estimated, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(bv.InputError, match=r"pandas is not installed; run .*\[notebook\]"):
-        bv.estimate(frames[2:3], sensor).table()
+        estimated.table()
 
 
 def blas_threads():
