@@ -17,12 +17,18 @@ from streams import recorded
 from wire import NOW, PERIOD, depth
 
 import bubbleviz as bv
-from benchmarks.window.live_soak import free_port, sequences, soak
+from benchmarks.window.live_soak import Measured, free_port, report_of, sequences, soak
 from bubbleviz.api.frames import info
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
-from bubbleviz.live import SessionOptions, ZenohSource, open_session, open_stream
+from bubbleviz.live import (
+    RecorderStatus,
+    SessionOptions,
+    ZenohSource,
+    open_session,
+    open_stream,
+)
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor
 
@@ -360,16 +366,18 @@ def test_the_soak_in_small(small_sensor_file, tmp_path):
     assert "0 missing" in report.to_text()
 
 
-def test_a_soak_without_a_solved_frame_says_so(small_sensor_file, tmp_path):
-    with pytest.raises(InputError, match="0 solved within 0 s: nothing to report"):
-        soak(str(small_sensor_file), 0.0, 60.0, tmp_path / "soak.mcap")
-
-
-def test_the_soak_sees_what_is_missing(tmp_path):
+def test_the_soak_sees_what_is_missing_and_a_soak_without_a_solved_frame_says_so(tmp_path):
     """The count that decides is not blind: a file with a hole has a hole."""
     messages = [depth(NOW + k * PERIOD, k)._replace(sequence=k) for k in (5, 6, 8, 8, 9)]
     path = recorded(tmp_path / "rec.mcap", messages)
     assert sequences(path).tolist() == [5, 6, 8, 8, 9]
+    status = RecorderStatus(path, 5, 0, 0, 0, path.stat().st_size, "")
+    measured = Measured(1, 0, [0.02], [(0.0, 1)], status, sent=11)
+    report = report_of(measured, path, 1.0, 60.0)
+    assert (report.missing, report.repeated, report.sent) == (3, 1, 7)  # 7, 10 and 11
+    nothing = replace(measured, solved=0, ages_s=[])
+    with pytest.raises(InputError, match="0 solved within 0 s: nothing to report"):
+        report_of(nothing, path, 0.0, 60.0)
 
 
 def test_plain_commands_load_nothing_of_this():
