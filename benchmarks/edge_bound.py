@@ -96,7 +96,7 @@ def _ranges(
     x = mesh.nodes + at_nodes(mesh, own, sighting.truth.displacement_3d_m)
     view = estimator.observer.around(x)
     weight = estimator.observer.observe_everything().weight[view.block]
-    rubber = estimator.equilibrium.linearised(x, load / mesh.areas, None)
+    rubber = estimator.bubble.linearised(x, load / mesh.areas, None)
     nodes = np.flatnonzero(moved.any(axis=1) & ~mesh.rim)
     area = np.linalg.norm(rubber.area_vectors[nodes], axis=1)
     motion = rubber.responses(nodes) @ (moved[nodes] / area[:, None])

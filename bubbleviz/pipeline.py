@@ -25,7 +25,7 @@ from bubbleviz.inverse import (
     Estimator,
     EstimatorOptions,
     PatchFinder,
-    RubberEquilibrium,
+    RubberBubble,
     mesh_limits,
     without_small,
 )
@@ -136,7 +136,7 @@ class Pipeline:
             stress = rest_stress(model.sensor, model.mesh)
             material = model.sensor, model.mesh, tension, self.options.rim_slack_m, stress
             rubber, varied = build_rubber(*material), varied_rubber(*material)
-            return Estimator(observer, RubberEquilibrium(rubber, model.gas, varied), self.options)
+            return Estimator(observer, RubberBubble(rubber, model.gas, varied), self.options)
         film = ConstantTension(model.mesh, model.tension_n_per_m, model.gas)
         if self.options.solver == PAPER:
             from bubbleviz.inverse import PaperEstimator  # nobody else needs it

@@ -63,5 +63,5 @@ from .plausibility import (
 from .response import (
     ConstantTension as ConstantTension,
     LinearisedRubber as LinearisedRubber,
-    RubberEquilibrium as RubberEquilibrium,
+    RubberBubble as RubberBubble,
 )

@@ -24,7 +24,7 @@ from bubbleviz.inverse.contact_problem import (
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.gauss_newton import SERVES
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
-from bubbleviz.inverse.response import ConstantTension, Equilibrium, RubberEquilibrium
+from bubbleviz.inverse.response import Bubble, ConstantTension, RubberBubble
 from bubbleviz.membrane import MembraneMesh, Refined, grown, parts_with, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
@@ -55,7 +55,7 @@ class _Part:
         Nodes of the whole mesh whose triangles are finer.
     finer : Refined
     observer : RangeObserver
-    equilibrium : Equilibrium
+    bubble : Bubble
     prior : Prior
     resolution_m : float
         At the noise of the camera.
@@ -64,7 +64,7 @@ class _Part:
     cut: np.ndarray
     finer: Refined
     observer: RangeObserver
-    equilibrium: Equilibrium
+    bubble: Bubble
     prior: Prior
     resolution_m: float
 
@@ -135,16 +135,16 @@ class ContactRefiner:
             cut,
             finer,
             observer,
-            self._equilibrium(finer),
+            self._bubble(finer),
             prior,
             resolution_m(estimator.prior_weight, self._model.tension_n_per_m, seen),
         )
 
-    def _equilibrium(self, finer: Refined) -> Equilibrium:
-        whole = self._estimator.equilibrium
-        if isinstance(whole, RubberEquilibrium):
+    def _bubble(self, finer: Refined) -> Bubble:
+        whole = self._estimator.bubble
+        if isinstance(whole, RubberBubble):
             membrane = whole.membrane.on(finer.mesh, finer.parent)
-            return RubberEquilibrium(membrane, whole.gas)
+            return RubberBubble(membrane, whole.gas)
         return ConstantTension(finer.mesh, whole.tension_n_per_m, whole.gas.behind(finer.mesh))
 
     def _observer(self, mesh: MembraneMesh, inside: np.ndarray) -> RangeObserver:
@@ -162,7 +162,7 @@ class ContactRefiner:
     def _solve(
         self, part: _Part, depth_m: np.ndarray, estimate: Estimate, noise: float
     ) -> FineContact | None:
-        finer, observer, equilibrium = part.finer, part.observer, part.equilibrium
+        finer, observer, bubble = part.finer, part.observer, part.bubble
         gas, least = estimate.gas_pressure_change_pa, self._gas_pressure(estimate)
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
@@ -184,8 +184,8 @@ class ContactRefiner:
             weight = observation.weight[view.block] / noise**2
             ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(x)))
             if response is None or float(np.abs(x - response.x).max()) > self._serves_m:
-                response = equilibrium.linearised(x, pressure, gas)
-            relaxing = response.motion(friction - equilibrium.residual(x, pressure, gas))
+                response = bubble.linearised(x, pressure, gas)
+            relaxing = response.motion(friction - bubble.residual(x, pressure, gas))
             problem = ContactProblem(response, ranges, part.prior, pressure, relaxing)
             contact = problem.refine(problem.likeliest(Selection(support)), touches)
             near = float(np.abs(contact.motion).max()) <= self._model.mesh.edge_length

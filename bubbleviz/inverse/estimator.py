@@ -18,7 +18,7 @@ from bubbleviz.inverse.plausibility import (
     reason_against_gas,
 )
 from bubbleviz.inverse.resolution import at_noise, resolution_m
-from bubbleviz.inverse.response import Equilibrium, RubberEquilibrium
+from bubbleviz.inverse.response import Bubble, RubberBubble
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.result import Estimate, Status
 
@@ -116,7 +116,7 @@ class Estimator:
     Parameters
     ----------
     observer : RangeObserver
-    equilibrium : Equilibrium
+    bubble : Bubble
         Of rubber, or of constant tension.
     options : EstimatorOptions, optional
 
@@ -141,7 +141,7 @@ class Estimator:
     def __init__(
         self,
         observer: RangeObserver,
-        equilibrium: Equilibrium,
+        bubble: Bubble,
         options: EstimatorOptions | None = None,
     ) -> None:
         self.mesh = observer.mesh
@@ -150,18 +150,18 @@ class Estimator:
                 f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
                 f"use at most {MAX_NODES}, the noise hides what 3,000 cannot resolve"
             )
-        self.observer, self.equilibrium = observer, equilibrium
+        self.observer, self.bubble = observer, bubble
         self.options = options or EstimatorOptions()
-        exact = isinstance(equilibrium, RubberEquilibrium)
+        exact = isinstance(bubble, RubberBubble)
         self.solver_name = RUBBER if exact else LINEAR
-        self.held_pressure_pa = equilibrium.held_pressure_pa
+        self.held_pressure_pa = bubble.held_pressure_pa
         self.prior_weight = (self.options.pressure_scale * self.held_pressure_pa) ** -2.0
         self.smoothness = smoothness(self.mesh, self.prior_weight)
         self.size_m = size = sqrt(self.mesh.facet_areas.sum() / pi)
         friction = self.options.friction if exact else 0.0
-        self._newton = GaussNewton(observer, equilibrium, self.smoothness, size, friction)
+        self._newton = GaussNewton(observer, bubble, self.smoothness, size, friction)
         self.information = self._newton.weight_density
-        tension = equilibrium.tension_n_per_m
+        tension = bubble.tension_n_per_m
         self.resolution_m = resolution_m(self.prior_weight, tension, self.information)
 
     def estimate(
@@ -184,7 +184,7 @@ class Estimator:
         gas_sigma_pa : float
             Standard deviation of the zero of the gas pressure, Pa.
         """
-        start, newton, behind = start or Start(), self._newton, self.equilibrium.gas
+        start, newton, behind = start or Start(), self._newton, self.bubble.gas
         if gas_sigma_pa:
             newton = newton.with_gas(replace(behind, zero_sigma_pa=gas_sigma_pa))
         gas = None
@@ -216,7 +216,7 @@ class Estimator:
         unexplained = np.where(answer.contact, 0.0, state.pressure)
         pressure = state.pressure - unexplained
         friction = np.where(unexplained[:, None] > 0.0, 0.0, state.friction)
-        force = friction - pressure[:, None] * self.equilibrium.area_vectors(state.x)
+        force = friction - pressure[:, None] * self.bubble.area_vectors(state.x)
         return Estimate(
             status="ok" if touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
@@ -232,7 +232,7 @@ class Estimator:
             friction_n=friction,
             force_n=force.sum(axis=0),
             force_sigma_n=answer.sigma_n,
-            gas_law_pa=self.equilibrium.gas_at(state.x)[0],
+            gas_law_pa=self.bubble.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
         )
 

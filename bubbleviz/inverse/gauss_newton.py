@@ -27,7 +27,7 @@ from bubbleviz.inverse.plausibility import (
     gas_sigma,
 )
 from bubbleviz.inverse.resolution import sampled, universal_threshold
-from bubbleviz.inverse.response import Equilibrium, Tangent
+from bubbleviz.inverse.response import Bubble, Tangent
 from bubbleviz.membrane import Gas, parts_with
 from bubbleviz.result import Status
 
@@ -229,7 +229,7 @@ class GaussNewton:
     Parameters
     ----------
     observer : RangeObserver
-    equilibrium : Equilibrium
+    bubble : Bubble
     smoothness : (n, n) sparse array
         λ L of the H1 term.
     length_m : float
@@ -246,12 +246,12 @@ class GaussNewton:
     def __init__(
         self,
         observer: RangeObserver,
-        equilibrium: Equilibrium,
+        bubble: Bubble,
         smoothness: sparse.csr_array,
         length_m: float,
         friction: float,
     ) -> None:
-        self.mesh, self.observer, self.equilibrium = observer.mesh, observer, equilibrium
+        self.mesh, self.observer, self.bubble = observer.mesh, observer, bubble
         self._smoothness, self._length_m, self._friction = smoothness, length_m, friction
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = NEAR * edge, SERVES * edge
@@ -260,7 +260,7 @@ class GaussNewton:
         nothing = np.zeros(len(rest))
         self._rest = State(rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest))
         self._rest_tangent = {
-            measured: equilibrium.linearised(rest, nothing, None if not measured else 0.0)
+            measured: bubble.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
         }
         self._view_at_rest = observer.around(rest)
@@ -269,7 +269,7 @@ class GaussNewton:
     def with_gas(self, gas: Gas) -> GaussNewton:
         """The same for a gas whose pressure is measured with another error."""
         other = copy(self)
-        other.equilibrium = self.equilibrium.with_gas(gas)
+        other.bubble = self.bubble.with_gas(gas)
         return other
 
     def _detection_at_rest(self) -> None:
@@ -452,7 +452,7 @@ class GaussNewton:
         if gas is not None:
             forces.append(np.zeros((*state.x.shape, 1)))
             motions.append(tangent.bulge[:, :, None])
-            sigma.append(gas_sigma(self.equilibrium.gas, gas))
+            sigma.append(gas_sigma(self.bubble.gas, gas))
         if self._friction > 0.0 and state.pressure.any():
             loads = friction_loads(tangent.x, tangent.area_vectors, state.pressure, self.mesh.rings)
             forces.append(loads)
@@ -487,10 +487,10 @@ class GaussNewton:
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.nothing_pulls()):
             selection = problem.select(state.support, rounds)
-        change = self.equilibrium.gas_at(state.x)[0] if gas is None else gas
-        if self.equilibrium.gas.zero_sigma_pa:  # what was measured may be far off: as found so far
+        change = self.bubble.gas_at(state.x)[0] if gas is None else gas
+        if self.bubble.gas.zero_sigma_pa:  # what was measured may be far off: as found so far
             change = state.gas
-        least = self.equilibrium.held_pressure_pa + change
+        least = self.bubble.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return parts_with(self.mesh.rings, pressure >= least, support)
@@ -503,7 +503,7 @@ class GaussNewton:
         """Motion (n, 3) to equilibrium under a state's pressure, to first order."""
         if state is self._rest:  # in equilibrium but for a gas pressure that was measured
             return np.zeros_like(state.x) if gas is None else gas * tangent.bulge
-        return tangent.motion(-self.equilibrium.residual(state.x, state.pressure, gas))
+        return tangent.motion(-self.bubble.residual(state.x, state.pressure, gas))
 
     def _advanced(
         self,
@@ -526,12 +526,12 @@ class GaussNewton:
         friction = ranges.nuisances.forces @ contact.amplitudes
         x, balanced = ahead, state is self._rest and not contact.motion.any()
         if share == 1.0 and not balanced:
-            x, balanced, _ = self.equilibrium.settled(tangent, ahead, pressure, inside, friction)
+            x, balanced, _ = self.bubble.settled(tangent, ahead, pressure, inside, friction)
             balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead
         if inside is None:
-            inside = self.equilibrium.gas_at(x)[0]
+            inside = self.bubble.gas_at(x)[0]
         return State(x, pressure, contact.support, inside, friction), balanced
 
     def _tangent_at(self, state: State, gas: float | None, last: Tangent | None) -> Tangent:
@@ -545,11 +545,11 @@ class GaussNewton:
             and float(np.abs(state.x - last.x).max()) <= self._serves_m
         ):
             return last
-        return self.equilibrium.linearised(state.x, state.pressure, state.gas if measured else None)
+        return self.bubble.linearised(state.x, state.pressure, state.gas if measured else None)
 
     def _contradicts(self, asked_pa: float, measured_pa: float | None) -> bool:
         """Whether the shape asks for another p_v than was measured, if it was."""
-        gas, gauge = self.equilibrium.gas, self.equilibrium.held_pressure_pa
+        gas, gauge = self.bubble.gas, self.bubble.held_pressure_pa
         return measured_pa is not None and contradicts_measured_gas(
             asked_pa, measured_pa, gas, gauge
         )
@@ -598,7 +598,7 @@ class GaussNewton:
 
     def _unit_forces(self, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """Force by unit pressures of nodes (s,) and amplitudes, (s + a, 3), where counted (n,)."""
-        push = -self.equilibrium.area_vectors(step.state.x) * counted[:, None]
+        push = -self.bubble.area_vectors(step.state.x) * counted[:, None]
         friction = step.ranges.nuisances.forces[counted].sum(axis=0).T
         return np.concatenate([push[nodes], friction])
 

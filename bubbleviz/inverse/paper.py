@@ -42,13 +42,13 @@ class PaperEstimator(Estimator):
     def __init__(
         self,
         observer: RangeObserver,
-        equilibrium: ConstantTension,
+        bubble: ConstantTension,
         options: EstimatorOptions | None = None,
     ) -> None:
-        super().__init__(observer, equilibrium, options)
+        super().__init__(observer, bubble, options)
         self.solver_name = PAPER
-        mesh, gas = self.mesh, equilibrium.gas
-        self._pressure_pa = equilibrium.tension_n_per_m / self.size_m
+        mesh, gas = self.mesh, bubble.gas
+        self._pressure_pa = bubble.tension_n_per_m / self.size_m
         self._L = cotangent_laplacian(mesh)[mesh.free][:, mesh.free].tocsc()
         self._areas = mesh.areas[mesh.free] / self.size_m**2
         self._beta = gas.beta[mesh.free] * self.size_m / self._pressure_pa
@@ -66,7 +66,7 @@ class PaperEstimator(Estimator):
         gas_sigma_pa: float = 0.0,
     ) -> tuple[Estimate, Start]:
         """Solve one frame; a gas pressure without a zero is left alone."""
-        mesh, behind = self.mesh, self.equilibrium.gas
+        mesh, behind = self.mesh, self.bubble.gas
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa) and not gas_sigma_pa:
             gas = gas_pressure_pa - behind.P0
@@ -99,12 +99,12 @@ class PaperEstimator(Estimator):
         )
         if doubt := reason_against_fit(misfit, self.observer.white, self.size_m):
             return no_estimate(mesh, "implausible", doubt, misfit.rms_m), Start()
-        law = self.equilibrium.gas_at(mesh.nodes + motion)[0]
+        law = self.bubble.gas_at(mesh.nodes + motion)[0]
         change = law if gas is None else gas
         least = self.held_pressure_pa + change
         touching = parts_with(mesh.rings, pressure >= least, pressure > 0.0)
         contact = np.where(touching, pressure, 0.0)
-        force = -contact[:, None] * self.equilibrium.area_vectors(mesh.nodes)
+        force = -contact[:, None] * self.bubble.area_vectors(mesh.nodes)
         estimate = Estimate(
             status="ok" if contact.any() else "no_contact",
             displacement_m=np.einsum("ij,ij->i", motion, mesh.normals),
@@ -126,16 +126,16 @@ class PaperEstimator(Estimator):
         """Motion (n, 3) under a contact pressure, with the exact gas law; whether it was found."""
         nodes, tangent = (
             self.mesh.nodes,
-            self.equilibrium.linearised(self.mesh.nodes, pressure, gas),
+            self.bubble.linearised(self.mesh.nodes, pressure, gas),
         )
         motion = tangent.motion(((gas or 0.0) - pressure)[:, None] * tangent.area_vectors)
-        x, balanced, _ = self.equilibrium.settled(tangent, nodes + motion, pressure, gas)
+        x, balanced, _ = self.bubble.settled(tangent, nodes + motion, pressure, gas)
         return x - nodes, balanced
 
     def _problem(self, ranges: Ranges, gas: float | None) -> tuple[ContactProblem, Prior]:
         """The problem in p_c alone (Eq. 24), for its gradient."""
         mesh, nothing = self.mesh, np.zeros(len(self.mesh.nodes))
-        tangent = self.equilibrium.linearised(mesh.nodes, nothing, gas)
+        tangent = self.bubble.linearised(mesh.nodes, nothing, gas)
         prior = Prior(self.smoothness, self._newton.threshold(ranges), mesh.rings)
         return ContactProblem(tangent, ranges, prior, nothing, (gas or 0.0) * tangent.bulge), prior
 

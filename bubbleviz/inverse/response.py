@@ -1,6 +1,6 @@
 """How a membrane moves with the gas behind it: its equilibrium under contact, and its tangent.
 
-Two materials offer the same: rubber (`RubberEquilibrium`), and constant tension with displacement
+Two materials offer the same: rubber (`RubberBubble`), and constant tension with displacement
 along the normals, the paper's (`ConstantTension`), whose tangent is the same everywhere.
 """
 
@@ -244,7 +244,7 @@ class _Columns:
             self._rows = rows
 
 
-class Equilibrium(ABC):
+class Bubble(ABC):
     """A membrane and the gas behind it.
 
     Contact forces are a pressure (n,) in Pa along the current normals, and where there is friction
@@ -270,7 +270,7 @@ class Equilibrium(ABC):
     tension_n_per_m: float
     moving: np.ndarray
 
-    def with_gas(self, gas: Gas) -> Equilibrium:
+    def with_gas(self, gas: Gas) -> Bubble:
         """The same membrane over another gas of the same volume."""
         other = copy(self)
         other.gas = gas
@@ -281,8 +281,12 @@ class Equilibrium(ABC):
         """Area vectors a = ∂V/∂x at a shape, (n, 3), m²."""
 
     @abstractmethod
+    def growth(self, x: np.ndarray) -> float:
+        """Volume over that of the reference configuration, m³."""
+
     def gas_at(self, x: np.ndarray) -> tuple[float, float]:
         """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
+        return self.gas.at(max(self.growth(x), (1e-6 - 1.0) * self.gas.V0))
 
     @abstractmethod
     def residual(
@@ -327,7 +331,7 @@ class Equilibrium(ABC):
         return x, False, tangent
 
 
-class RubberEquilibrium(Equilibrium):
+class RubberBubble(Bubble):
     """Rubber.
 
     Parameters
@@ -352,10 +356,8 @@ class RubberEquilibrium(Equilibrium):
     def area_vectors(self, x: np.ndarray) -> np.ndarray:
         return self.membrane.volume_gradient(x)
 
-    def gas_at(self, x: np.ndarray) -> tuple[float, float]:
-        volume = max(self.gas.V0 + self.membrane.volume(x) - self._rest_volume, 1e-6 * self.gas.V0)
-        pressure = self.gas.P0 * self.gas.V0 / volume
-        return pressure - self.gas.P0, pressure / volume
+    def growth(self, x: np.ndarray) -> float:
+        return self.membrane.volume(x) - self._rest_volume
 
     def inside(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
         """Pressure from inside over that from outside at the nodes, (n,), Pa."""
@@ -382,7 +384,7 @@ class RubberEquilibrium(Equilibrium):
         )
 
 
-class ConstantTension(Equilibrium):
+class ConstantTension(Bubble):
     """The paper's membrane: γ0 L u = A (p_v − p_c), u along the normals at rest (Eq. 5).
 
     Friction, which acts across the normals, does not move it.
@@ -413,10 +415,8 @@ class ConstantTension(Equilibrium):
     def area_vectors(self, x: np.ndarray) -> np.ndarray:
         return self._tangents[False].area_vectors
 
-    def gas_at(self, x: np.ndarray) -> tuple[float, float]:
-        volume = max(self.gas.volume(self._displacement(x)), 1e-6 * self.gas.V0)
-        pressure = self.gas.P0 * self.gas.V0 / volume
-        return pressure - self.gas.P0, pressure / volume
+    def growth(self, x: np.ndarray) -> float:
+        return float(self.gas.dV_du @ self._displacement(x))
 
     def residual(
         self,

@@ -72,7 +72,7 @@ class Solver:
         """Against the depth image; built when there is a first pose."""
         own, options = self._estimator, self._options.image
         model = self._registration.model
-        pressed = PressedMembrane(self._membrane, own.equilibrium.gas, model, options.press)
+        pressed = PressedMembrane(self._membrane, own.bubble.gas, model, options.press)
         return ImageFit(own.observer, pressed, options)
 
     def forget(self) -> None:

@@ -17,7 +17,7 @@ from bubbleviz.inverse import (
     SERVES,
     Estimator,
     LinearisedRubber,
-    RubberEquilibrium,
+    RubberBubble,
     Start,
     gas_sigma,
 )
@@ -284,14 +284,14 @@ class TractionEstimator:
         options: TractionOptions | None = None,
     ) -> None:
         self.mesh, self.options = estimator.mesh, options or TractionOptions()
-        self._estimator, equilibrium = estimator, estimator.equilibrium
-        assert isinstance(equilibrium, RubberEquilibrium)  # as `Pipeline` sees to
-        self._equilibrium = equilibrium
+        self._estimator, bubble = estimator, estimator.bubble
+        assert isinstance(bubble, RubberBubble)  # as `Pipeline` sees to
+        self._bubble = bubble
         self.flow_observer = FlowObserver(camera, self.mesh)
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = NEAR * edge, SERVES * edge
         self._far_m, self._longest_m = FAR * edge, edge
-        self._report = TractionReport(self.mesh, self._equilibrium.membrane)
+        self._report = TractionReport(self.mesh, self._bubble.membrane)
 
     def estimate(
         self,
@@ -319,7 +319,7 @@ class TractionEstimator:
             return self._alone(estimate, NO_TEXTURE), None
         gas = None
         if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
-            gas = gas_pressure_pa - self._equilibrium.gas.P0
+            gas = gas_pressure_pa - self._bubble.gas.P0
         frame = _Frame(reached.measured, measured, gas)
         try:
             return self._solve(frame, begin, support, warm=start is not None)
@@ -357,7 +357,7 @@ class TractionEstimator:
             or np.abs(there.x - rubber.x).max() > self._serves_m
         ):
             with_gas = there.gas if rubber is None or not rubber.with_gas else None
-            rubber = self._equilibrium.linearised(there.x, there.pressure, with_gas)
+            rubber = self._bubble.linearised(there.x, there.pressure, with_gas)
         shear = np.zeros_like(there.x)
         return TractionStart(
             there.x, there.pressure, shear, there.gas, rubber, reached.noise, view=reached.view
@@ -413,9 +413,7 @@ class TractionEstimator:
         away = float(np.abs(state.x - last.x).max())
         if last.with_gas is with_gas and away <= self._serves_m:
             return last
-        return self._equilibrium.linearised(
-            state.x, state.pressure, None if with_gas else state.gas
-        )
+        return self._bubble.linearised(state.x, state.pressure, None if with_gas else state.gas)
 
     def _wanted(
         self,
@@ -433,7 +431,7 @@ class TractionEstimator:
         present = np.zeros_like(state.x)
         present[nodes] = np.einsum("ik,ikj->ij", shear, tangents)
         inside = None if gas is None else state.gas
-        left = self._equilibrium.residual(state.x, state.pressure, inside, present)
+        left = self._bubble.residual(state.x, state.pressure, inside, present)
         columns = [-rubber.responses(nodes), rubber.tangential_responses(nodes)]
         if gas is not None:
             columns.append(rubber.bulge.reshape(-1, 1))
@@ -443,7 +441,7 @@ class TractionEstimator:
             look.measurements(state),
             dense_part(estimator.smoothness, nodes),
             Unknowns(state.pressure[nodes], shear.ravel(), 0.0 if gas is None else state.gas - gas),
-            None if gas is None else gas_sigma(self._equilibrium.gas, gas),
+            None if gas is None else gas_sigma(self._bubble.gas, gas),
         )
         solved = problem.solve(self.options.friction)
         pressure, force = np.zeros_like(state.pressure), np.zeros_like(state.x)
@@ -467,12 +465,12 @@ class TractionEstimator:
         shear = wanted.present + share * (wanted.shear - wanted.present)
         inside = None if gas is None else state.gas + share * (wanted.gas - state.gas)
         ahead = state.x + share * motion
-        x, balanced, last = self._equilibrium.settled(rubber, ahead, pressure, inside, shear)
+        x, balanced, last = self._bubble.settled(rubber, ahead, pressure, inside, shear)
         rubber = last if isinstance(last, LinearisedRubber) else rubber
         balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
         if not balanced:
             x = ahead
-        change = self._equilibrium.gas_at(x)[0] if inside is None else inside
+        change = self._bubble.gas_at(x)[0] if inside is None else inside
         return TractionStart(
             x, pressure, shear, change, rubber, state.range_noise, state.flow_noise
         ), balanced

@@ -22,7 +22,7 @@ from bubbleviz.files import (
     write_csv,
     write_json,
 )
-from bubbleviz.inverse import RubberEquilibrium
+from bubbleviz.inverse import RubberBubble
 from bubbleviz.membrane import Contact, RubberMembrane, cotangent_laplacian
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
@@ -342,9 +342,9 @@ def inverse_faults(
     if estimate is None or patch is None:
         return ["no estimate or no patch"]
     faults = _fields(pipeline, estimate, patch, band)
-    equilibrium = pipeline.estimator.equilibrium
-    if not faults and isinstance(equilibrium, RubberEquilibrium):
-        faults = _rubber_equations(pipeline, equilibrium.membrane, estimate, patch, measured_gas)
+    bubble = pipeline.estimator.bubble
+    if not faults and isinstance(bubble, RubberBubble):
+        faults = _rubber_equations(pipeline, bubble.membrane, estimate, patch, measured_gas)
     elif not faults:
         faults = _linear_equations(pipeline, estimate, patch, measured_gas)
     if truth is None or faults:

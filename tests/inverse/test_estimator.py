@@ -48,7 +48,7 @@ def test_force_and_gas_pressure_of_a_known_press(sphere, noise):
     assert estimate.force_n == pytest.approx(-pushed)
     truth = sphere.contact.gas_pressure_change_pa
     assert estimate.gas_pressure_change_pa == pytest.approx(truth, rel=0.005)
-    law = solver.equilibrium.gas.pressure_change(estimate.displacement_m)
+    law = solver.bubble.gas.pressure_change(estimate.displacement_m)
     assert estimate.gas_pressure_change_pa == pytest.approx(law, rel=1e-6)
     assert estimate.kkt_residual < 1e-9
     expected = noise * np.nanmedian(sphere.range_m) / 3 if noise else 5e-5  # blocks of 9 pixels
@@ -92,9 +92,7 @@ def test_an_interior_point_certifies_the_papers_solution(sphere, gas_pa):
     error, weight = observation.residual_m[view.block], observation.weight[view.block]
     ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(mesh.nodes)))
     whole = estimate.contact_pressure_pa + estimate.unexplained_pressure_pa
-    exact = interior_point(
-        solver.equilibrium, ranges, solver.smoothness, nothing, whole > 0.0, gas_pa
-    )
+    exact = interior_point(solver.bubble, ranges, solver.smoothness, nothing, whole > 0.0, gas_pa)
     assert whole == pytest.approx(exact, abs=0.05 * exact.max())
     assert mesh.areas @ whole == pytest.approx(mesh.areas @ exact, rel=0.005)
 

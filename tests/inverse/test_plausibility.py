@@ -49,7 +49,7 @@ def test_a_plane_that_is_no_pressed_dome_is_refused(depth_m):
 def test_a_plane_across_the_dome_is_a_large_plate():
     """29 mm deep: it carries the pressure of the gas, by the volume of the cap that is gone."""
     solver, radius, depth = estimator(), (0.075**2 + 0.05**2) / 0.1, 0.029
-    found, gas = first(solver, image(0.125)), solver.equilibrium.gas
+    found, gas = first(solver, image(0.125)), solver.bubble.gas
     gone = np.pi * depth**2 * (radius - depth / 3.0)
     assert found.status == "ok"
     pressure = gas.P0 * gas.V0 / (gas.V0 - gone) - gas.P0

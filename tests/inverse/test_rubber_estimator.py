@@ -15,7 +15,7 @@ from bubbleviz.inverse import (
     Estimator,
     EstimatorOptions,
     PatchFinder,
-    RubberEquilibrium,
+    RubberBubble,
     touching_share,
 )
 from bubbleviz.membrane import (
@@ -54,7 +54,7 @@ def estimator(nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0
     membrane = RubberMembrane.uniform(
         mesh, GAUGE, changed.get("tension", TENSION), prestretch, slack
     )
-    rubber = RubberEquilibrium(membrane, gas_of(mesh))
+    rubber = RubberBubble(membrane, gas_of(mesh))
     return Estimator(RangeObserver(CAMERA, mesh, relative, block=3), rubber)
 
 
@@ -144,12 +144,12 @@ def test_measured_gas_pressure(depth, off_pa):
     mesh, contact = pressed("sphere", depth)
     solver, image = estimator(1000), seen(mesh, contact.displacement_3d_m, NOISE_M)
     true_pa = contact.gas_pressure_change_pa
-    estimate, _ = solver.estimate(image, solver.equilibrium.gas.P0 + true_pa + off_pa)
+    estimate, _ = solver.estimate(image, solver.bubble.gas.P0 + true_pa + off_pa)
     assert estimate.status == "ok"
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
     assert abs(estimate.gas_pressure_change_pa - true_pa) < 10.0
     rest = seen(mesh, np.zeros(len(mesh.nodes)), NOISE_M)
-    assert solver.estimate(rest, solver.equilibrium.gas.P0 + off_pa)[0].status == "no_contact"
+    assert solver.estimate(rest, solver.bubble.gas.P0 + off_pa)[0].status == "no_contact"
 
 
 def test_sharp_edged_rod_off_the_axis():
@@ -275,7 +275,7 @@ def test_small_press_on_a_flat_membrane_is_the_linear_model():
     linear, _ = Estimator(observer, ConstantTension(mesh, tension, gas)).estimate(image)
     film = RubberMembrane.uniform(mesh, gauge, tension)
     frictionless = EstimatorOptions(friction=0.0)
-    exact, _ = Estimator(observer, RubberEquilibrium(film, gas), frictionless).estimate(image)
+    exact, _ = Estimator(observer, RubberBubble(film, gas), frictionless).estimate(image)
     assert linear.status == exact.status == "ok"
     force = -(mesh.areas * linear.contact_pressure_pa) @ mesh.normals
     assert error(exact, force) < 0.02
@@ -294,10 +294,10 @@ def test_sigma_is_what_another_material_makes_of_the_force(measured):
     usual = estimator(nodes, relative=noise_m / 0.065)
     stiffer = estimator(nodes, relative=noise_m / 0.065, tension=1.02 * TENSION)
     image = seen(mesh, contact.displacement_3d_m, noise_m)
-    gas = usual.equilibrium.gas.P0 + contact.gas_pressure_change_pa if measured else None
+    gas = usual.bubble.gas.P0 + contact.gas_pressure_change_pa if measured else None
     a, b = usual.estimate(image, gas)[0], stiffer.estimate(image, gas)[0]
-    rubber = usual.equilibrium
-    varied = RubberEquilibrium(rubber.membrane, rubber.gas, [stiffer.equilibrium.membrane])
+    rubber = usual.bubble
+    varied = RubberBubble(rubber.membrane, rubber.gas, [stiffer.bubble.membrane])
     unsure = Estimator(usual.observer, varied)
     both = unsure.estimate(image, gas)[0].force_sigma_n[2]
     by_material = np.sqrt(both**2 - a.force_sigma_n[2] ** 2)

@@ -54,13 +54,13 @@ def contact(pipeline):
 
 
 def pressed(pipeline, rubber, name, options=PRECISE):
-    gas = pipeline.estimator.equilibrium.gas
+    gas = pipeline.estimator.bubble.gas
     return PressedMembrane(rubber, gas, ObjectSurface(made(name)), options)
 
 
 def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
     found = pressed(pipeline, rubber, "sphere").press(pose(), contact)
-    gas = pipeline.estimator.equilibrium.gas
+    gas = pipeline.estimator.bubble.gas
     expected = RubberForward(rubber, gas).press(made("sphere"), pose())
     assert expected.converged
     displacement = found.nodes - found.part.mesh.nodes
@@ -147,7 +147,7 @@ def test_no_contact_and_the_membrane_is_at_rest(pipeline, rubber, contact):
 
 
 def test_a_measured_gas_pressure_holds_where_the_gas_law_does_not(pipeline, rubber, contact):
-    gas = pipeline.estimator.equilibrium.gas
+    gas = pipeline.estimator.bubble.gas
     by_law = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     more = pressed(pipeline, rubber, "cylinder").press(pose(), contact, gas.P0 + 1500.0)
     bulge = np.einsum("ij,ij->i", more.nodes - by_law.nodes, more.part.mesh.normals)
