@@ -50,10 +50,10 @@ from bubbleviz.membrane import (
     prestressed,
 )
 from bubbleviz.recordings import (
-    TUKEY_TUNING,
     FrameSource,
     error_of_mean,
     robust_sigma,
+    tukey_loss,
     tukey_slopes,
     tukey_weights,
 )
@@ -580,9 +580,7 @@ class _Problem:
         def loss(squares: np.ndarray) -> np.ndarray:
             rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
             if scale is not None:
-                left = 1.0 - np.minimum(squares[:data] / TUKEY_TUNING**2, 1.0)
-                rho[0, :data] = TUKEY_TUNING**2 / 3.0 * (1.0 - left**3)
-                rho[1, :data], rho[2, :data] = left**2, -2.0 / TUKEY_TUNING**2 * left
+                rho[:, :data] = tukey_loss(squares[:data])
             rho[:, :-1] /= temper
             return rho
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.calibration.errors import tile_numbers, tile_side
@@ -31,18 +32,18 @@ from bubbleviz.camera import DepthCamera, facet_error
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, mesh_cap
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import cauchy_weights, robust_sigma, tukey_weights
+from bubbleviz.recordings import robust_sigma, tukey_loss, tukey_weights
 
 # Robust orthogonal fits of a sphere and of an ellipsoid to a cloud of membrane points.
 
 
-Weights = Callable[[np.ndarray, float], np.ndarray]
+Loss = Callable[[np.ndarray], np.ndarray]
 
 Freedom = Literal["sphere", "aligned", "tilted"]
 """Centre and one radius; centre and three semi-axes; and their directions too."""
 
 _SEARCH_POINTS = 5_000  # to get near; all of them finish
-_SMALL = 1e-7  # m, or rad: a step that ends the iteration
+_CLOSE = 1e-6  # relative change of the loss that ends a fit: of 10⁴ points, far below their noise
 
 
 @dataclass(frozen=True)
@@ -144,18 +145,19 @@ def fit_ellipsoid(
 
 
 def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
-    """Reweighted Gauss–Newton: Cauchy's loss to get near, Tukey's biweight to finish."""
+    """Robust least squares: Cauchy's loss to get near, Tukey's to finish, at its own scale."""
     few = _thinned(points)
-    surface = _search(few, start, freedom)
+    surface = start
+    for loss in ("cauchy", tukey_loss, tukey_loss):
+        surface = _descend(few, surface, freedom, loss)
     size = float(np.ptp(few, axis=0).max())
-    numbers = np.concatenate([surface.centre_m, surface.semi_axes_m])
-    if not np.isfinite(numbers).all() or surface.semi_axes_m.max() > 20.0 * size:
+    if surface.semi_axes_m.max() > 20.0 * size:
         raise InputError(
             "contact-free cloud: no dome fits it (flat, or hollow); check that the"
             " membrane is inflated and the depth is in metres"
         )
     if len(points) > len(few):
-        surface = _descend(points, surface, freedom, tukey_weights, rounds=2)
+        surface = _descend(points, surface, freedom, tukey_loss)
     now = surface.distance(points)
     sigma = robust_sigma(now, center=0.0)
     kept = tukey_weights(now, sigma) > 0.0
@@ -166,49 +168,21 @@ def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
     )
 
 
-def _search(points: np.ndarray, surface: Ellipsoid, freedom: Freedom) -> Ellipsoid:
-    """Cauchy's loss at the start's scale, then Tukey's at the scale it leads to, twice."""
-    surface = _descend(points, surface, freedom, cauchy_weights)
-    for _ in range(2):
-        surface = _descend(points, surface, freedom, tukey_weights)
-    return surface
-
-
 def _descend(
-    points: np.ndarray, surface: Ellipsoid, freedom: Freedom, loss: Weights, rounds: int = 25
+    points: np.ndarray, start: Ellipsoid, freedom: Freedom, loss: Literal["cauchy"] | Loss
 ) -> Ellipsoid:
-    """Levenberg–Marquardt minimisation of a loss of fixed scale."""
-    now = surface.distance(points)
-    sigma = max(robust_sigma(now, center=0.0), 1e-9)
-    damping = 1e-4
-    for _ in range(rounds):
-        weights = loss(now, sigma)
-        step = _step(surface, points, weights, now, freedom, damping)
-        trial = surface.moved(step, freedom)
-        then = trial.distance(points)
-        # Less under these weights is less of the loss, whose majorant they make.
-        if np.sum(weights * then**2) <= np.sum(weights * now**2):
-            surface, now, damping = trial, then, damping / 5.0
-        else:
-            damping *= 10.0
-        if np.abs(step).max() < _SMALL:
-            break
-    return surface
-
-
-def _step(
-    surface: Ellipsoid,
-    points: np.ndarray,
-    weights: np.ndarray,
-    distance: np.ndarray,
-    freedom: Freedom,
-    damping: float,
-) -> np.ndarray:
-    J = surface.derivatives(points, freedom)
-    weighted = J * weights[:, None]
-    normal = weighted.T @ J
-    normal[np.diag_indices_from(normal)] *= 1.0 + damping
-    return -np.linalg.lstsq(normal, weighted.T @ distance, rcond=1e-14)[0]
+    """Least of a loss whose scale is that of the distances at the start."""
+    sigma = max(robust_sigma(start.distance(points), center=0.0), 1e-9)
+    count = start.derivatives(points[:1], freedom).shape[1]
+    step = least_squares(
+        lambda step: start.moved(step, freedom).distance(points) / sigma,
+        np.zeros(count),
+        lambda step: start.moved(step, freedom).derivatives(points, freedom) / sigma,
+        x_scale=np.r_[np.full(min(count, 6), start.semi_axes_m.max()), np.ones(max(count - 6, 0))],
+        ftol=_CLOSE,
+        loss=loss,  # type: ignore[arg-type]  # the stub's protocol names its argument
+    ).x
+    return start.moved(step, freedom)
 
 
 def _known(points: np.ndarray) -> np.ndarray:

@@ -12,9 +12,7 @@ from .colour_topics import (
 )
 from .depth_statistics import (
     MIN_FRAMES as MIN_FRAMES,
-    TUKEY_TUNING as TUKEY_TUNING,
     DepthStatistics as DepthStatistics,
-    cauchy_weights as cauchy_weights,
     correlated_samples as correlated_samples,
     error_of_mean as error_of_mean,
     mean_inflation as mean_inflation,
@@ -23,6 +21,7 @@ from .depth_statistics import (
     spatial_correlation as spatial_correlation,
     stack_depth as stack_depth,
     temporal_correlation as temporal_correlation,
+    tukey_loss as tukey_loss,
     tukey_slopes as tukey_slopes,
     tukey_weights as tukey_weights,
     upper_fence as upper_fence,

@@ -131,9 +131,12 @@ def tukey_slopes(residuals: np.ndarray, sigma: float) -> np.ndarray:
     return np.where(square < 1.0, (1.0 - square) * (1.0 - 5.0 * square), 0.0)
 
 
-def cauchy_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
-    """Weights in 0 … 1 of Cauchy's loss, which leads from far away: none are 0."""
-    return 1.0 / (1.0 + (residuals / max(sigma, np.finfo(float).tiny)) ** 2)
+def tukey_loss(squares: np.ndarray) -> np.ndarray:
+    """Tukey's loss of (residual/σ)² (k,) with two derivatives, (3, k), as scipy's fits ask it."""
+    left = 1.0 - np.minimum(squares / TUKEY_TUNING**2, 1.0)
+    return np.stack(
+        [TUKEY_TUNING**2 / 3.0 * (1.0 - left**3), left**2, -2.0 / TUKEY_TUNING**2 * left]
+    )
 
 
 def upper_fence(values: np.ndarray, deviations: float) -> float:

@@ -1,1 +1,0 @@
-"""Reports of an identification: verdict, numbers, images, HTML."""
