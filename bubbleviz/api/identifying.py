@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,21 +14,19 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import (
     Identification,
     KnownPress,
-    Level,
     Name,
+    Settings,
+    Step,
     Validation,
-    Vented,
+    Workbench,
+    as_ranges,
     check_outputs,
-    collect_press,
-    identify as identify_at_rest,
-    rectify,
     save,
-    with_rubber,
 )
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing, set_aside
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import FrameSource, KeptFrames, Recording
+from bubbleviz.recordings import FrameSource, KeptFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
 
@@ -218,45 +216,31 @@ def identify(
         files = Path(out), None if report is None else Path(report)
         _files(*files) if overwrite else check_outputs(*files)
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
-    sensor, source, opened = load_sensor(sensor), KeptFrames(frames), None
+    source = KeptFrames(frames)
     if isinstance(contact_free, str):
         contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
-    press = _known_press(source, object, pose, pressed)
+    settings = Settings(
+        Step.TENSION,
+        None if contact_free is None else as_ranges(contact_free),
+        surface=surface,
+        nodes=nodes,
+        levels=tuple(_source(each) for each in levels),
+        vented=None if vented is None else _source(vented),
+        press=_known_press(source, object, pose, pressed),
+        held_press=held_press,
+        scored=False,
+    )
     with OneBlasThread():
-        if vented is not None:
-            with _opened(vented) as chamber:
-                opened = Vented.measure(chamber)
-            sensor = opened.set_in(sensor)
-        found = identify_at_rest(
-            source, sensor, contact_free, nodes=nodes, surface=surface, progress=progress
-        )
-        measured = []
-        for level in levels:
-            with _opened(level) as frames_of_level:
-                measured.append(Level.measure(KeptFrames(frames_of_level), sensor, nodes, progress))
-        found = rectify(found, measured)
-        held = collect_press(source, found, progress) if held_press else None
-        progress("stretching rubber", 0.0)
-        inflated = [each.samples for each in measured if each.samples]
-        found = with_rubber(found, inflated, opened, held)
-        validation = None
-        if press is not None:
-            progress("predicting the known press", 0.0)
-            validation = press.validate(found.model, source)
-    identified = Identified(found, source, name, validation)
+        draft = Workbench(source, load_sensor(sensor)).work(settings, progress)
+    assert draft.found is not None  # of all steps
+    identified = Identified(draft.found, source, name, draft.validation)
     if out is not None:
         identified.save(out, report, overwrite=overwrite, progress=progress)
     return identified
 
 
-@contextmanager
-def _opened(frames: FrameSource | str | Path) -> Iterator[FrameSource]:
-    """Frames, or those of a recording while they are looked at."""
-    if not isinstance(frames, str | Path):
-        yield frames
-        return
-    with Recording(frames) as recording:
-        yield recording
+def _source(frames: FrameSource | str | Path) -> FrameSource | Path:
+    return Path(frames) if isinstance(frames, str | Path) else KeptFrames(frames)
 
 
 def _known_press(

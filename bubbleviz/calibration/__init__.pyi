@@ -15,7 +15,6 @@ from .errors import (
 from .identification import (
     Identification as Identification,
     collect_press as collect_press,
-    identify as identify,
     rest_gauge_pressure as rest_gauge_pressure,
     rest_gauge_sigma as rest_gauge_sigma,
     with_rubber as with_rubber,
@@ -119,6 +118,7 @@ from .workbench import (
     Settings as Settings,
     Step as Step,
     Workbench as Workbench,
+    identify as identify,
 )
 from .wrench_comparison import (
     Interval as Interval,

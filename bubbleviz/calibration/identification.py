@@ -1,37 +1,27 @@
-"""From contact-free frames to a sensor: the steps in their order.
-
-Each step is a call of its own, with frozen results: `find_contact_free`, `collect`,
-`rest_gauge_pressure`, `check_still`, `fit_surfaces`, `check_dome`, `estimate_tension`,
-`select_pixels`, `assemble`. A window runs them one by one, and any of them
-again with another choice; `identify` runs them all. A `Progress` sees how far each is, and stops
-it by raising `Cancelled`.
-"""
+"""A sensor as its own contact-free frames describe it, and what would make that worthless."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
 
-from bubbleviz.calibration.contact_free import check_still, find_contact_free, held_frames, settled
+from bubbleviz.calibration.contact_free import held_frames, settled
 from bubbleviz.calibration.free_form import FreeForm
 from bubbleviz.calibration.material import RubberEstimate, Vented, estimate_rubber
-from bubbleviz.calibration.rest_frames import PixelStatistics, Samples, collect, select_pixels
+from bubbleviz.calibration.rest_frames import PixelStatistics, Samples, collect
 from bubbleviz.calibration.segmentation import away_from_edges
 from bubbleviz.calibration.surface import (
     Ellipsoid,
     Fits,
-    Name,
     Surfaces,
     cap_over_rim,
-    fit_surfaces,
     mesh_ellipsoid,
 )
-from bubbleviz.calibration.tension import TensionEstimate, estimate_tension
+from bubbleviz.calibration.tension import TensionEstimate
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -55,17 +45,6 @@ _LEAST_SEEN = 0.5  # of the dome's area; chosen: the rest is the fit's continuat
 _SIGNIFICANT = 6.0  # standard deviations of a tile
 _LEAST_PIXELS = 20  # in a dent that counts; chosen: smaller ones are false returns
 _DEEP = 1e-2  # of the dome's radius: what is shallower is the dome's own shape
-
-
-@contextmanager
-def errors_name(source: FrameSource) -> Iterator[None]:
-    """Put the name of a source before errors of steps that do not know it."""
-    try:
-        yield
-    except InputError as error:
-        if source.name in str(error):
-            raise
-        raise InputError(f"{source.name}: {error}") from error
 
 
 def seen_share(
@@ -232,35 +211,6 @@ class Identification:
     def modelled_range_m(self) -> np.ndarray:
         """Range of the rays cast on the reference surface, (H, W), m; NaN where they miss."""
         return self.statistics.range_m - self.surfaces.residual_m
-
-
-def identify(
-    source: FrameSource,
-    sensor: Sensor,
-    contact_free: Sequence[int] | None = None,
-    *,
-    nodes: int = 1000,
-    surface: Name | None = None,
-    progress: Progress = quiet,
-) -> Identification:
-    """Identify a sensor from contact-free frames; arguments and errors of `bubbleviz.identify`.
-
-    Name, camera pose (its rim plane and axes are kept), gauge pressure and chamber volume are the
-    given sensor's; what the recording tells better (intrinsics, gas pressure) is taken from there.
-    """
-    with errors_name(source):
-        chosen = contact_free
-        if chosen is None:
-            chosen = find_contact_free(source, progress).frames
-        samples = collect(source, sensor, chosen, progress)
-        gauge = rest_gauge_pressure(samples, sensor)
-        wander = check_still(samples)
-        surfaces = fit_surfaces(samples, nodes, surface, progress)
-        seen = check_dome(samples, surfaces)
-        tension = estimate_tension(samples, surfaces, gauge, progress)
-        pixels = select_pixels(samples.statistics, surfaces.membrane, surfaces.residual_m)
-    progress("done", 1.0)
-    return assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
 
 
 def rest_gauge_pressure(samples: Samples, sensor: Sensor) -> float:

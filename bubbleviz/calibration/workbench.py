@@ -1,14 +1,15 @@
 """An identification that goes step by step, and does again only what a change asks for.
 
-`identify` runs everything once. A person at a window takes a sample out, moves a threshold, goes
-a step back: `Workbench.work` answers each such choice with a `Draft`, and remembers the last few
-results of every step by what they rest on.
+A person at a window takes a sample out, moves a threshold, goes a step back: `Workbench.work`
+answers each such choice with a `Draft`, and remembers the last few results of every step by what
+they rest on. A command has all steps done at once.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -22,7 +23,6 @@ from bubbleviz.calibration.identification import (
     assemble,
     check_dome,
     collect_press,
-    errors_name,
     rest_gauge_pressure,
     with_rubber,
 )
@@ -35,14 +35,13 @@ from bubbleviz.calibration.rest_frames import (
     collect,
     numbers,
     select_pixels,
-    tidy,
 )
 from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
 from bubbleviz.calibration.tension import estimate_tension
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
-from bubbleviz.recordings import FrameSource, Recording
+from bubbleviz.recordings import FrameSource, KeptFrames, Recording
 from bubbleviz.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -79,9 +78,14 @@ class Settings:
     deviations: float = 3.0
     surface: Name | None = None  # None: the data choose
     nodes: int = 1000  # target number of nodes of the mesh
-    levels: tuple[Path, ...] = ()  # recordings of the untouched sensor at other inflation levels
-    vented: Path | None = None  # recording of the open chamber, for the atmospheric pressure
+    # of the untouched sensor at other inflation levels; of the open chamber, for the atmospheric
+    # pressure
+    levels: tuple[FrameSource | Path, ...] = ()
+    vented: FrameSource | Path | None = None
     press: KnownPress | None = None  # what to validate by, in the same source
+    # whether a press that is held is asked for λ and gauge pressure where there are no levels
+    held_press: bool = True
+    scored: bool = True  # whether contact-free frames are looked for where they are given
 
 
 @dataclass(frozen=True)
@@ -119,13 +123,9 @@ class Workbench:
     def work(self, settings: Settings, progress: Progress = quiet) -> Draft:
         """Do the steps up to the one reached.
 
-        Raises InputError: whatever makes the answer worthless, as in `identify`. Raises Cancelled:
-        by `progress`; what was finished before is remembered, nothing else has changed.
+        Raises InputError: whatever makes the answer worthless, as in `bubbleviz.identify`. Raises
+        Cancelled: by `progress`; what was finished before is remembered, nothing else has changed.
         """
-        with errors_name(self.source):
-            return self._work(settings, progress)
-
-    def _work(self, settings: Settings, progress: Progress) -> Draft:
         draft, done = Draft(settings), 0.0
         steps = {
             Step.FRAMES: self._frames,
@@ -142,25 +142,30 @@ class Workbench:
         return draft
 
     def _frames(self, draft: Draft, progress: Progress) -> Draft:
-        try:
-            found = self._once("contact free", (), lambda: find_contact_free(self.source, progress))
-        except InputError:
-            if draft.settings.ranges is None:
-                raise
-            found = None  # the operator knows better, and has said so
-        if draft.settings.ranges is None and found is not None:
-            return replace(draft, ranges=as_ranges(found.frames), contact_free=found)
-        ranges = tidy(draft.settings.ranges or (), len(self.source))
-        return replace(draft, ranges=ranges, contact_free=found)
+        chosen, found = draft.settings.ranges, None
+        if chosen is None or draft.settings.scored:
+            try:
+                with _errors_name(self.source):
+                    found = self._once(
+                        "contact free", (), lambda: find_contact_free(self.source, progress)
+                    )
+            except InputError:
+                if chosen is None:
+                    raise  # else the operator knows better, and has said so
+        ranges = as_ranges(found.frames) if chosen is None and found else chosen
+        return replace(draft, ranges=ranges or (), contact_free=found)
 
     def _pixels(self, draft: Draft, progress: Progress) -> Draft:
         chosen = draft.ranges
-        samples = self._once(
-            "samples",
-            chosen,
-            lambda: collect(self.source, self.sensor, numbers(chosen), progress),
-        )
-        membrane, _ = self._once("membrane", chosen, lambda: segment_membrane(samples))
+        with _errors_name(self.source):
+            samples = self._once(
+                "samples",
+                chosen,
+                lambda: collect(self.source, self.sensor, numbers(chosen), progress),
+            )
+            if draft.settings.reached > Step.PIXELS:
+                return replace(draft, samples=samples)  # pixels are chosen by the surface
+            membrane, _ = self._once("membrane", chosen, lambda: segment_membrane(samples))
         nothing = np.where(membrane, 0.0, np.nan)  # no surface yet to be off from
         return replace(
             draft, samples=samples, pixels=self._select(draft, samples, membrane, nothing)
@@ -169,70 +174,74 @@ class Workbench:
     def _surface(self, draft: Draft, progress: Progress) -> Draft:
         settings, samples = draft.settings, _known(draft.samples)
         key = (draft.ranges, settings.nodes, settings.surface)
-        self._once("still", draft.ranges, lambda: check_still(samples))
-        surfaces = self._once(
-            "surfaces",
-            key,
-            lambda: fit_surfaces(samples, settings.nodes, settings.surface, progress),
-        )
+        with _errors_name(self.source):
+            self._once("still", draft.ranges, lambda: check_still(samples))
+            surfaces = self._once(
+                "surfaces",
+                key,
+                lambda: fit_surfaces(samples, settings.nodes, settings.surface, progress),
+            )
         pixels = self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
         return replace(draft, surfaces=surfaces, pixels=pixels)
 
     def _tension(self, draft: Draft, progress: Progress) -> Draft:
-        settings, samples = draft.settings, _known(draft.samples)
-        surfaces, pixels = _known(draft.surfaces), _known(draft.pixels)
-        key = (draft.ranges, settings.nodes, settings.surface)
-        seen = self._once("seen", key, lambda: check_dome(samples, surfaces))
-        wander = self._once("still", draft.ranges, lambda: check_still(samples))
-        vented = self._vented(settings.vented)
-        sensor = self.sensor if vented is None else vented.set_in(self.sensor)
-        gauge = rest_gauge_pressure(samples, sensor)
-        rests_on = (*key, settings.vented)
-        tension = self._once(
-            "tension",
-            rests_on,
-            lambda: estimate_tension(samples, surfaces, gauge, part_of(progress, 0.0, 0.5)),
-        )
-        found = assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
+        settings = draft.settings
+        vented = None if settings.vented is None else self._vented(settings.vented)
+        found = self._at_rest(draft, vented, part_of(progress, 0.0, 0.5))
         onwards = part_of(progress, 0.5, 0.6)
-        levels = [self._level(path, onwards) for path in settings.levels]
+        levels = [self._level(each, settings.nodes, onwards) for each in settings.levels]
         found = rectify(found, levels)
         found = self._once(
             "rubber",
-            (*rests_on, settings.min_validity, settings.deviations, settings.levels),
-            lambda: self._with_rubber(found, levels, vented, part_of(progress, 0.6, 0.9)),
+            replace(settings, press=None),
+            lambda: self._with_rubber(found, levels, vented, settings, part_of(progress, 0.6, 0.9)),
         )
         draft = replace(draft, tension=found.tension, pixels=found.pixels, found=found)
         last = part_of(progress, 0.9, 1.0)
         return replace(draft, validation=self._validation(found, settings, last))
+
+    def _at_rest(self, draft: Draft, vented: Vented | None, progress: Progress) -> Identification:
+        settings, samples = draft.settings, _known(draft.samples)
+        surfaces, pixels = _known(draft.surfaces), _known(draft.pixels)
+        key = (draft.ranges, settings.nodes, settings.surface)
+        sensor = self.sensor if vented is None else vented.set_in(self.sensor)
+        with _errors_name(self.source):
+            gauge = rest_gauge_pressure(samples, sensor)
+            seen = self._once("seen", key, lambda: check_dome(samples, surfaces))
+            wander = self._once("still", draft.ranges, lambda: check_still(samples))
+            tension = self._once(
+                "tension",
+                (*key, settings.vented),
+                lambda: estimate_tension(samples, surfaces, gauge, progress),
+            )
+            return assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
 
     def _with_rubber(
         self,
         found: Identification,
         levels: list[Level],
         vented: Vented | None,
+        settings: Settings,
         progress: Progress,
     ) -> Identification:
-        held = collect_press(self.source, found, progress)
+        asked = settings.held_press and not levels
+        held = collect_press(self.source, found, progress) if asked else None
         progress("stretching rubber", 0.0)
         return with_rubber(found, [each.samples for each in levels if each.samples], vented, held)
 
-    def _vented(self, path: Path | None) -> Vented | None:
-        if path is None:
-            return None
-
+    def _vented(self, frames: FrameSource | Path) -> Vented:
         def measure() -> Vented:
-            with Recording(path) as chamber:
+            with _opened(frames) as chamber:
                 return Vented.measure(chamber)
 
-        return self._once("vented", path, measure)
+        return self._once("vented", frames, measure)
 
-    def _level(self, path: Path, progress: Progress) -> Level:
+    def _level(self, frames: FrameSource | Path, nodes: int, progress: Progress) -> Level:
         def measure() -> Level:
-            with Recording(path) as level:
-                return Level.measure(level, self.sensor, progress=progress)
+            with _opened(frames) as level, _errors_name(level):
+                return Level.measure(level, self.sensor, nodes, progress)
 
-        return self._once(f"level {path}", (), measure)
+        return self._once(f"level {frames}", nodes, measure)
 
     def _validation(
         self, found: Identification, settings: Settings, progress: Progress
@@ -264,6 +273,44 @@ class Workbench:
                 kept.popitem(last=False)
         kept.move_to_end(key)
         return kept[key]  # type: ignore[return-value]
+
+
+def identify(
+    source: FrameSource,
+    sensor: Sensor,
+    contact_free: Sequence[int] | None = None,
+    *,
+    nodes: int = 1000,
+    surface: Name | None = None,
+    progress: Progress = quiet,
+) -> Identification:
+    """Identify a sensor from contact-free frames alone; arguments as of `bubbleviz.identify`."""
+    ranges = None if contact_free is None else as_ranges(contact_free)
+    settings = Settings(
+        Step.TENSION, ranges, surface=surface, nodes=nodes, held_press=False, scored=False
+    )
+    return _known(Workbench(source, sensor).work(settings, progress).found)
+
+
+@contextmanager
+def _errors_name(source: FrameSource) -> Iterator[None]:
+    """Put the name of a source before errors of steps that do not know it."""
+    try:
+        yield
+    except InputError as error:
+        if source.name in str(error):
+            raise
+        raise InputError(f"{source.name}: {error}") from error
+
+
+@contextmanager
+def _opened(frames: FrameSource | Path) -> Iterator[FrameSource]:
+    """Frames, or those of a recording while they are looked at."""
+    if not isinstance(frames, Path):
+        yield frames
+        return
+    with Recording(frames) as recording:
+        yield KeptFrames(recording)
 
 
 def _known(value: T | None) -> T:
