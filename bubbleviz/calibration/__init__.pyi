@@ -14,6 +14,7 @@ from .errors import (
 )
 from .identification import (
     Identification as Identification,
+    assemble as assemble,
     collect_press as collect_press,
     rest_gauge_pressure as rest_gauge_pressure,
     rest_gauge_sigma as rest_gauge_sigma,

@@ -21,7 +21,7 @@ from bubbleviz.calibration.surface import (
     cap_over_rim,
     mesh_ellipsoid,
 )
-from bubbleviz.calibration.tension import TensionEstimate
+from bubbleviz.calibration.tension import Quantity, TensionEstimate
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -193,6 +193,20 @@ class Identification:
         return self.tension.tension.value
 
     @property
+    def gauge(self) -> Quantity | None:
+        """Gauge pressure, Pa, whose interval γ0's holds; None where nothing tells how well."""
+        if self.rubber is not None and self.rubber.gauge is not None:
+            return self.rubber.gauge
+        pneumatics = self.sensor.pneumatics
+        sigma = pneumatics.gauge_sigma_pa
+        return None if sigma is None else Quantity.normal(pneumatics.gauge_pressure_pa, sigma)
+
+    @property
+    def gauge_rests_on(self) -> str:
+        """What the gauge pressure comes from, in words."""
+        return "the sensor file" if self.rubber is None else self.rubber.gauge_rests_on
+
+    @property
     def source_name(self) -> str:
         """Name of the recording."""
         return self.samples.source_name
@@ -290,9 +304,8 @@ def assemble(
     wander_m: float,
 ) -> Identification:
     """Put what the steps found into a sensor."""
-    pneumatics = sensor.pneumatics.model_copy(
-        update=_pressures(samples, tension, rest_gauge_sigma(samples, sensor))
-    )
+    sigma = rest_gauge_sigma(samples, sensor)
+    pneumatics = sensor.pneumatics.model_copy(update=_pressures(samples, tension, sigma))
     update = {
         "membrane": _membrane_section(surfaces, sensor.membrane.prestretch),
         "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),

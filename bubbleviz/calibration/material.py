@@ -214,7 +214,7 @@ def estimate_rubber(
         return replace(known, why_not="no inflation level was recorded")
     try:
         seen = levels or [held for held in (held,) if held is not None]
-        relative = tension.tension.sigma / tension.tension.value
+        relative = tension.of_shape.sigma / tension.of_shape.value
         told = model, samples, seen, other_mesh, gauge, relative
         problem = _Problem(*told, pressed=not levels)
         alone = problem.fit()

@@ -112,7 +112,7 @@ def _numbers(old: SensorModel, new: Identification) -> list[Row]:
             "pressure",
             was.gauge_pressure_pa,
             now.gauge_pressure_pa,
-            None if rubber is None else _half(rubber.gauge),
+            _half(new.gauge),
             None if known is None else _half_of(known.gauge_interval_pa),
         ),
         *(

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.material import RubberEstimate
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing, whole_file, write_ply
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
@@ -93,7 +92,7 @@ def _described(identification: Identification, path: Path, origin: Origin | None
         report=origin.report if origin else None,
         date=origin.date if origin else None,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
-        **_rubber_keys(identification.rubber),
+        **_intervals(identification),
     )
     return sensor.model_copy(
         update={
@@ -105,15 +104,13 @@ def _described(identification: Identification, path: Path, origin: Origin | None
     )
 
 
-def _rubber_keys(rubber: RubberEstimate | None) -> dict[str, Any]:
-    """What the file keeps of gauge pressure and λ, where they were measured."""
-    if rubber is None:
-        return {}
+def _intervals(found: Identification) -> dict[str, Any]:
+    """What the file keeps of gauge pressure and λ beside their values."""
     keys: dict[str, Any] = {}
-    if (gauge := rubber.gauge) is not None:
+    if (gauge := found.gauge) is not None:
         keys["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
-        keys["gauge_from"] = rubber.gauge_rests_on
-    if (stretch := rubber.prestretch) is not None:
+        keys["gauge_from"] = found.gauge_rests_on
+    if (rubber := found.rubber) is not None and (stretch := rubber.prestretch) is not None:
         keys["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
         keys["prestretch_from"] = rubber.prestretch_rests_on
     return keys
@@ -142,22 +139,15 @@ def _comment(identification: Identification) -> str:
         f"at this gauge pressure; 100 Pa more of it would make it"
         f" {100 * tension.per_pascal:.2f} N/m larger.",
     ]
-    lines += _rubber_lines(identification.rubber)
-    return "".join(f"# {line}\n" for line in lines) + "\n"
-
-
-def _rubber_lines(rubber: RubberEstimate | None) -> list[str]:
-    if rubber is None:
-        return []
-    lines = []
-    if (gauge := rubber.gauge) is not None:
+    if (gauge := identification.gauge) is not None:
         lines.append(
-            f"gauge_pressure_pa: {rubber.gauge_rests_on}; 95 % within"
+            f"gauge_pressure_pa: {identification.gauge_rests_on}; 95 % within"
             f" {gauge.low:.0f}…{gauge.high:.0f}, which γ0's interval holds."
         )
-    if (stretch := rubber.prestretch) is not None:
+    rubber = identification.rubber
+    if rubber is not None and (stretch := rubber.prestretch) is not None:
         lines.append(
             f"prestretch: {rubber.prestretch_rests_on}; 95 % within"
             f" {stretch.low:.3f}…{stretch.high:.3f}."
         )
-    return lines
+    return "".join(f"# {line}\n" for line in lines) + "\n"

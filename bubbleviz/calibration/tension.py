@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.special import ndtri
 
 from bubbleviz.calibration.errors import samples_covariances
 from bubbleviz.calibration.rest_frames import Samples
@@ -37,6 +36,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of, rounded
 
 # What statics leaves open of the mean tension: that of a sheet which was flat over the same rim.
@@ -180,7 +180,7 @@ class Quantity:
     @property
     def sigma(self) -> float:
         """Standard deviation of a normal error with this interval."""
-        return self.half_width / float(ndtri(0.975))
+        return self.half_width / HALF_95
 
     def texts(self, most: int) -> tuple[str, str, str]:
         """Value and ends, to the digits that the interval leaves and `most` decimals at most."""
@@ -191,7 +191,7 @@ class Quantity:
     @classmethod
     def normal(cls, value: float, sigma: float) -> Quantity:
         """The number with a normal error of standard deviation `sigma`."""
-        half = float(ndtri(0.975)) * sigma
+        half = HALF_95 * sigma
         return cls(value, value - half, value + half)
 
 
@@ -222,19 +222,29 @@ class TensionEstimate:
         """Change of γ0 per pascal by which the gauge pressure is wrong, m: γ0 is linear in it."""
         return self.tension.value / self.gauge_pressure_pa
 
+    @property
+    def of_shape(self) -> Quantity:
+        """γ0 as if the gauge pressure were exact, N/m."""
+        exact = self.gauge_pressure_pa
+        return self.under(Quantity(exact, exact, exact)).tension
+
     def under(self, gauge: Quantity) -> TensionEstimate:
-        """The same for a gauge pressure with an interval of its own."""
+        """The same for another gauge pressure, whose interval takes the place of the former's."""
         scale = gauge.value / self.gauge_pressure_pa
-        value, relative = self.tension.value * scale, gauge.half_width / gauge.value
-        low, high = (
-            value + sign * float(np.hypot(scale * (end - self.tension.value), relative * value))
-            for sign, end in ((-1.0, self.tension.low), (1.0, self.tension.high))
-        )
+        value = scale * self.tension.value
+        before, now = self.parts.get("gauge_pressure", 0.0), gauge.sigma / gauge.value * value
+
+        def half(end: float) -> float:
+            own = (end - self.tension.value) ** 2 - (HALF_95 * before) ** 2
+            return float(np.sqrt(scale**2 * max(own, 0.0) + (HALF_95 * now) ** 2))
+
         parts = {name: scale * part for name, part in self.parts.items()}
         return replace(
             self,
-            tension=Quantity(value, low, high),
-            parts=parts | {"gauge_pressure": relative * value / float(ndtri(0.975))},
+            tension=Quantity(
+                value, value - half(self.tension.low), value + half(self.tension.high)
+            ),
+            parts=parts | {"gauge_pressure": now},
             by_surface={name: scale * each for name, each in self.by_surface.items()},
             least_squares_n_per_m=scale * self.least_squares_n_per_m,
             gauge_pressure_pa=gauge.value,
@@ -245,6 +255,7 @@ def estimate_tension(
     samples: Samples,
     surfaces: Surfaces,
     gauge_pressure_pa: float,
+    gauge_sigma_pa: float | None,  # its standard deviation, Pa; None: not known, and not in γ0's
     progress: Progress = quiet,
 ) -> TensionEstimate:
     """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
@@ -272,7 +283,7 @@ def estimate_tension(
         "statics": excess / np.sqrt(12.0),  # anything between none of it and all
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
-    return TensionEstimate(
+    found = TensionEstimate(
         tension=Quantity(value, own.low, own.high),
         dimensions={
             name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))
@@ -283,6 +294,9 @@ def estimate_tension(
         least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
         gauge_pressure_pa=gauge_pressure_pa,
     )
+    if gauge_sigma_pa is None:
+        return found
+    return found.under(Quantity.normal(gauge_pressure_pa, gauge_sigma_pa))
 
 
 def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Name, float]:

@@ -134,9 +134,9 @@ def _notes(found: Identification) -> list[str]:
     notes = [
         f"Most of the interval comes from {cause}.",
     ]
-    if found.rubber is None or found.rubber.gauge is None:
+    if found.gauge is None:
         notes.append(
-            "The interval does not hold the zero of the pressure sensor: 1 % of the gauge pressure"
+            "The interval does not hold an error of the gauge pressure: 1 % of it"
             f" is 1 % of γ0, {tension.per_pascal * tension.gauge_pressure_pa / 100:.2f} N/m."
         )
     return notes

@@ -24,6 +24,7 @@ from bubbleviz.calibration.identification import (
     check_dome,
     collect_press,
     rest_gauge_pressure,
+    rest_gauge_sigma,
     with_rubber,
 )
 from bubbleviz.calibration.material import Vented
@@ -206,13 +207,13 @@ class Workbench:
         key = (draft.ranges, settings.nodes, settings.surface)
         sensor = self.sensor if vented is None else vented.set_in(self.sensor)
         with _errors_name(self.source):
-            gauge = rest_gauge_pressure(samples, sensor)
+            gauge = rest_gauge_pressure(samples, sensor), rest_gauge_sigma(samples, sensor)
             seen = self._once("seen", key, lambda: check_dome(samples, surfaces))
             wander = self._once("still", draft.ranges, lambda: check_still(samples))
             tension = self._once(
                 "tension",
                 (*key, settings.vented),
-                lambda: estimate_tension(samples, surfaces, gauge, progress),
+                lambda: estimate_tension(samples, surfaces, *gauge, progress),
             )
             return assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
 

@@ -9,7 +9,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import balance_tension, build_mesh, mesh_cap, spherical_cap
 from bubbleviz.sensor import load_sensor
 
-from .twin import FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias
+from .twin import ATMOSPHERE, FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +69,29 @@ def test_mesh_keeps_its_rim_plane_and_shape(found):
 def test_tension_and_noise(twin, found):
     truth = balance_tension(twin.truth, GAUGE)  # bent most at the rim, which is hidden
     assert found.tension_n_per_m == pytest.approx(truth, rel=0.03)
-    assert found.tension.tension.low < truth < found.tension.tension.high
-    assert found.tension.tension.half_width < 0.05 * truth
+    by_shape = found.tension.of_shape
+    assert by_shape.low < truth < by_shape.high and by_shape.half_width < 0.05 * truth
     assert found.surfaces.chosen == "free-form"
     assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE, abs=5.0)
     assert found.statistics.noise_m[found.pixels.mask].mean() == pytest.approx(6e-5, rel=0.4)
+
+
+def test_tension_carries_what_is_not_known_of_the_gauge_pressure(twin, tmp_path):
+    """The sensor file's atmosphere is off by the weather: γ0 with it, and its interval says so."""
+    truth, sensor = balance_tension(twin.truth, GAUGE), nominal_sensor()
+    air = {"atmospheric_pressure_pa": ATMOSPHERE - 1500.0}
+    sensor = sensor.model_copy(update={"pneumatics": sensor.pneumatics.model_copy(update=air)})
+    found = identify(twin, sensor, range(20), nodes=300)
+    by_shape, tension = found.tension.of_shape, found.tension.tension
+    assert by_shape.low > 1.2 * truth and tension.low < truth < tension.high
+    write_sensor(found, tmp_path / "mine.toml")
+    sensor = load_sensor(tmp_path / "mine.toml")
+    low, high = sensor.calibration.gauge_interval_pa
+    assert low < GAUGE < high and high - low == pytest.approx(4e3, rel=0.01)
+    whole = np.ptp(sensor.calibration.tension_interval_n_per_m)
+    by_gauge = (high - low) / sensor.pneumatics.gauge_pressure_pa * tension.value
+    # ends that lie apart unevenly add to at most twice the squared mean
+    assert 0.99 < (whole**2 - by_gauge**2) / (2.0 * by_shape.half_width) ** 2 < 2.01
 
 
 def test_balance_is_exact_for_a_sphere_and_calm_on_bumps():

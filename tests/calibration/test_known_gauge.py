@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from bubbleviz.calibration import (
+    Quantity,
     Vented,
+    assemble,
     collect,
     identify,
     judge,
@@ -71,17 +73,23 @@ def shown(dome, shape_m, gauge_pa, seed):
 
 @pytest.fixture(scope="module")
 def identified(dome):
-    """Identification of the dome from a sensor file that says so much of its pressures."""
+    """Identification of the dome from a sensor file that says so much of its pressures.
+
+    Its surface and pixels do not depend on them and are found once.
+    """
     rest = shown(dome, dome["rest_m"], GAUGE_PA, 1)
+    once = identify(rest, told(), range(FRAMES), nodes=NODES)
     levels = [
-        shown(dome, shape, pressure, 2 + k)
+        collect(shown(dome, shape, pressure, 2 + k), once.given, range(FRAMES))
         for k, (shape, pressure) in enumerate(zip(dome["level_m"], dome["level_pa"], strict=True))
     ]
 
-    def of(vented=None, **pneumatics):
+    def of(**pneumatics):
         sensor = told(**pneumatics)
-        found = identify(rest, sensor, range(FRAMES), nodes=NODES)
-        return with_rubber(found, [collect(each, sensor, range(FRAMES)) for each in levels], vented)
+        gauge = rest_gauge_pressure(once.samples, sensor)
+        tension = once.tension.under(Quantity(gauge, gauge, gauge))
+        parts = once.samples, once.surfaces, once.pixels, tension, once.seen, once.wander_m
+        return with_rubber(assemble(sensor, *parts), levels)
 
     return of
 

@@ -39,7 +39,7 @@ def test_frames_are_collected_live_until_the_interval_is_small(drive):
     bench.wait(lambda: not box.collector.active)
     bench.done()
     assert 10 <= len(bench.draft.samples.frames) < 400
-    tension = bench.draft.tension.tension
+    tension = bench.draft.tension.of_shape
     assert tension.half_width <= 0.05 * tension.value
     assert tension.value == pytest.approx(TENSION, rel=0.02)
     collected = panel.calibration.work.collected

@@ -142,6 +142,7 @@ def _estimate(frames: CollectedFrames, sensor: Sensor) -> Callable[[Progress], Q
         from bubbleviz.calibration import Workbench  # the window starts without
 
         tension = Workbench(frames, sensor).work(settings, progress).tension
-        return tension.tension if tension is not None else None
+        # more frames do not narrow what comes of the gauge pressure
+        return tension.of_shape if tension is not None else None
 
     return job

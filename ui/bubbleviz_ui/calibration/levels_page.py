@@ -97,18 +97,17 @@ class RectificationPage(Page):
         found, pressure = answer.draft.found, self.units.gas_pressure
         rubber = found.rubber if found is not None else None
         if rubber is None:
-            self.numbers.set("λ", "not determined: add levels, or press and hold")
-            self.numbers.set("gauge pressure", None)
-            self.numbers.set("gauge pressure rests on", "the sensor file's atmospheric pressure")
-            return
-        stretch, gauge = rubber.prestretch, rubber.gauge
-        if stretch is None:
-            self.numbers.set("λ", f"not determined: {rubber.why_not}")
+            stretch = "not determined: add levels, or press and hold"
+        elif rubber.prestretch is None:
+            stretch = f"not determined: {rubber.why_not}"
         else:
-            self.numbers.set("λ", "{}, 95 % interval {} … {}".format(*stretch.texts(3)))
+            stretch = "{}, 95 % interval {} … {}".format(*rubber.prestretch.texts(3))
+        self.numbers.set("λ", stretch)
+        gauge = found.gauge if found is not None else None
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
-        self.numbers.set("gauge pressure rests on", rubber.gauge_rests_on)
+        rests_on = "the sensor file" if found is None else found.gauge_rests_on
+        self.numbers.set("gauge pressure rests on", rests_on)
 
     def _choose_vented(self) -> None:
         path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")
