@@ -15,6 +15,7 @@ from bubbleviz.calibration import (
     Identification,
     KnownPress,
     Name,
+    Parameter,
     Settings,
     Step,
     Validation,
@@ -132,8 +133,9 @@ class Identified(Summary):
             return repr(self)
         verdict = self.numbers["verdict"]
         report = f" and {self.report / 'report.html'}" if self.report else ""
-        advice = (f"- {line}" for line in verdict["advice"])
-        return "\n".join([verdict["summary"], *advice, f"wrote {self.out}{report}"])
+        table = (Parameter(**each) for each in verdict["parameters"])
+        lines = (f"- {line}" for line in (*verdict["advice"], *table))
+        return "\n".join([verdict["summary"], *lines, f"wrote {self.out}{report}"])
 
     def __repr__(self) -> str:
         low, high = self.tension_interval_n_per_m

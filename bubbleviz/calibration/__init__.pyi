@@ -109,9 +109,9 @@ from .validation import (
     validate as validate,
 )
 from .verdict import (
+    Parameter as Parameter,
     Verdict as Verdict,
     judge as judge,
-    rubber_advice as rubber_advice,
     validation_advice as validation_advice,
 )
 from .workbench import (

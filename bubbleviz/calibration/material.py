@@ -106,11 +106,11 @@ class RubberEstimate:
 
     @property
     def contradicts_file(self) -> bool:
-        """Whether the intervals of the gauge pressure by shapes and by the file do not meet."""
+        """Whether gauge pressures by shapes and by the file differ by more than both errors."""
         if self.both is None:
             return False
         shapes, file = self.both
-        return shapes.low > file.high or shapes.high < file.low
+        return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
 
     @property
     def told_by(self) -> Literal["press", "levels"]:
@@ -234,9 +234,9 @@ def _judged(
     """What was found with its λ, or what was known before and why nothing was found.
 
     Gauge pressures by the shapes and by the file that differ by more than both deviations leave
-    widen that of the fit by as much, as the Particle Data Group does. Where not even the intervals
-    meet one of them is wrong, and the interval holds both. Whether λ is determined is asked at the
-    gauge pressure that was found.
+    widen that of the fit by as much, as the Particle Data Group does. Where they differ by more
+    than their 95 % intervals explain one of them is wrong, and the interval holds both. Whether λ
+    is determined is asked at the gauge pressure that was found.
     """
     known = replace(
         known,

@@ -18,7 +18,7 @@ from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.material import RubberEstimate
 from bubbleviz.calibration.sensor_writer import Origin, file_hash, output_files, write_sensor
 from bubbleviz.calibration.validation import Validation
-from bubbleviz.calibration.verdict import judge, rubber_advice, validation_advice
+from bubbleviz.calibration.verdict import judge, validation_advice
 from bubbleviz.files import refuse_existing, whole_file
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource
@@ -33,14 +33,7 @@ def summary(
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, fits = found.statistics, found.fits
     return {
-        "verdict": asdict(verdict)
-        | {
-            "advice": [
-                *verdict.advice,
-                *validation_advice(validation),
-                *rubber_advice(found.rubber),
-            ]
-        },
+        "verdict": asdict(verdict) | {"advice": [*verdict.advice, *validation_advice(validation)]},
         "origin": asdict(origin),
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.verdict import parameters
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing, whole_file, write_ply
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
@@ -126,7 +127,6 @@ def _comment(identification: Identification) -> str:
     free = identification.samples.frames
     axes = "/".join(f"{1e3 * x:.1f}" for x in fits.cap.ellipsoid.semi_axes_m)
     misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
-    value = tension.tension
     lines = [
         f"Identified from {identification.source_name}, contact-free frames {free[0]}–{free[-1]}.",
         "B: origin at the centre of the rim plane; the rim plane and the axes are the drawing's.",
@@ -134,20 +134,8 @@ def _comment(identification: Identification) -> str:
         f" {misses['sphere']},",
         f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"
         f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
-        "tension_n_per_m: Young–Laplace, summed over the surface so that its bumps do not bias"
-        f" it; 95 % within {value.low:.2f}…{value.high:.2f}",
-        f"at this gauge pressure; 100 Pa more of it would make it"
-        f" {100 * tension.per_pascal:.2f} N/m larger.",
+        "γ0 is Young–Laplace's, summed over the surface so that its bumps do not bias it;",
+        f"100 Pa more of gauge pressure would make it {100 * tension.per_pascal:.2f} N/m larger.",
     ]
-    if (gauge := identification.gauge) is not None:
-        lines.append(
-            f"gauge_pressure_pa: {identification.gauge_rests_on}; 95 % within"
-            f" {gauge.low:.0f}…{gauge.high:.0f}, which γ0's interval holds."
-        )
-    rubber = identification.rubber
-    if rubber is not None and (stretch := rubber.prestretch) is not None:
-        lines.append(
-            f"prestretch: {rubber.prestretch_rests_on}; 95 % within"
-            f" {stretch.low:.3f}…{stretch.high:.3f}."
-        )
+    lines += [f"{each.name}: {each.value} ({each.told_by})." for each in parameters(identification)]
     return "".join(f"# {line}\n" for line in lines) + "\n"

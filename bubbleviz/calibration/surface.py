@@ -174,10 +174,17 @@ def _descend(
     """Least of a loss whose scale is that of the distances at the start."""
     sigma = max(robust_sigma(start.distance(points), center=0.0), 1e-9)
     count = start.derivatives(points[:1], freedom).shape[1]
+
+    def distances(step: np.ndarray) -> np.ndarray:
+        return start.moved(step, freedom).distance(points) / sigma
+
+    def slopes(step: np.ndarray) -> np.ndarray:
+        return start.moved(step, freedom).derivatives(points, freedom) / sigma
+
     step = least_squares(
-        lambda step: start.moved(step, freedom).distance(points) / sigma,
+        distances,
         np.zeros(count),
-        lambda step: start.moved(step, freedom).derivatives(points, freedom) / sigma,
+        slopes,
         x_scale=np.r_[np.full(min(count, 6), start.semi_axes_m.max()), np.ones(max(count - 6, 0))],
         ftol=_CLOSE,
         loss=loss,  # type: ignore[arg-type]  # the stub's protocol names its argument

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.material import RubberEstimate
 from bubbleviz.calibration.tension import Quantity
 from bubbleviz.calibration.validation import Validation
 
@@ -17,6 +16,24 @@ PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 _GOOD, _USABLE = 0.02, 0.05  # relative half-width of γ0: below a force sensor's; worth a warning
 _WELL_SEEN = 0.8  # of the dome's area; chosen
 _FEW_FRAMES = 30  # one second of most depth cameras
+_LEVELS = (
+    "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
+    " their gas pressures (--level), or press it and hold"
+)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an identification and what it rests on."""
+
+    name: str
+    value: str  # with unit and 95 % interval, or "not determined"
+    told_by: str  # what tells it, or why nothing does
+    narrower: str  # what would narrow its interval
+
+    def __str__(self) -> str:
+        """As a sentence or two."""
+        return f"{self.name}: {self.value} ({self.told_by}). To narrow it: {self.narrower}."
 
 
 @dataclass(frozen=True)
@@ -26,6 +43,7 @@ class Verdict:
     grade: Grade
     summary: str  # one sentence
     advice: tuple[str, ...]  # what was found and what to do about it, most important first
+    parameters: tuple[Parameter, ...]
 
 
 def pascals(pressure_pa: float) -> str:
@@ -49,7 +67,7 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
         f" ({_percent(relative)} either way), at"
         f" {pressure(found.tension.gauge_pressure_pa)} gauge pressure"
     )
-    return Verdict(grade, summary, (_surface(found), *warnings, *_notes(found)))
+    return Verdict(grade, summary, (_surface(found), *warnings), parameters(found, pressure))
 
 
 def _surface(found: Identification) -> str:
@@ -119,55 +137,54 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     return out
 
 
-def _notes(found: Identification) -> list[str]:
-    tension = found.tension
-    part = max(tension.parts, key=lambda name: tension.parts[name])
-    cause = {
-        "pixels": "noise and fixed pattern of the pixels: more frames, or a better rectification",
-        "frames": "drift from frame to frame: let gas and camera settle",
-        "gas_pressure": "noise of the gas pressure: record longer",
-        "facets": "the flat facets of the mesh: more nodes",
-        "gauge_pressure": "the gauge pressure: record the open chamber (--vented)",
-        "statics": "the oval rim, over which shape and pressure leave the mean tension open",
-        "surface": "a shape that is hidden, too fine for the fit, or no ellipsoid: uncover the rim",
-    }[part]
-    notes = [
-        f"Most of the interval comes from {cause}.",
-    ]
-    if found.gauge is None:
-        notes.append(
-            "The interval does not hold an error of the gauge pressure: 1 % of it"
-            f" is 1 % of γ0, {tension.per_pascal * tension.gauge_pressure_pa / 100:.2f} N/m."
-        )
-    return notes
-
-
-def rubber_advice(rubber: RubberEstimate | None) -> list[str]:
-    """Sentences for the verdict."""
-    if rubber is None:
-        return [
-            "λ is not determined: record the untouched sensor at two other inflations, 15 % of its"
-            " gauge pressure apart, with their gas pressures (--level), or press it and hold."
-        ]
-    advice = []
-    if rubber.prestretch is None:
-        advice.append(f"λ is not determined: {rubber.why_not}.")
+def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
+    """γ0, gauge pressure and λ: what tells them, and what would narrow their intervals."""
+    tension, rubber, gauge = found.tension, found.rubber, found.gauge
+    vented = rubber is not None and rubber.gauge_from == "vented"
+    chamber = "record the open chamber for ten seconds (--vented)"
+    if gauge is None:
+        gauge_text = f"{pressure(tension.gauge_pressure_pa)}, error unknown"
     else:
-        value, low, high = rubber.prestretch.texts(3)
-        advice.append(f"λ = {value}, 95 % interval {low} to {high}.")
-    if rubber.both is not None and (gauge := rubber.gauge) is not None:
-        value, low, high = gauge.texts(0)
-        advice.append(
-            f"By the {rubber.told_by} and the sensor file the gauge pressure is {value} Pa, 95 %"
-            f" interval {low} to {high}: record the open chamber for ten seconds to know it more"
-            " precisely (--vented)."
-        )
-    if rubber.gauge is None:
-        advice.append(
-            "The gauge pressure rests on the sensor file's atmospheric pressure, and force is as"
-            " many percent wrong as it is: record the open chamber (--vented)."
-        )
-    return advice
+        low, high = pressure(gauge.low), pressure(gauge.high)
+        gauge_text = f"{pressure(gauge.value)}, 95 % interval {low} to {high}"
+    part = max(tension.parts, key=lambda name: tension.parts[name])
+    of_tension = {
+        "pixels": "more frames, or a better rectification, against noise and pattern of the pixels",
+        "frames": "let gas and camera settle, against drift from frame to frame",
+        "gas_pressure": "record longer, against noise of the gas pressure",
+        "facets": "more nodes, against the flat facets of the mesh",
+        "gauge_pressure": "know the gauge pressure better",
+        "statics": "nothing: over an oval rim shape and pressure leave the mean tension open",
+        "surface": "uncover the rim, against a shape that is hidden or too fine for the fit",
+    }[part]
+    if rubber is None:
+        told, narrower = "neither levels nor a press were recorded", _LEVELS
+    elif rubber.prestretch is None:
+        told, narrower = rubber.why_not, _LEVELS
+    else:
+        told = rubber.prestretch_rests_on
+        narrower = "record levels farther apart" if vented else chamber
+    stretch = None if rubber is None else rubber.prestretch
+    return (
+        Parameter(
+            "γ0",
+            _range(tension.tension, 2, " N/m"),
+            "shape and gauge pressure",
+            of_tension,
+        ),
+        Parameter(
+            "gauge pressure",
+            gauge_text,
+            found.gauge_rests_on,
+            "record it for longer" if vented else chamber,
+        ),
+        Parameter("λ", "not determined" if stretch is None else _range(stretch, 3), told, narrower),
+    )
+
+
+def _range(found: Quantity, most: int, unit: str = "") -> str:
+    value, low, high = found.texts(most)
+    return f"{value}{unit}, 95 % interval {low} to {high}"
 
 
 def _interval(gauge: Quantity, pressure: PressureText) -> str:

@@ -235,7 +235,7 @@ class Workbench:
             with _opened(frames) as chamber:
                 return Vented.measure(chamber)
 
-        return self._once("vented", frames, measure)
+        return self._once(f"vented {frames}", (), measure)
 
     def _level(self, frames: FrameSource | Path, nodes: int, progress: Progress) -> Level:
         def measure() -> Level:

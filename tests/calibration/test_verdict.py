@@ -109,6 +109,17 @@ def test_a_warning_comes_where_its_limit_is_passed(ball, change, said):
         assert said in verdict.advice[1]
 
 
+def test_parameters_say_what_tells_them_and_what_would_narrow_them(ball):
+    tension, gauge, stretch = judge(ball).parameters
+    assert "error unknown" in gauge.value and "(--vented)" in gauge.narrower
+    assert stretch.value == "not determined" and "(--level)" in stretch.narrower
+    parts = ball.tension.parts
+    for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():
+        found = with_tension(ball, 0.01, parts=parts | {name: 10.0 * max(parts.values())})
+        tension = judge(found).parameters[0]
+        assert said in tension.narrower and f"{ball.tension_n_per_m:.0f}" in tension.value
+
+
 @pytest.mark.parametrize(("relative", "apart"), [(0.01, 0.021), (0.03, 0.025)])
 def test_least_squares_count_as_apart_beyond_the_interval_and_two_percent(ball, relative, apart):
     value = ball.tension.tension.value

@@ -80,8 +80,8 @@ class ReportPage(Page):
         ready = not self.calibration.busy and not self.calibration.outdated
         for button in (self.use_it, self.save_as):
             button.setEnabled(comparison is not None and ready)
-        advice = "" if verdict is None else "\n".join(f"• {line}" for line in verdict.advice)
-        self.advice.setText(advice)
+        lines = () if verdict is None else (*verdict.advice, *verdict.parameters)
+        self.advice.setText("\n".join(f"• {line}" for line in lines))
         old = answer.compared_with
         self.compared.setText(f"In use: {old.name}" if old is not None else "")
         self._show_table(comparison)
