@@ -52,7 +52,7 @@ def specimen(name: str, _sensor: Sensor, grid: accuracy.Grid) -> accuracy.Specim
     shape, _, how = kind.partition(", ")
     rubber = _RUBBER[shape](float(stretch))
     camera = DepthCamera.of(rubber.sensor().camera)
-    presses = RubberPresses(camera, rubber.rest, partial(rubber_on, rubber), rubber.pneumatics)
+    presses = RubberPresses(camera, rubber.rest, rubber.pneumatics, partial(rubber_on, rubber))
     if how == "identified":
         told = cache(partial(_identified, rubber, grid.seed))
         return accuracy.Specimen(name, presses, told, "identified")

@@ -26,8 +26,14 @@ from bubbleviz.pose import (
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import DepthNoise, Press, SyntheticSource, made, simulation_mesh
-from bubbleviz.simulation.truth_bank import TRUTH_NODES
+from bubbleviz.simulation import (
+    LINEAR_NODES,
+    DepthNoise,
+    Press,
+    SyntheticSource,
+    made,
+    simulation_mesh,
+)
 from bubbleviz.study.harness import (
     Case,
     Column,
@@ -70,7 +76,7 @@ class PoseGrid:
     objects: tuple[str, ...] = ("frustum", "two_legged_toy", "bridge", "cylinder")
     poses: int = 30  # of each object
     noises_relative: tuple[float, ...] = (0.0, 0.005, 0.01)
-    truth_nodes: int = TRUTH_NODES
+    truth_nodes: int = LINEAR_NODES
     seed: int = 7
 
     def presses(self, name: str) -> list[Press]:

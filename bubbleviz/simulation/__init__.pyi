@@ -35,7 +35,10 @@ from .printed_speckle import (
 )
 from .rubber_truth import (
     EDGE_RADIUS_M as EDGE_RADIUS_M,
+    LINEAR_NODES as LINEAR_NODES,
     TRUTH_NODES as TRUTH_NODES,
+    LinearPresses as LinearPresses,
+    Presses as Presses,
     RubberPresses as RubberPresses,
     RubberTruth as RubberTruth,
     refined_press as refined_press,
@@ -56,8 +59,6 @@ from .synthetic_source import (
     truth_of as truth_of,
 )
 from .truth_bank import (
-    LinearPresses as LinearPresses,
-    Presses as Presses,
     Sighting as Sighting,
     TruthBank as TruthBank,
     noise_name as noise_name,

@@ -1,7 +1,8 @@
-"""Presses into the exact membrane, as the camera would see them."""
+"""Presses into the exact membrane or the linear one, as the camera would see them."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.camera import DepthCamera, MembraneView
-from bubbleviz.errors import SolveError
+from bubbleviz.errors import InputError, SolveError
 from bubbleviz.membrane import (
     MOST_TURN_RAD,
     Contact,
+    ForwardModel,
     Gas,
     MembraneMesh,
     ObjectSurface,
@@ -104,6 +106,7 @@ PRESTRETCH = 1.2  # λ of sensors whose file has none: that of the real one (`id
 
 TRUTH_NODES = 2_600
 """Before it is refined: other nodes than the estimator's, and as coarse where nothing touches."""
+LINEAR_NODES = 12_500  # of the linear model, which costs little: about 15 times the estimator's 800
 
 
 class RubberTruth(NamedTuple):
@@ -116,34 +119,65 @@ class RubberTruth(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RubberPresses:
-    """Presses objects into one exact membrane."""
+class Presses(ABC):
+    """Presses objects into one membrane."""
 
     camera: DepthCamera  # that sees it
-    mesh: MembraneMesh  # before it is refined
+    mesh: MembraneMesh  # reference surface
+    pneumatics: Pneumatics  # the gas behind it
+
+    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
+        """Press an object at a pose (4, 4).
+
+        Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
+        """
+        mesh, contact = self.solved(obj, T_B_O)
+        if not contact.converged:
+            raise SolveError(f"no equilibrium of {obj.name} at this pose")
+        view = MembraneView(self.camera, mesh)
+        return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
+
+    @abstractmethod
+    def solved(self, obj: RigidObject, T_B_O: np.ndarray) -> tuple[MembraneMesh, Contact]:
+        """Contact at a pose, converged or not, and the mesh that it is on."""
+
+
+@dataclass(frozen=True)
+class RubberPresses(Presses):
+    """Presses objects into one exact membrane, on a mesh finer where they touch."""
+
     # the membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little
     rubber: Callable[[MembraneMesh], RubberMembrane]
-    pneumatics: Pneumatics
 
     @classmethod
     def of(cls, model: SensorModel, nodes: int = TRUTH_NODES) -> RubberPresses:
         """Those of a sensor as its file describes it, on a mesh of about so many nodes."""
         rubber = partial(_rubber_of, model.sensor, model.tension_n_per_m)
         mesh = simulation_mesh(model, nodes)
-        return cls(model.camera, mesh, rubber, model.sensor.pneumatics)
+        return cls(model.camera, mesh, model.sensor.pneumatics, rubber)
 
-    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
-        """Press an object at a pose (4, 4).
+    def solved(self, obj: RigidObject, T_B_O: np.ndarray) -> tuple[MembraneMesh, Contact]:
+        return refined_press(self.rubber, partial(Gas.of, self.pneumatics), self.mesh, obj, T_B_O)
 
-        Raises SolveError: no equilibrium was found.
-        """
-        mesh, contact = refined_press(
-            self.rubber, partial(Gas.of, self.pneumatics), self.mesh, obj, T_B_O
-        )
-        if not contact.converged:
-            raise SolveError(f"no equilibrium of {obj.name} at this pose")
-        view = MembraneView(self.camera, mesh)
-        return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
+
+@dataclass(frozen=True)
+class LinearPresses(Presses):
+    """Presses objects into the paper's linear membrane."""
+
+    tension_n_per_m: float
+
+    @classmethod
+    def of(cls, model: SensorModel, nodes: int = LINEAR_NODES) -> LinearPresses:
+        """Those of a sensor, on a mesh of about so many nodes."""
+        mesh = simulation_mesh(model, nodes)
+        return cls(model.camera, mesh, model.sensor.pneumatics, model.tension_n_per_m)
+
+    def solved(self, obj: RigidObject, T_B_O: np.ndarray) -> tuple[MembraneMesh, Contact]:
+        gas = Gas.of(self.pneumatics, self.mesh)
+        contact = ForwardModel(self.mesh, self.tension_n_per_m, gas).press(obj, T_B_O)
+        if contact.rim_penetration_m > 1e-6:
+            raise InputError(f"{obj.name} cuts into the clamped rim")
+        return self.mesh, contact
 
 
 def _rubber_of(sensor: Sensor, tension_n_per_m: float, mesh: MembraneMesh) -> RubberMembrane:

@@ -4,82 +4,20 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from bubbleviz.camera import DepthCamera, MembraneView
-from bubbleviz.errors import InputError, SolveError
+from bubbleviz.camera import MembraneView
+from bubbleviz.errors import SolveError
 from bubbleviz.files import whole_file
-from bubbleviz.membrane import ForwardModel, Gas, MembraneMesh
+from bubbleviz.membrane import MembraneMesh
 from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.recordings import Frame
-from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import Pneumatics
-from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.presses import Press, made
-from bubbleviz.simulation.rubber_truth import RubberTruth
-from bubbleviz.simulation.synthetic_source import Truth, simulation_mesh
-
-TRUTH_NODES = 12_500  # of the linear model, which costs little: about 15 times the estimator's 800
-
-
-class Presses(Protocol):
-    """Presses objects into one membrane."""
-
-    @property
-    def camera(self) -> DepthCamera:
-        """The one that sees it."""
-
-    @property
-    def mesh(self) -> MembraneMesh:
-        """Reference surface."""
-
-    @property
-    def pneumatics(self) -> Pneumatics:
-        """The gas behind it."""
-
-    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
-        """Press an object at a pose (4, 4); SolveError where no equilibrium was found."""
-
-
-@dataclass(frozen=True)
-class LinearPresses:
-    """Presses objects into the paper's linear membrane."""
-
-    model: SensorModel
-    nodes: int = TRUTH_NODES
-
-    @property
-    def camera(self) -> DepthCamera:
-        """That of the sensor."""
-        return self.model.camera
-
-    @property
-    def mesh(self) -> MembraneMesh:
-        """Mesh of all presses."""
-        return simulation_mesh(self.model, self.nodes)
-
-    @property
-    def pneumatics(self) -> Pneumatics:
-        """Those of the sensor."""
-        return self.model.sensor.pneumatics
-
-    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
-        """Press an object at a pose (4, 4).
-
-        Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
-        """
-        mesh = self.mesh
-        forward = ForwardModel(mesh, self.model.tension_n_per_m, Gas.of(self.pneumatics, mesh))
-        contact = forward.press(obj, T_B_O)
-        if contact.rim_penetration_m > 1e-6:
-            raise InputError(f"{obj.name} cuts into the clamped rim")
-        if not contact.converged:
-            raise SolveError(f"no equilibrium of {obj.name} at this pose")
-        view = MembraneView(self.camera, mesh)
-        return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
+from bubbleviz.simulation.rubber_truth import Presses, RubberTruth
+from bubbleviz.simulation.synthetic_source import Truth
 
 
 @dataclass(frozen=True)

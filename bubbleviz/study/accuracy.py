@@ -26,8 +26,9 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import (
     GRID_OBJECTS,
     HELD_OUT_OBJECTS,
+    LINEAR_NODES,
     SMOOTH_OBJECTS,
-    TRUTH_NODES as RUBBER_NODES,
+    TRUTH_NODES,
     DepthNoise,
     LinearPresses,
     Model,
@@ -43,7 +44,6 @@ from bubbleviz.simulation import (
     with_nodes,
     with_noise,
 )
-from bubbleviz.simulation.truth_bank import TRUTH_NODES
 from bubbleviz.study.harness import (
     Case,
     Column,
@@ -126,7 +126,7 @@ class Grid:
     setups: tuple[Setup, ...] = (RUBBER, LINEAR, PAPER)
     repeats: int = 3  # warm frames of each press, the same but for their noise
     model: Model = "rubber"  # of the truth
-    truth_nodes: int = RUBBER_NODES
+    truth_nodes: int = TRUTH_NODES
     limit_s: float | None = 120.0  # wall time of one truth
     seed: int = 7
 
@@ -174,7 +174,7 @@ def full_grid(model: Model = "rubber") -> Grid:
     sizes = [replace(s, nodes=n) for s in (RUBBER, LINEAR, PAPER) for n in (400, 800, 1600)]
     if model == "linear":
         setups = (LINEAR, PAPER, *(s for s in sizes if s.solver != "rubber"))
-        return Grid(("sensor",), setups=setups, model=model, truth_nodes=TRUTH_NODES, limit_s=None)
+        return Grid(("sensor",), setups=setups, model=model, truth_nodes=LINEAR_NODES, limit_s=None)
     strides = [Setup("rubber", stride=k) for k in (2, 4)]
     return Grid(setups=(RUBBER, LINEAR, PAPER, *sizes, *strides))
 
@@ -200,7 +200,7 @@ def specimen(name: str, sensor: Sensor, grid: Grid) -> Specimen:
     own = dome(float(stretch)) if kind == "dome" else sensor
     if grid.model == "linear":
         known = SensorModel.of(own)
-        return Specimen(name, LinearPresses(known, grid.truth_nodes), partial(with_noise, known))
+        return Specimen(name, LinearPresses.of(known, grid.truth_nodes), partial(with_noise, known))
     known = SensorModel.of(rubber_sensor(own))
     return Specimen(name, RubberPresses.of(known, grid.truth_nodes), partial(with_noise, known))
 

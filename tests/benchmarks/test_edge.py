@@ -35,7 +35,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def bank(sensor):
-    return TruthBank(LinearPresses(SensorModel.of(sensor), 1_500), 7)
+    return TruthBank(LinearPresses.of(SensorModel.of(sensor), 1_500), 7)
 
 
 def test_the_truth_itself_is_in_its_band(sensor, bank):

@@ -31,7 +31,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def bank(sensor):
-    return TruthBank(LinearPresses(SensorModel.of(sensor), 1_500), 7)
+    return TruthBank(LinearPresses.of(SensorModel.of(sensor), 1_500), 7)
 
 
 @pytest.mark.parametrize("name", GRID_OBJECTS + HELD_OUT_OBJECTS)
@@ -92,7 +92,7 @@ def test_a_kept_truth_is_the_truth(sensor, tmp_path, bank):
     press = Press("sphere", DEPTH_M, False)
     model = SensorModel.of(sensor)
     first, kept = (
-        TruthBank(LinearPresses(model, 1_500), 7, tmp_path).sighting(press) for _ in range(2)
+        TruthBank(LinearPresses.of(model, 1_500), 7, tmp_path).sighting(press) for _ in range(2)
     )
     fresh = bank.sighting(press)
     for one in (first, kept):
