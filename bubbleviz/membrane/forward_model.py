@@ -256,19 +256,8 @@ class ForwardModel:
         return self._certified(state, gap_m)
 
     def _gas_rule(self, volume: float, slope: float) -> float:
-        """Pressure over γ0 at which gas law and membrane agree: the upper root of a quadratic.
-
-        With V = Vc + s p_v the gas law (P0 + p_v)(Vc + s p_v) = P0 V0 has one root with V > 0.
-        """
-        P0, V0 = self.gas.P0, self.gas.V0
-        s, Vc = slope / self.tension, V0 + volume
-        if s <= 0.0:
-            return (P0 * (V0 - Vc) / Vc if Vc > 0.0 else np.inf) / self.tension
-        q = Vc + s * P0
-        root = np.hypot(Vc - s * P0, 2.0 * np.sqrt(s * P0 * V0))
-        # Two forms of one root: whichever does not cancel.
-        change = 2.0 * P0 * (V0 - Vc) / (q + root) if q > 0.0 else (root - q) / (2.0 * s)
-        return change / self.tension
+        """Pressure over γ0 at which gas law and membrane agree."""
+        return self.gas.at(volume, max(slope, 0.0) / self.tension)[0] / self.tension
 
     def _certified(self, state: Obstacle, gap_m: np.ndarray) -> Contact:
         """Full-size fields and residuals, computed afresh from them."""

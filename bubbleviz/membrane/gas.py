@@ -50,14 +50,18 @@ class Gas:
         (P0 + p_v)(V + c p_v) = P0 V0.
         """
         volume = self.V0 + growth_m3
-        if not volume > 0.0:
-            return np.inf, np.inf
         if give == 0.0:
+            if not volume > 0.0:
+                return np.inf, np.inf
             pressure = self.P0 * self.V0 / volume
             return pressure - self.P0, pressure / volume
         both = volume + give * self.P0
-        root = np.sqrt(both**2 - 4.0 * give * self.P0 * growth_m3)
-        change = -2.0 * self.P0 * growth_m3 / (both + root)
+        root = np.hypot(volume - give * self.P0, 2.0 * np.sqrt(give * self.P0 * self.V0))
+        # Two forms of one root: whichever does not cancel.
+        if both > 0.0:
+            change = 2.0 * self.P0 * (self.V0 - volume) / (both + root)
+        else:
+            change = (root - both) / (2.0 * give)
         beta = (self.P0 + change) / (volume + give * change)
         return change, beta / (1.0 + beta * give)
 
