@@ -129,7 +129,7 @@ def test_the_window_says_what_was_done_to_the_zero_of_a_recording(drive, sensor,
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 1e-3])
-def test_the_window_says_that_depth_has_drifted(drive, tmp_path, shift_m):
+def test_the_window_says_that_depth_does_not_fit(drive, tmp_path, shift_m):
     sensor, still = small_sensor(), DentSource(small_sensor())[0]
     depth = (still.depth_m + shift_m).astype(np.float32)
     frames = (replace(still, index=k, time_s=k / 30.0, depth_m=depth) for k in range(FRAMES))
@@ -137,4 +137,4 @@ def test_the_window_says_that_depth_has_drifted(drive, tmp_path, shift_m):
     driver = drive(lambda _: Recording(tmp_path / "rest.mcap"), sensor=sensor)
     message = driver.window.message
     assert message.isVisible() == (shift_m > 0.0)
-    assert ("sensor file drifted by +1.0" in message.label.text()) == (shift_m > 0.0)
+    assert ("never calibrated, and depth is +1.0" in message.label.text()) == (shift_m > 0.0)

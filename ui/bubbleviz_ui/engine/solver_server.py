@@ -535,6 +535,9 @@ def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
         found = check_sensor(pipeline.model, [first[k] for k in free], quick=True)
     except InputError:
         return ""
+    if found.verdict == "drifted" and pipeline.model.pixels is None:
+        off = f"{1e3 * found.bias_m:+.2f} mm"
+        return f"sensor file: never calibrated, and depth is {off} off: identify the sensor"
     return "" if found.verdict == "fits" else f"sensor file {found.reason}"
 
 
