@@ -235,8 +235,8 @@ def _judged(
 
     Gauge pressures by the shapes and by the file that differ by more than both deviations leave
     widen that of the fit by as much, as the Particle Data Group does. Where they differ by more
-    than their 95 % intervals explain one of them is wrong, and the interval holds both. Whether λ
-    is determined is asked at the gauge pressure that was found.
+    than their 95 % intervals explain one of them is wrong, and the interval holds both of theirs.
+    Whether λ is determined is asked at the gauge pressure that was found.
     """
     known = replace(
         known,
@@ -259,8 +259,8 @@ def _judged(
         mean_sigma = by_shapes.sigma * by_file.sigma / spread
         sigma = max(fit.gauge_sigma_pa, float(mean_sigma * max(1.0, apart)))
         if found.contradicts_file:
-            ends = (abs(each.value - fit.gauge_pa) / HALF_95 for each in (by_shapes, by_file))
-            sigma = max(sigma, *ends)
+            ends = (by_shapes.low, by_shapes.high, by_file.low, by_file.high)
+            sigma = max(sigma, *(abs(end - fit.gauge_pa) / HALF_95 for end in ends))
         found = replace(found, gauge=Quantity.normal(fit.gauge_pa, sigma))
         covariance = covariance * (sigma / fit.gauge_sigma_pa) ** 2
     held = fit.covariance[0, 0] - fit.covariance[0, 1] ** 2 / fit.covariance[1, 1]
