@@ -282,7 +282,11 @@ class Controller(QObject):
         estimator = names & {"solver", "compared"} and self.opening.options != choices.options
         if estimator and sensor is not None:
             self.opening.reopen(f"solver: {solver_title(choices.solver)}", lambda: sensor)
-        elif "cloud_points" in names or not self.client.demand.covers(Demand.of(choices)):
+        elif (
+            "cloud_points" in names
+            or ("pose_track" in names and choices.pose_track)  # its poses may be forgotten
+            or not self.client.demand.covers(Demand.of(choices))
+        ):
             self._ask_frame()
         elif names & PATCH_CHOICES:
             self.client.ask_patch()
