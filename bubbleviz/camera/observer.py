@@ -121,6 +121,7 @@ class ShapeRanges:
     jacobian: sparse.csr_array  # (k, 3n) sparse, D of those blocks, three columns a node
     hits: Hits  # where those rays meet it
     cast_at_m: np.ndarray  # (n, 3), shape at which all rays were cast
+    nodes_m: np.ndarray  # (n, 3), the shape itself
 
 
 @dataclass(frozen=True)
@@ -369,6 +370,8 @@ class RangeObserver:
         last: ShapeRanges | None = None,
     ) -> ShapeRanges:
         """Model of the block residuals around a shape."""
+        if last is not None and np.array_equal(nodes, last.nodes_m):
+            return last
         if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
             cast_at, hits = last.cast_at_m, self._caster.recast(nodes, self.mesh.normals, last.hits)
         else:
@@ -383,7 +386,7 @@ class RangeObserver:
             (values.ravel(), self._columns[hits.triangle].ravel(), starts),
             shape=(len(hits.ray), 3 * len(nodes)),
         )
-        return ShapeRanges(hits.ray, model, jacobian, hits, cast_at)
+        return ShapeRanges(hits.ray, model, jacobian, hits, cast_at, nodes)
 
 
 def _scatter(values: np.ndarray) -> float:

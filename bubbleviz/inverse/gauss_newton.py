@@ -200,6 +200,7 @@ class SolvedFrame:
     step : Step
         The last one.
     view : ShapeRanges
+        The camera's model at the last shape that it was found at.
     noise : float
         By how much more than the camera's noise it is missed.
     misfit : Misfit
@@ -343,7 +344,8 @@ class GaussNewton:
             if done or guessed or (step.balanced and known and not far):
                 found = self._noise_left(step, sight, noise)
                 if done and _settled(found, noise, noises):
-                    return self._answer(step, sight, measured_gas, noise, solve_ms)
+                    last = (ahead or sight).view
+                    return self._answer(step, sight, last, measured_gas, noise, solve_ms)
                 if done or guessed:
                     noises.append(noise if done else np.inf)
                     chosen, steps = 0, 0
@@ -395,7 +397,13 @@ class GaussNewton:
         return _stepped(found) if touching else max(_stepped(found), 1.0)
 
     def _answer(
-        self, step: Step, sight: _Sight, gas: float | None, noise: float, solve_ms: float
+        self,
+        step: Step,
+        sight: _Sight,
+        last: ShapeRanges,
+        gas: float | None,
+        noise: float,
+        solve_ms: float,
     ) -> SolvedFrame | FailedFrame:
         if _seen_blocks(sight, step.contact.pressure) < np.count_nonzero(step.contact.pressure):
             return FailedFrame("no_data", step.state)
@@ -403,7 +411,7 @@ class GaussNewton:
         contradicts = self._contradicts(step.state.gas, gas)
         contact = evident(self.mesh, step.contact)
         sigma = self._sigma(step, contact)
-        return SolvedFrame(step, sight.view, noise, misfit, contradicts, contact, sigma, solve_ms)
+        return SolvedFrame(step, last, noise, misfit, contradicts, contact, sigma, solve_ms)
 
     # -- one step -------------------------------------------------------------------------------
 
