@@ -19,7 +19,7 @@ from bubbleviz.files import checked, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame, usual_step
-from bubbleviz.recordings.message_decoding import project_points
+from bubbleviz.recordings.message_decoding import metres, project_points
 from bubbleviz.recordings.recorded_colour import ColourAround
 from bubbleviz.recordings.time_series import Moment, Series, values_at
 from bubbleviz.wording import count_of
@@ -161,8 +161,7 @@ class ImageFolder:
         depth = (pixels * (self._scale or usual)).astype(np.float32)
         if (depth < 0).sum() > (depth > 0).sum():
             raise InputError(f"{path}: most depths are negative; turn their sign, z points forward")
-        depth[~((depth > 0) & (depth < np.inf))] = np.nan
-        return depth
+        return metres(depth, 1.0)
 
     def _pixels(self, path: Path) -> np.ndarray:
         """Pixels (H, W) of a file; of points (H, W, 3) their z, points (n, 3) are projected."""

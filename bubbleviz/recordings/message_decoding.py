@@ -33,13 +33,17 @@ _MODELS: dict[str, DistortionModel] = {
 }
 
 
+FARTHEST_M = 1e4
+"""No depth camera sees further, not even in millimetres that were taken for metres."""
+
+
 def decode_depth(
     message: Any,  # the latter as ROS's `compressed_depth_image_transport` makes it, with PNG
     metres_per_unit: float | None = None,  # of an image in `REALSENSE_ENCODING`
 ) -> np.ndarray:
     """z-depth of an image message, shape (H, W), float32, m; NaN where no return.
 
-    0, NaN, inf and negative values all mean no return.
+    0, NaN, inf, negative values and more than `FARTHEST_M` all mean no return.
 
     Raises ValueError: encoding, size and data of the image do not fit together; says how.
     """
@@ -58,7 +62,7 @@ def decode_depth(
     data = np.ascontiguousarray(message.data[: height * step], dtype=np.uint8)
     rows: np.ndarray = data.reshape(height, step)[:, : width * dtype.itemsize]
     raw = np.ascontiguousarray(rows).view(dtype.newbyteorder(">" if message.is_bigendian else "<"))
-    return _metres(raw, unit if dtype.kind == "u" else 1.0)
+    return metres(raw, unit if dtype.kind == "u" else 1.0)
 
 
 def encoding_of(message: Any) -> str:
@@ -90,17 +94,17 @@ def _decode_compressed(message: Any) -> np.ndarray:
     except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
         raise ValueError(f"{len(data)} bytes are no compressed depth image") from error
     if encoding == "16UC1":
-        return _metres(raw, 1e-3)
+        return metres(raw, 1e-3)
     inverse = np.where(raw == 0, np.nan, raw.astype(np.float64) - quant_b)
     with np.errstate(divide="ignore"):
-        return _metres((quant_a / inverse).astype(np.float32), 1.0)
+        return metres((quant_a / inverse).astype(np.float32), 1.0)
 
 
-def _metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
+def metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
     """Depth in m, float32, NaN for what is no distance."""
     with np.errstate(invalid="ignore"):  # signalling NaNs
         depth = raw * np.float32(unit_m)
-    depth[~((depth > 0) & (depth < np.inf))] = np.nan
+    depth[~((depth > 0) & (depth < FARTHEST_M))] = np.nan
     return depth
 
 
@@ -191,8 +195,7 @@ def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
     points = _points(message)
     if int(message.height) > 1:
         z = points[:, 2].reshape(int(message.height), int(message.width)).astype(np.float32)
-        z[~((z > 0) & (z < np.inf))] = np.nan
-        return z
+        return metres(z, 1.0)
     if camera is None:
         raise ValueError("a cloud without rows and columns needs the camera info to be an image")
     return project_points(points, camera)

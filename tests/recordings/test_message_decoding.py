@@ -45,7 +45,7 @@ def test_metres_stay_and_everything_that_is_no_distance_is_nan(size, big, paddin
     depth = decode_depth(image(values, "32FC1", big, padding))
     assert depth.shape == size
     for got, metres in zip(depth.ravel(), np.ravel(values), strict=True):
-        assert got == metres if 0 < metres < np.inf else np.isnan(got)
+        assert got == metres if 0 < metres < 1e4 else np.isnan(got)
 
 
 @pytest.mark.parametrize(
