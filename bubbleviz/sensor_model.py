@@ -72,6 +72,16 @@ class SensorModel:
     def view(self) -> MembraneView:
         return MembraneView(self.camera, self.mesh)
 
+    @cached_property
+    def camera_change_m(self) -> float:
+        """Rms change of the expected ranges by intrinsics other than the sensor file's, m."""
+        own = DepthCamera.of(self.sensor.camera)
+        if own.intrinsics == self.camera.intrinsics:
+            return 0.0
+        change = self.view.rest_range - MembraneView(own, self.mesh).rest_range
+        used = np.isfinite(change) & (True if self.pixels is None else self.pixels.mask)
+        return float(np.sqrt(np.mean(change[used] ** 2)))
+
     def observer(
         self,
         # side in pixels; half a mesh edge seen from the camera where not given, so that averaging

@@ -434,7 +434,22 @@ def _warning(
         gas = gas_warning(first_pa, known_pa)
     else:
         gas = gas_warning(zero.rest_pa, known_pa, "without contact in the recording")
-    return "; ".join(filter(None, (_note(frames), gas))) or None
+    return "; ".join(filter(None, (_note(frames), gas, _camera_warning(pipeline)))) or None
+
+
+def _camera_warning(pipeline: Pipeline) -> str:
+    """What to say where a calibrated camera has other intrinsics by more than its noise."""
+    model, moved = pipeline.model, pipeline.model.camera_change_m
+    if model.pixels is None or moved == 0.0:
+        return ""
+    weight = pipeline.estimator.observer.observe_everything().weight
+    if moved < 1.0 / np.sqrt(np.median(weight[weight > 0.0])):
+        return ""
+    there, own = model.camera.intrinsics.fx, model.sensor.camera.fx
+    return (
+        f"the camera info has fx {there:.1f}, the sensor file {own:.1f} pixels, which moves depth "
+        f"by {1e3 * moved:.2f} mm: choose the sensor file of this camera"
+    )
 
 
 def _check_any_data(run: Run, seen: bool) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from bubbleviz.calibration.contact_free import SIGNIFICANT
-from bubbleviz.camera import BlockSquares, DepthCamera, MembraneView
+from bubbleviz.camera import BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
 from bubbleviz.membrane import Inflation
@@ -332,12 +332,7 @@ class _Rest:
 
 def _camera_row(model: SensorModel, rest: _Rest) -> Checked:
     """Change of the expected ranges by the intrinsics of the recording, rms."""
-    own = DepthCamera.of(model.sensor.camera)
-    if own.intrinsics == model.camera.intrinsics:
-        return Checked("camera info, rms", "mm", 1e3, 0.0, None, rest.change_limit_m)
-    change = model.view.rest_range - MembraneView(own, model.mesh).rest_range
-    used = np.isfinite(change) & (True if model.pixels is None else model.pixels.mask)
-    moved = float(np.sqrt(np.mean(change[used] ** 2)))
+    moved = model.camera_change_m
     todo = "choose the sensor file of this camera" if moved > rest.change_limit_m else ""
     return Checked("camera info, rms", "mm", 1e3, moved, None, rest.change_limit_m, todo)
 

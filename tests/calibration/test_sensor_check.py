@@ -119,6 +119,8 @@ def test_another_camera(sensor, rest):
     wider = [replace(f, intrinsics=replace(f.intrinsics, fx=1.02 * f.intrinsics.fx)) for f in rest]
     found = bv.check(wider, sensor)
     assert found.verdict == "another" and "fx 109.5" in found.reason and "107.4" in found.reason
+    assert "fx 109.5, the sensor file 107.4" in bv.estimate(wider[:3], sensor).warning
+    assert bv.estimate(rest[:3], sensor).warning is None
     found = bv.check(with_depth(rest, lambda depth: depth[::-1, ::-1]), sensor)
     assert found.verdict == "another" and "turned by 180°" in found.reason
 
