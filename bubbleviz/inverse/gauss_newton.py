@@ -152,11 +152,10 @@ class _Sight:
         """Of the blocks in `view`, (k,), 1/m²."""
         return self.observation.weight[self.view.block]
 
-    @property
-    def is_nearer_at_rest(self) -> bool:
-        """Whether the image is more like the membrane at rest than like the shape."""
+    def is_nearer_at_rest(self, error_m: np.ndarray) -> bool:
+        """Whether the image is more like the membrane at rest than what leaves errors (k,)."""
         at_rest = self.observation.residual_m[self.view.block]
-        return bool(self.weight @ self.error_m**2 > self.weight @ at_rest**2)
+        return bool(self.weight @ error_m**2 > self.weight @ at_rest**2)
 
 
 @dataclass(frozen=True)
@@ -386,7 +385,7 @@ class GaussNewton:
             ranges = self._ranges(tangent, self._rest, sight_at_rest, gas)
             if self._problem(tangent, ranges, self._rest, gas).nothing_pulls():
                 return True
-        return sight.is_nearer_at_rest
+        return sight.is_nearer_at_rest(sight.error_m)
 
     def _noise_left(self, step: Step, sight: _Sight, noise: float) -> float:
         """By how much more than the camera's noise a frame is missed, after one was assumed."""
@@ -407,6 +406,8 @@ class GaussNewton:
     ) -> SolvedFrame | FailedFrame:
         if _seen_blocks(sight, step.contact.pressure) < np.count_nonzero(step.contact.pressure):
             return FailedFrame("no_data", step.state)
+        if step.contact.pressure.any() and sight.is_nearer_at_rest(step.left_m):
+            return FailedFrame("implausible", step.state)  # contact makes it no better than none
         misfit = self.observer.left(sight.observation, sight.view.block, step.left_m)
         contradicts = self._contradicts(step.state.gas, gas)
         contact = evident(self.mesh, step.contact)
