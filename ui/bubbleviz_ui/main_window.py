@@ -36,7 +36,7 @@ from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.choices import PATCH_CHOICES, PLAYBACK_CHOICES
 from bubbleviz_ui.model.demand import Costs
 from bubbleviz_ui.model.hover import Hover
-from bubbleviz_ui.model.messages import OPENING, Messages, UserMessage
+from bubbleviz_ui.model.messages import OPENING, MessageKind, Messages, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -522,9 +522,10 @@ class MainWindow(QMainWindow):
         message, topic = failed.message, ""
         if isinstance(failed.request, OpenRequest):
             message, topic = f"{message.rstrip('.')}. What was open stays.", OPENING
-        elif not (self.state.facts is not None and self.state.facts.grows):
+        elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
             self.state.set_playing(False)
-        self.messages.tell(UserMessage("error", message, failed.details, topic=topic))
+        kind: MessageKind = "warning" if failed.warning else "error"
+        self.messages.tell(UserMessage(kind, message, failed.details, topic=topic))
 
     def show_rates(self) -> None:
         """Write how fast the window is, now."""

@@ -189,7 +189,7 @@ class Solved:
     """A frame's products, its numbers, and when that was done.
 
     `outages` are those of a live source so far; `remark` is what the user has to be told of how it
-    was solved.
+    was solved, or of the sensor file.
     """
 
     request: FrameRequest | NewestRequest
@@ -250,11 +250,15 @@ class Compared:
 
 @dataclass(frozen=True)
 class Failed:
-    """A request that could not be served: one line for a person, and the details."""
+    """A request that could not be served: one line for a person, and the details.
+
+    As a `warning` it was served all the same.
+    """
 
     request: Request
     message: str
     details: str
+    warning: bool = False
 
 
 Answer = Opened | Followed | Solved | Waited | Thresholded | Analysed | Compared | Failed

@@ -193,7 +193,8 @@ class SensorClient(QObject):
             self._take_patch(answer)
         self.answered.emit(answer)
         if isinstance(answer, Solved) and answer.remark:
-            self.answered.emit(Failed(answer.request, answer.remark, ""))
+            settles = isinstance(answer.request, SettleRequest)
+            self.answered.emit(Failed(answer.request, answer.remark, "", warning=settles))
 
     def _take_opened(self, answer: Opened) -> None:
         self.opened, self.facts, self.demand = answer, answer.facts, answer.request.demand

@@ -254,6 +254,7 @@ class Server:
 
     def __init__(self) -> None:
         self.session: Session | None = None
+        self._checked: Session | None = None  # whose sensor file was compared with its frames
         self._called_off = False
 
     @property
@@ -296,7 +297,7 @@ class Server:
         """Let go of the open source."""
         if self.session is not None:
             self.session.close()
-            self.session = None
+            self.session = self._checked = None
 
     def _solve(self, session: Session, request: FrameRequest) -> Solved:
         frame = session.frame(request.index)
@@ -329,6 +330,9 @@ class Server:
         numbers, done_s = _kept_numbers(session, result), time.perf_counter()
         outages = session.source.outages if isinstance(session.source, LiveFrames) else ()
         remark = "" if beside is None or beside.lost == known else _lost(session, beside)
+        if settled and self._checked is not session:  # in spare time: opening does not wait for it
+            self._checked = session
+            remark = _misfit(session.source, session.pipeline)
         return Solved(request, result, numbers, done_s, outages, remark)
 
     def _follow(self, session: Session, request: FollowRequest) -> Followed:
@@ -415,8 +419,6 @@ class Server:
         if not grows:  # else its zero tells, once it is known
             remarks.append(gas_warning(measured_pa, pipeline.model.gas.P0))
             remarks.append(_told(zero))
-        if isinstance(source, Recording):
-            remarks.append(_misfit(source, pipeline))
         remark = " ".join(f"{text}." for text in remarks if text)
         marks = source.marks() if isinstance(source, Recording) else ()
         opener = request.open_source
@@ -526,6 +528,8 @@ def _told(zero: PressureZero | None) -> str:
 
 def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
     """What the first frames of a recording say against the sensor file; nothing where touched."""
+    if not isinstance(source, Recording):
+        return ""
     # what the window starts without
     from bubbleviz.calibration import ENOUGH, CollectedFrames, check_sensor, find_contact_free
 
