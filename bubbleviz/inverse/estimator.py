@@ -187,11 +187,9 @@ class Estimator:
         start, newton, behind = start or Start(), self._newton, self.bubble.gas
         if gas_sigma_pa:
             newton = newton.with_gas(replace(behind, zero_sigma_pa=gas_sigma_pa))
-        gas = None
-        if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
-            gas = gas_pressure_pa - behind.P0
-            if beyond := reason_against_gas(gas, behind):
-                return no_estimate(self.mesh, "implausible", beyond), Start()
+        gas = behind.measured_change(gas_pressure_pa)
+        if gas is not None and (beyond := reason_against_gas(gas, behind)):
+            return no_estimate(self.mesh, "implausible", beyond), Start()
         measured = self.observer.measure(depth_m)
         try:
             answer = newton.solve(measured, gas, start)

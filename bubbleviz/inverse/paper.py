@@ -35,7 +35,7 @@ class PaperEstimator(Estimator):
     Parameters
     ----------
     observer : RangeObserver
-    equilibrium : ConstantTension
+    bubble : ConstantTension
     options : EstimatorOptions, optional
     """
 
@@ -53,9 +53,8 @@ class PaperEstimator(Estimator):
         self._areas = mesh.areas[mesh.free] / self.size_m**2
         self._beta = gas.beta[mesh.free] * self.size_m / self._pressure_pa
         self._view = observer.around(mesh.nodes)
-        columns = np.repeat(np.arange(len(mesh.nodes)), 3)
-        along = (mesh.normals.ravel(), (np.arange(mesh.nodes.size), columns))
-        D = self._view.jacobian @ sparse.csr_array(along)  # by displacement along the normals
+        tangent = bubble.linearised(mesh.nodes, np.zeros(len(mesh.nodes)), None)
+        D = tangent.by_coordinates(self._view.jacobian)  # by displacement along the normals
         self._D = (self.size_m * D)[:, mesh.free]
 
     def estimate(
@@ -67,11 +66,9 @@ class PaperEstimator(Estimator):
     ) -> tuple[Estimate, Start]:
         """Solve one frame; a gas pressure without a zero is left alone."""
         mesh, behind = self.mesh, self.bubble.gas
-        gas = None
-        if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa) and not gas_sigma_pa:
-            gas = gas_pressure_pa - behind.P0
-            if beyond := reason_against_gas(gas, behind):
-                return no_estimate(mesh, "implausible", beyond), Start()
+        gas = None if gas_sigma_pa else behind.measured_change(gas_pressure_pa)
+        if gas is not None and (beyond := reason_against_gas(gas, behind)):
+            return no_estimate(mesh, "implausible", beyond), Start()
         observation = self.observer.observe(depth_m)
         error, weight = (v[self._view.block] for v in (observation.residual_m, observation.weight))
         if np.count_nonzero(weight) < MINIMUM_BLOCKS:
@@ -124,10 +121,8 @@ class PaperEstimator(Estimator):
 
     def _moved(self, pressure: np.ndarray, gas: float | None) -> tuple[np.ndarray, bool]:
         """Motion (n, 3) under a contact pressure, with the exact gas law; whether it was found."""
-        nodes, tangent = (
-            self.mesh.nodes,
-            self.bubble.linearised(self.mesh.nodes, pressure, gas),
-        )
+        nodes = self.mesh.nodes
+        tangent = self.bubble.linearised(nodes, pressure, gas)
         motion = tangent.motion(((gas or 0.0) - pressure)[:, None] * tangent.area_vectors)
         x, balanced, _ = self.bubble.settled(tangent, nodes + motion, pressure, gas)
         return x - nodes, balanced

@@ -71,9 +71,11 @@ class Gas:
             return np.inf
         return self.P0 * (growth_m3 - self.V0 * float(np.log1p(growth_m3 / self.V0)))
 
-    def volume(self, displacement: np.ndarray) -> float:
-        """Gas volume V in m³ at displacement u (first order in u, as the membrane is)."""
-        return self.V0 + float(self.dV_du @ displacement)
+    def measured_change(self, pressure_pa: float | None) -> float | None:
+        """p_v of a measured absolute pressure, Pa; None where nothing was measured, or NaN."""
+        if pressure_pa is None or np.isnan(pressure_pa):
+            return None
+        return pressure_pa - self.P0
 
     def pressure_change(self, displacement: np.ndarray) -> float:
         """p_v in Pa at displacement u, to first order in u, as the membrane is (Eq. 6)."""

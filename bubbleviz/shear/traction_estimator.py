@@ -317,9 +317,7 @@ class TractionEstimator:
         measured = self.flow_observer.measure(flow)
         if self.flow_observer.seen_share(measured, support) < _SEEN_SHARE:
             return self._alone(estimate, NO_TEXTURE), None
-        gas = None
-        if gas_pressure_pa is not None and not np.isnan(gas_pressure_pa):
-            gas = gas_pressure_pa - self._bubble.gas.P0
+        gas = self._bubble.gas.measured_change(gas_pressure_pa)
         frame = _Frame(reached.measured, measured, gas)
         try:
             return self._solve(frame, begin, support, warm=start is not None)
