@@ -541,8 +541,8 @@ def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
         return ""
     if found.verdict == "drifted" and pipeline.model.pixels is None:
         off = f"{1e3 * found.bias_m:+.2f} mm"
-        return f"sensor file: never calibrated, and depth is {off} off: identify the sensor"
-    return "" if found.verdict == "fits" else f"sensor file {found.reason}"
+        return f"the sensor file was never calibrated, and depth is {off} off: identify the sensor"
+    return "" if found.verdict == "fits" else f"compared with the sensor file: {found.reason}"
 
 
 def _in_words(error: Exception) -> str:
