@@ -15,6 +15,9 @@ from .api.estimating import (
     register as register,
     track as track,
 )
+from .api.estimator import (
+    Estimator as Estimator,
+)
 from .api.exporting import (
     export as export,
 )

@@ -21,11 +21,11 @@ from mcap.reader import make_reader
 from mcap.records import Message
 
 from benchmarks.window.process_usage import resident_bytes
+from bubbleviz.api.estimator import Estimator
 from bubbleviz.api.summary import Summary
-from bubbleviz.api.watching import PRODUCTS, Watcher
+from bubbleviz.api.watching import Watcher
 from bubbleviz.errors import InputError
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
-from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import IMAGE
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz.simulation import resized
@@ -159,9 +159,8 @@ def _run(sensor: Sensor, seconds: float, path: Path, publisher: Publisher) -> Me
             first = stream.take(_START_S)
             if first is None:
                 raise InputError(f"nothing arrived: {stream.status().text}")
-            pipeline = Pipeline.of(sensor, first.intrinsics)
-            pipeline.prepare(PRODUCTS)
-            watcher = Watcher(stream, pipeline, None)
+            estimator = Estimator(sensor, intrinsics=first.intrinsics, zero_gas=False)
+            watcher = Watcher(stream, estimator.solver)
             skipped_before = stream.counters().skipped
             ages, memory = _solve_for(watcher, seconds)
             sent = publisher.images_sent()

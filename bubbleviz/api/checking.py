@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from bubbleviz.api.estimating import SensorName, as_frames, sensor_for
+from bubbleviz.api.estimating import Recorded, SensorName, as_frames, sensor_for
 from bubbleviz.api.frames import parse_frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import Checked, SensorCheck, check_sensor, find_contact_free
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, Frame, KeptFrames, Recording, shown_name
+from bubbleviz.recordings import AUTO, KeptFrames, Recording, shown_name
 from bubbleviz.sensor_model import SensorModel
 
 _TEMPERATURE = "sensor_msgs/msg/Temperature"
@@ -35,7 +35,7 @@ class CheckSummary(SensorCheck, Summary):
 
 
 def check(
-    frames: Sequence[Frame],
+    frames: Recorded,
     sensor: SensorName = AUTO,
     *,
     contact_free: Sequence[int] | str | None = None,
@@ -48,7 +48,7 @@ def check(
 
     Parameters
     ----------
-    frames : sequence of Frame
+    frames : sequence of Frame or path
         That begin without contact.
     sensor : str, path or Sensor
         As of `estimate`.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -12,22 +11,22 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 
 import bubbleviz
-from bubbleviz.api.frames import Frames, HeldFrames
+from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
+from bubbleviz.api.frames import Frames, HeldFrames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
-from bubbleviz.calibration import PressureZero, zero_of
+from bubbleviz.calibration import PressureZero
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.live import STOPPED_AFTER_S
-from bubbleviz.pipeline import OF_OBJECT, SHEAR, FrameOptions, Pipeline, Product
+from bubbleviz.pipeline import OF_OBJECT, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     AUTO,
     Frame,
     Recording,
     fitting_sensor,
-    gas_warning,
     has_returns,
     preset_of_size,
     shown_name,
@@ -40,6 +39,8 @@ if TYPE_CHECKING:
     from bubbleviz.api.connecting import Stream
 
 SensorName = str | Path | Sensor
+Recorded = Sequence[Frame] | str | Path
+"""Frames, or the path of a recording."""
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
 """Pixels of the patch are found when they are asked for, or written to a file."""
 
@@ -78,15 +79,13 @@ def estimate(
     frames: Frame, sensor: SensorName = AUTO, **options: Unpack[Estimating]
 ) -> FrameResult: ...
 @overload
-def estimate(
-    frames: Sequence[Frame], sensor: SensorName = AUTO, **options: Unpack[Estimating]
-) -> Run: ...
+def estimate(frames: Recorded, sensor: SensorName = AUTO, **options: Unpack[Estimating]) -> Run: ...
 @overload
 def estimate(
     frames: Stream, sensor: SensorName = AUTO, **options: Unpack[Estimating]
 ) -> Iterator[FrameResult]: ...
 def estimate(
-    frames: Frame | Sequence[Frame] | Stream,
+    frames: Frame | Recorded | Stream,
     sensor: SensorName = AUTO,
     *,
     kappa: float | None = None,
@@ -107,8 +106,9 @@ def estimate(
 
     Parameters
     ----------
-    frames : Frame, sequence of Frame or Stream
-        What `open`, `simulate` or `connect` gave, or a part of it.
+    frames : Frame, sequence of Frame, path or Stream
+        What `open`, `simulate` or `connect` gave, a part of it, or the path of a recording. To
+        arrays of your own: `Estimator`.
     sensor : str, path or Sensor
         Sensor file or preset; `auto` is the preset with the images' size, or the stream's sensor.
     kappa : float, optional
@@ -153,18 +153,21 @@ def estimate(
 
     Examples
     --------
+    >>> run = bv.estimate("press.mcap")
     >>> run = bv.estimate(bv.open("press.mcap")[60:90])
     >>> run.force_n.shape
     (30, 3)
     """
     options = patch_options(kappa)
-    if not isinstance(frames, Frame | Sequence):
+    if isinstance(frames, np.ndarray):
+        raise InputError("estimate takes frames or a recording; give arrays to bv.Estimator")
+    if not isinstance(frames, Frame | Sequence | Path):
         from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
         _refuse_files(out, csv)
-        own = with_colour_delay(frames.sensor_or(sensor), colour_delay_s)
         how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
-        watcher = Watcher.on(frames.live, frames.uri, own, options, shear=shear, **how)
+        how |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
+        watcher = Watcher.on(frames.live, frames.uri, frames.sensor_or(sensor), **how)
         return watcher.results(timeout_s)
     if csv is not None and out is None:
         raise InputError(f"{csv}: is written beside RESULT.npz; give out, too")
@@ -175,7 +178,7 @@ def estimate(
         texture, products = None, _PRODUCTS
         if shear:
             texture, products = _texture(chosen, pipeline, friction), products | SHEAR
-        zero = zero_of(chosen.source, pipeline) if zero_gas else None
+        zero = recorded_zero(chosen.source, pipeline) if zero_gas else None
         made_by = _made_by(pipeline, solver, zero)
         said = {
             "recording": shown_name(chosen.source),
@@ -187,20 +190,23 @@ def estimate(
             "gas_zero": None if zero is None else zero.words,
         }
         run = Run(pipeline.model, said, made_by)
-        seen, first_pa = False, None
+        seen = False
         with ExitStack() as stack:
             write: Callable[[Result], object] = lambda _: None  # noqa: E731
             if out is not None:
                 products |= {"pixel_mask"}
                 files = run.files(out, csv, overwrite=overwrite, frames=len(chosen))
                 write = stack.enter_context(files)
-            for result in solved(chosen, pipeline, products, options, zero, progress):
+            frame_solver = FrameSolver(pipeline, products, options, zero)
+            for result in solved(chosen, frame_solver, progress):
                 seen = seen or has_returns(result.frame.depth_m)
-                first_pa = first_pa or result.frame.gas_pressure_pa
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, seen)
-        said["warning"] = _warning(chosen, pipeline, zero, first_pa)
+        gas = frame_solver.gas_warning("recording")
+        said["warning"] = (
+            "; ".join(filter(None, (_note(chosen), gas, _camera_warning(pipeline)))) or None
+        )
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -236,7 +242,7 @@ def register(
 
 @overload
 def track(
-    frames: Sequence[Frame],
+    frames: Recorded,
     object: str | Path | RigidObject,
     sensor: SensorName = AUTO,
     **options: Unpack[Tracking],
@@ -249,7 +255,7 @@ def track(
     **options: Unpack[Tracking],
 ) -> Iterator[FrameResult]: ...
 def track(
-    frames: Sequence[Frame] | Stream,
+    frames: Recorded | Stream,
     object: str | Path | RigidObject,
     sensor: SensorName = AUTO,
     *,
@@ -268,7 +274,7 @@ def track(
 
     Parameters
     ----------
-    frames : sequence of Frame or Stream
+    frames : sequence of Frame, path or Stream
     object : str, path or RigidObject
         Mesh file or preset.
     sensor, solver, friction, zero_gas, timeout_s, progress
@@ -296,20 +302,20 @@ def track(
     """
     start = parse_pose(init) if isinstance(init, str) else init
     obj = load_object(object, unit)
-    if not isinstance(frames, Sequence):
+    if not isinstance(frames, Sequence | Path):
         from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
         _refuse_files(out)
         own = frames.sensor_or(sensor)
         how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
-        watcher = Watcher.on(frames.live, frames.uri, own, obj=obj, start=start, **how)
+        watcher = Watcher.on(frames.live, frames.uri, own, object=obj, init=start, **how)
         return watcher.results(timeout_s)
     _check_outputs(out, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
         pipeline.follow(obj, start)
-        zero = zero_of(chosen.source, pipeline) if zero_gas else None
+        zero = recorded_zero(chosen.source, pipeline) if zero_gas else None
         said = {
             "recording": shown_name(chosen.source),
             "sensor": name,
@@ -320,7 +326,7 @@ def track(
         }
         run = TrackedRun(pipeline.model, said, _made_by(pipeline, solver, zero))
         products: frozenset[Product] = OF_OBJECT if object_patch else frozenset({"pose"})
-        for result in solved(chosen, pipeline, products, zero=zero, progress=progress):
+        for result in solved(chosen, FrameSolver(pipeline, products, zero=zero), progress):
             run.add(result, keep=out is None)
         _check_any_pose(run)
     if out is not None:
@@ -328,8 +334,10 @@ def track(
     return run
 
 
-def as_frames(frames: Frame | Sequence[Frame]) -> Frames:
-    """Frames of a source; InputError where there are none."""
+def as_frames(frames: Frame | Recorded) -> Frames:
+    """Frames of a source, opened where it is a path; InputError where there are none."""
+    if isinstance(frames, str | Path):
+        return open(frames)
     held = [frames] if isinstance(frames, Frame) else frames
     if not len(held):
         raise InputError("no frames were given; choose some")
@@ -361,32 +369,6 @@ def sensor_for(frames: Frames, sensor: SensorName) -> tuple[str, Sensor, Intrins
     own = load_sensor(sensor)
     name = own.name if isinstance(sensor, Sensor) else str(sensor)
     return name, own, first.intrinsics
-
-
-def patch_options(kappa: float | None) -> FrameOptions:
-    """Options with a patch threshold; InputError where it is no number of 0 or more."""
-    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
-        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
-    return FrameOptions(kappa, fine_contact=kappa is None)
-
-
-def solved(
-    frames: Frames,
-    pipeline: Pipeline,
-    products: frozenset[Product],
-    options: FrameOptions | None = None,
-    zero: PressureZero | None = None,
-    progress: Progress = quiet,
-) -> Iterator[Result]:
-    """Results of frames, each started where the last one ended.
-
-    A zero is taken from the measured gas pressures; InputError where a frame cannot be read.
-    """
-    pipeline.prepare(products)  # set-up is not part of the first frame's time
-    for done, index in enumerate(frames.chosen, 1):
-        frame = frames.source[index]
-        yield pipeline.process(frame if zero is None else zero.applied(frame), products, options)
-        progress("solving", done / len(frames))
 
 
 def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
@@ -424,17 +406,6 @@ def _made_by(pipeline: Pipeline, solver: str | None, zero: PressureZero | None) 
 def _note(frames: Frames) -> str:
     """What is missing of the recording, if it is one."""
     return frames.source.bag.note if isinstance(frames.source, Recording) else ""
-
-
-def _warning(
-    frames: Frames, pipeline: Pipeline, zero: PressureZero | None, first_pa: float | None
-) -> str | None:
-    known_pa = pipeline.model.gas.P0
-    if zero is None or zero.rest_pa is None:
-        gas = gas_warning(first_pa, known_pa)
-    else:
-        gas = gas_warning(zero.rest_pa, known_pa, "without contact in the recording")
-    return "; ".join(filter(None, (_note(frames), gas, _camera_warning(pipeline)))) or None
 
 
 def _camera_warning(pipeline: Pipeline) -> str:

@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bubbleviz.api.estimating import SensorName, as_frames, patch_options, pipeline_for, solved
+from bubbleviz.api.estimating import Recorded, SensorName, as_frames, pipeline_for
+from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
-from bubbleviz.calibration import zero_of
 from bubbleviz.files import whole_file
 from bubbleviz.output import ExportPlan, read_poses
 from bubbleviz.pipeline import FrameOptions, Pipeline, stages
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, Frame, Recording
+from bubbleviz.recordings import AUTO, Recording
 from bubbleviz.wording import count_of
 
 
@@ -40,7 +40,7 @@ class ExportSummary(Summary):
 
 
 def export(
-    frames: Sequence[Frame],
+    frames: Recorded,
     out: str | Path,
     sensor: SensorName = AUTO,
     *,
@@ -58,7 +58,7 @@ def export(
 
     Parameters
     ----------
-    frames : sequence of Frame
+    frames : sequence of Frame or path
     out : path
         TABLE.csv, TABLE.parquet, PLOTS.png (or .svg, .pdf), or a new folder for `what`.
     sensor, kappa, solver, friction, progress
@@ -106,8 +106,8 @@ def export_frames(
             temporary.mkdir()
         exporters = plan.exporters(pipeline, temporary)
         products = frozenset().union(*(each.products for each in exporters))
-        zero = zero_of(frames.source, pipeline) if "estimate" in stages(products) else None
-        for result in solved(frames, pipeline, products, options, zero, progress):
+        zero = recorded_zero(frames.source, pipeline) if "estimate" in stages(products) else None
+        for result in solved(frames, FrameSolver(pipeline, products, options, zero), progress):
             for each in exporters:
                 each.add(result)
         for each in exporters:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.api.frames import parse_frames
+from bubbleviz.api.frames import open, parse_frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import (
@@ -151,7 +151,7 @@ def _files(out: Path, report: Path | None) -> list[Path]:
 
 
 def identify(
-    frames: FrameSource,
+    frames: FrameSource | str | Path,
     sensor: str | Path | Sensor,
     *,
     contact_free: Sequence[int] | str | None = None,
@@ -172,7 +172,7 @@ def identify(
 
     Parameters
     ----------
-    frames : Frames
+    frames : Frames or path
         Of a recording that begins without contact.
     sensor : str, path or Sensor
         What to start from: name, camera pose, gauge pressure, chamber volume.
@@ -218,7 +218,7 @@ def identify(
         files = Path(out), None if report is None else Path(report)
         _files(*files) if overwrite else check_outputs(*files)
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
-    source = KeptFrames(frames)
+    source = KeptFrames(open(frames) if isinstance(frames, str | Path) else frames)
     if isinstance(contact_free, str):
         contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
     settings = Settings(

@@ -18,13 +18,12 @@ from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
 from bubbleviz.api.connecting import offered, sensor_of
+from bubbleviz.api.estimator import Estimator, FrameSolver
 from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary, counted
-from bubbleviz.calibration import PressureZero, zeroed
 from bubbleviz.diagnostics import ShearSummary, shear_line
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.live import (
     STOPPED_AFTER_S,
     LatencyMeter,
@@ -35,8 +34,7 @@ from bubbleviz.live import (
     open_stream,
     patience_s,
 )
-from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
-from bubbleviz.recordings import AUTO, RESULTS, Frame, Message, gas_warning
+from bubbleviz.recordings import AUTO, RESULTS, Frame, Message
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
@@ -44,8 +42,6 @@ from bubbleviz.sensor import Sensor, with_colour_delay
 if TYPE_CHECKING:
     from bubbleviz.calibration import PassingTexture
 
-PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
-"""There is a pose only where the pipeline follows an object."""
 CAMERA_S = 0.5
 """How long the first frames may come without camera info before the sensor file's counts."""
 _LOOK_S = 0.1  # s between looks at the stream; chosen
@@ -55,25 +51,11 @@ _DIAGNOSTICS_S = 1.0  # s between diagnostics, ROS's usual 1 Hz
 class Watcher:
     """Solves the newest frame of a started stream, over and over.
 
-    A `first` frame was taken from the stream already, and is solved where no newer one has come; a
-    `texture` of the pipeline adds traction with friction and slip.
+    A `first` frame was taken from the stream already, and is solved where no newer one has come.
     """
 
-    def __init__(
-        self,
-        stream: LiveStream,
-        pipeline: Pipeline,
-        zero: PressureZero | None,
-        options: FrameOptions | None = None,
-        first: Frame | None = None,
-        texture: PassingTexture | None = None,
-    ) -> None:
-        self.stream, self.pipeline, self.zero = stream, pipeline, zero
-        self.texture = texture
-        self._products = PRODUCTS if texture is None else PRODUCTS | SHEAR
-        self._options = options
-        self._first = first
-        self._measured_pa: float | None = None
+    def __init__(self, stream: LiveStream, solver: FrameSolver, first: Frame | None = None) -> None:
+        self.stream, self.solver, self._first = stream, solver, first
         self.latency = LatencyMeter()
         self.last: Result | None = None
 
@@ -83,40 +65,23 @@ class Watcher:
         stream: LiveStream,
         source: str,
         sensor: Sensor,
-        options: FrameOptions | None = None,
         *,
-        solver: str | None = None,
-        friction: float | None = None,
-        obj: RigidObject | None = None,
-        start: np.ndarray | None = None,
-        zero_gas: bool = True,
-        shear: bool = False,
         stop: threading.Event | None = None,
+        **how: Any,
     ) -> Watcher:
         """Watcher of a started stream, once the first frame tells the camera.
 
-        Options as of `bubbleviz.estimate` and `track`, of which `obj` and `start` are the loaded
-        object and `init`; `stop` ends the waiting. InputError where no depth image came, or not of
-        the sensor's camera, or shear was asked for without the exact membrane.
+        `how` as of `Estimator`; `stop` ends the waiting. InputError where no depth image came, or
+        not of the sensor's camera, or shear was asked for without the exact membrane.
         """
-        if shear:
+        if how.get("shear"):
             stream.follow_colour()
         check = partial(stream.check_size, f"--source {source}", sensor.name)
         first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
         if first is None:
             seen = stream.source.problem or stream.counters().problem or offered(stream)
             raise InputError(f"--source {source}: no depth image arrived; {seen}")
-        pipeline = Pipeline.of(sensor, first.intrinsics, EstimatorOptions.named(solver, friction))
-        pipeline.prepare(PRODUCTS)
-        pipeline.follow(obj, start)
-        known = PressureZero(pipeline.model.gas.P0) if zero_gas else None
-        texture = None
-        if shear:
-            from bubbleviz.calibration import PassingTexture  # needs OpenCV
-
-            texture = PassingTexture(pipeline, friction)
-            pipeline.prepare(SHEAR)
-        return cls(stream, pipeline, known, options, first, texture)
+        return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **how).solver, first)
 
     @property
     def ended(self) -> bool:
@@ -129,13 +94,7 @@ class Watcher:
         self._first = None
         if frame is None:
             return None
-        if self._measured_pa is None:
-            self._measured_pa = frame.gas_pressure_pa
-        if self.zero is not None:
-            frame = zeroed(frame, self.zero, self.pipeline)
-        self.last = self.pipeline.process(frame, self._products, self._options)
-        if self.texture is not None:
-            self.texture.take(self.last)
+        self.last = self.solver.solve(frame)
         self.latency.add(frame, time.time_ns())
         return self.last
 
@@ -148,14 +107,7 @@ class Watcher:
                 return self.step(wait_s)
 
         for result in self.stream.each(step, timeout_s):
-            yield FrameResult(result, self.pipeline.model)
-
-    def warning(self) -> str:
-        """What to say of a gas pressure that is not this sensor's; empty for nothing."""
-        known_pa = self.pipeline.model.gas.P0
-        if self.zero is None:
-            return gas_warning(self._measured_pa, known_pa, "in the source")
-        return gas_warning(self.zero.rest_pa, known_pa, "without contact")
+            yield FrameResult(result, self.solver.pipeline.model)
 
 
 def _first_frame(
@@ -260,6 +212,7 @@ def watch(
     own = with_colour_delay(sensor_of(source, sensor), colour_delay_s)
     obj = None if object is None else load_object(object)
     how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    how |= {"object": obj, "shear": shear}
     with ExitStack() as stack:
         stop = stack.enter_context(stopped_by_signals())
         stream = open_stream(source, own)
@@ -268,7 +221,7 @@ def watch(
             stream.follow_colour()
         publisher = None if place is None else stack.enter_context(ZenohPublisher(place))
         stack.enter_context(stream)
-        watcher = Watcher.on(stream, source, own, obj=obj, stop=stop, shear=shear, **how)
+        watcher = Watcher.on(stream, source, own, stop=stop, **how)
 
         def send(message: Message) -> None:
             if publisher is not None:
@@ -285,10 +238,11 @@ def _watch(
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
-    messages, stream = ResultMessages(watcher.pipeline.mesh, RESULTS), watcher.stream
+    stream, zero, texture = watcher.stream, watcher.solver.zero, watcher.solver.texture
+    messages = ResultMessages(watcher.solver.pipeline.mesh, RESULTS)
     statuses: Counter[str] = Counter()
     highest_n: float | None = None
-    shear = None if watcher.texture is None else ShearSummary()
+    shear = None if texture is None else ShearSummary()
     began = told = time.monotonic()
     silent = False
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
@@ -305,13 +259,13 @@ def _watch(
             silent = _tell_silence(stream, silent)
             if time.monotonic() - told >= _DIAGNOSTICS_S:
                 told, status = time.monotonic(), stream.status()
-                counters, newest = stream.counters(), _newest(watcher.last, watcher.texture)
+                counters, newest = stream.counters(), _newest(watcher.last, texture)
                 send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
                 bar.set_postfix_str(", ".join(filter(None, (*newest, status.text))))
     elapsed = time.monotonic() - began
     latency = watcher.latency.report()
-    if shear is not None and watcher.texture is not None:
-        shear.reference = watcher.texture.words
+    if shear is not None and texture is not None:
+        shear.reference = texture.words
     return WatchSummary(
         frames=statuses.total(),
         status=dict(statuses),
@@ -319,10 +273,10 @@ def _watch(
         max_force_n=highest_n,
         latency_median_s=None if latency is None else latency.median_s,
         latency_p95_s=None if latency is None else latency.p95_s,
-        pressure_offset_pa=None if watcher.zero is None else watcher.zero.offset_pa,
+        pressure_offset_pa=None if zero is None else zero.offset_pa,
         shear=shear,
         counters=stream.counters().as_dict(),
-        warning=watcher.warning() or None,
+        warning=watcher.solver.gas_warning("source") or None,
     )
 
 

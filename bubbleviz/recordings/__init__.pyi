@@ -67,6 +67,7 @@ from .message_decoding import (
     distortion_of as distortion_of,
     has_returns as has_returns,
     header_stamp_ns as header_stamp_ns,
+    metres as metres,
 )
 from .message_encoding import (
     Encoding as Encoding,

@@ -9,7 +9,8 @@ from streams import over_zenoh
 from wire import CLOUD, STORE, WRENCH
 
 import bubbleviz as bv
-from bubbleviz.api.watching import PRODUCTS, Watcher
+from bubbleviz.api.estimator import PRODUCTS
+from bubbleviz.api.watching import Watcher
 from bubbleviz.calibration import ENOUGH, PressureZero
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
@@ -215,10 +216,10 @@ def test_weather_is_not_contact(small_sensor):
     """Solved live on another day, with the zero and without."""
     worst = {}
     for zeroed in (False, True):
-        zero = PressureZero(small_sensor.pneumatics.reference_pressure_pa) if zeroed else None
         source = Weather(press(small_sensor, 60))
         with LiveStream(source) as stream:
-            watcher = Watcher(stream, Pipeline.of(small_sensor), zero)
+            solver = bv.Estimator(small_sensor, zero_gas=zeroed).solver
+            watcher, zero = Watcher(stream, solver), solver.zero
             statuses = []
             for _ in range(140):
                 source.send()

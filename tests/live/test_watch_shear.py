@@ -73,13 +73,13 @@ def test_force_torque_and_slip_are_those_of_the_puck():
     free = range(COLLECTED + 1)  # at the first the source is not known to have colour
     for watcher, result in watched(*(frame_of(k) for k in (*free, *range(TOUCHED, HELD + 3)))):
         summary.add(result)
-        said.append(watcher.texture.words)
+        said.append(watcher.solver.texture.words)
     assert said[1].endswith(f"Collecting images without contact: 1 of {COLLECTED}")
-    assert watcher.texture.words == f"{COLLECTED - LAG} images without contact"
+    assert watcher.solver.texture.words == f"{COLLECTED - LAG} images without contact"
     np.testing.assert_allclose(
         result.traction.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
     )
-    summary.reference = watcher.texture.words
+    summary.reference = watcher.solver.texture.words
     assert summary.status["no_contact"] >= COLLECTED - LAG and summary.status["ok"] >= 3
     assert summary.max_force_n == pytest.approx(np.linalg.norm(truth.force_n), rel=0.05)
     assert 0.0 < summary.max_force_sigma_n < 0.1 * summary.max_force_n
@@ -94,7 +94,7 @@ def test_images_before_a_contact_are_left_out_as_colour_shows_it_first():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     free = LAG + 5
     frames = [frame_of(k) for k in (*range(free), HELD, HELD + 1)]
-    said = [watcher.texture.words for watcher, _ in watched(*frames)]
+    said = [watcher.solver.texture.words for watcher, _ in watched(*frames)]
     count = "Collecting images without contact: {} of {}".format
     # at the first frame the source is not known to have colour
     assert said[free - 1].endswith(count(free - 1, COLLECTED))
@@ -109,10 +109,10 @@ def test_without_colour_it_is_depth_alone_and_says_so():
     lens = eyes.pipeline.camera.intrinsics
     for watcher, result in watched(*(replace(frame, intrinsics=lens) for frame in seen)):
         summary.add(result)
-        assert watcher.texture.words == "Depth alone: no colour images in this source"
+        assert watcher.solver.texture.words == "Depth alone: no colour images in this source"
     assert result.traction.status == "depth_alone"
     assert shear_line(result).startswith("depth alone: no optical flow")
-    summary.reference = watcher.texture.words
+    summary.reference = watcher.solver.texture.words
     assert summary.status == {"no_contact": 1, "depth_alone": 2}
     assert summary.max_force_n is None
     assert summary.to_text().endswith("Depth alone: no colour images in this source")

@@ -1,0 +1,297 @@
+"""One sensor's estimator: depth image in, contact and force out, each started from the last."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from bubbleviz.api.frames import Frames
+from bubbleviz.api.results import FrameResult
+from bubbleviz.calibration import PressureZero, zero_of, zeroed
+from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
+from bubbleviz.errors import InputError
+from bubbleviz.files import parse_pose
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import AUTO, Frame, FrameSource, gas_warning, has_returns, metres
+from bubbleviz.result import Result
+from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration import PassingTexture
+
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
+"""There is a pose only where the pipeline follows an object. Pixels of the patch are found when
+they are asked for, or written to a file."""
+_OTHER_UNIT = math.sqrt(10.0)
+"""Depths this many times nearer or farther than the membrane at rest are in another unit: halfway,
+as a ratio, to the nearest mistake there is, a tenth of a millimetre for a millimetre."""
+
+
+class Estimator:
+    """Contact, patch and force of one sensor, image by image, for a loop of your own.
+
+    Built once, with its solvers ready before the first image. Every image is started where the
+    last one ended, as by `estimate` and a live stream, which are made of this.
+
+    Parameters
+    ----------
+    sensor : str, path or Sensor
+        Sensor file or preset.
+    intrinsics : Intrinsics, optional
+        Of the depth camera, in place of the sensor file's. A first `Frame` with other intrinsics
+        counts as given here, and has the solvers built once more.
+    object : str, path or RigidObject, optional
+        To track: a mesh file or preset; results have its pose `T_B_O`.
+    init : str or (4, 4) array, optional
+        Its T_B_O in the first image, or "x y z qx qy qz qw"; searched for by default.
+    unit : {"m", "mm"}, optional
+        As of `track`.
+    kappa, solver, friction, colour_delay_s
+        As of `estimate`.
+    zero_gas : bool
+        Shift the measured gas pressure so that without contact it is the sensor file's, from the
+        first 15 contact-free images in a row on; until then it is known within the weather's ±2
+        kPa. If not, it is believed as it is.
+    shear : bool
+        Traction with friction and slip, too, once 20 colour images without contact were seen.
+
+    Raises
+    ------
+    InputError
+        There is no such sensor, object or solver, or they do not fit together.
+
+    Examples
+    --------
+    >>> estimator = bv.Estimator("punyo_oval_d405")
+    >>> found = estimator.update(depth_m, gas_pressure_pa=106_600.0)
+    >>> found.status, found.force_n
+    """
+
+    def __init__(
+        self,
+        sensor: str | Path | Sensor,
+        *,
+        intrinsics: Intrinsics | None = None,
+        object: str | Path | RigidObject | None = None,
+        init: str | np.ndarray | None = None,
+        unit: Literal["m", "mm"] | None = None,
+        kappa: float | None = None,
+        solver: str | None = None,
+        friction: float | None = None,
+        zero_gas: bool = True,
+        shear: bool = False,
+        colour_delay_s: float | None = None,
+    ) -> None:
+        if str(sensor) == AUTO:
+            raise InputError(
+                f"sensor {AUTO}: an estimator is built before the first image; name its sensor"
+            )
+        start = parse_pose(init) if isinstance(init, str) else init
+        self._followed = None if object is None else (load_object(object, unit), start)
+        self._sensor = with_colour_delay(load_sensor(sensor), colour_delay_s)
+        self._how = EstimatorOptions.named(solver, friction)
+        self._options = patch_options(kappa)
+        self._zero_gas, self._shear, self._friction = zero_gas, shear, friction
+        self._blas = ThreadpoolController()  # looking for the libraries takes 2 ms: once
+        self._build(intrinsics)
+
+    def _build(self, intrinsics: Intrinsics | None) -> None:
+        with self._blas.limit(limits=1, user_api="blas"):
+            self._pipeline = Pipeline.of(self._sensor, intrinsics, self._how)
+            self.reset()
+
+    def reset(self) -> None:
+        """Forget all images: warm start, zero of the gas pressure, pose and colour at rest."""
+        pipeline, texture = self._pipeline, None
+        pipeline.restart()
+        if self._followed is not None:
+            pipeline.follow(*self._followed)
+        if self._shear:
+            from bubbleviz.calibration import PassingTexture  # needs OpenCV
+
+            texture = PassingTexture(pipeline, self._friction)
+        zero = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
+        products = PRODUCTS if texture is None else PRODUCTS | SHEAR
+        self.solver = FrameSolver(pipeline, products, self._options, zero, texture)
+        self._count, self._began_s, self._unit_known = 0, 0.0, False
+
+    def update(
+        self,
+        depth: np.ndarray | Frame,
+        gas_pressure_pa: float | None = None,
+        colour: np.ndarray | None = None,
+        time_s: float | None = None,
+    ) -> FrameResult:
+        """Estimate the next image.
+
+        Parameters
+        ----------
+        depth : (H, W) array or Frame
+            z-depth: floats are m, integers mm, as of a `16UC1` image; give other units as metres,
+            `raw * scale`. 0 and NaN are no return. A `Frame` has all of the below.
+        gas_pressure_pa : float, optional
+            Absolute pressure of the gas, Pa; without it, the gas law's.
+        colour : (H, W, 3) uint8 array, optional
+            Red, green and blue of the same pixels, for `shear`.
+        time_s : float, optional
+            When the image was taken, s. Where that is the time since 1970, `age_s` of the result
+            counts from it, else from now; the present time by default.
+
+        Returns
+        -------
+        FrameResult
+
+        Raises
+        ------
+        InputError
+            Shape, type or unit is not what was expected.
+        """
+        if isinstance(depth, Frame):
+            if any(each is not None for each in (gas_pressure_pa, colour, time_s)):
+                raise InputError("a Frame has its own gas pressure, colour and time; give it alone")
+            frame, lens = depth, depth.intrinsics
+            if not self._count and lens not in (None, self._pipeline.camera.intrinsics):
+                self._build(lens)
+        else:
+            frame = self._frame(depth, gas_pressure_pa, colour, time_s)
+        with self._blas.limit(limits=1, user_api="blas"):
+            found = FrameResult(self.solver.solve(frame), self._pipeline.model)
+        self._unit_known = self._unit_known or found.estimate.trusted
+        if not self._unit_known:
+            self._check_unit(frame.depth_m)
+        self._count += 1
+        return found
+
+    def _frame(
+        self,
+        depth: np.ndarray,
+        gas_pressure_pa: float | None,
+        colour: np.ndarray | None,
+        time_s: float | None,
+    ) -> Frame:
+        own, raw = self._pipeline.camera.intrinsics, np.asarray(depth)
+        shape = own.height, own.width
+        if raw.shape != shape or raw.dtype.kind not in "fiu":
+            raise InputError(
+                f"depth: an array {shape} of floats in m or integers in mm is expected, as of the "
+                f"camera of sensor {self._sensor.name}; this is {raw.dtype} {raw.shape}"
+            )
+        known_pa = self._pipeline.model.gas.P0
+        if gas_pressure_pa is not None and not 0.5 < gas_pressure_pa / known_pa < 2.0:
+            raise InputError(
+                f"gas_pressure_pa = {gas_pressure_pa:g}: the absolute pressure in Pa is expected, "
+                f"near {known_pa:.0f} for sensor {self._sensor.name}; None where it is not measured"
+            )
+        now_ns = time.time_ns()
+        stamp_ns = now_ns if time_s is None else round(1e9 * time_s)
+        if not self._count:
+            self._began_s = 1e-9 * stamp_ns
+        return Frame(
+            index=self._count,
+            time_s=1e-9 * stamp_ns - self._began_s,
+            depth_m=metres(raw.astype(np.float32), 1.0 if raw.dtype.kind == "f" else 1e-3),
+            intrinsics=own,
+            gas_pressure_pa=gas_pressure_pa,
+            stamp_ns=stamp_ns,
+            arrival_ns=now_ns,
+            find_colour=None if colour is None else self._colour(np.asarray(colour), shape),
+        )
+
+    def _colour(
+        self, rgb: np.ndarray, shape: tuple[int, int]
+    ) -> Callable[[float], ColourImage | None]:
+        if rgb.shape != (*shape, 3) or rgb.dtype != np.uint8:
+            raise InputError(
+                f"colour: an array {(*shape, 3)} of uint8, red, green and blue of the pixels of "
+                f"the depth image, is expected; this is {rgb.dtype} {rgb.shape}"
+            )
+        height, width = shape
+        encoded = EncodedImage("rgb8", rgb.tobytes(), width, height, 3 * width)
+        camera = ColourCamera(self._pipeline.camera.intrinsics)
+        image = ColourImage(lambda: encoded, camera=camera)
+        return lambda _: image
+
+    def _check_unit(self, depth_m: np.ndarray) -> None:
+        """Refuse depths of which none could be used yet, and which another unit explains."""
+        if not has_returns(depth_m):
+            return
+        model = self._pipeline.model
+        seen_m = float(np.nanmedian(depth_m))
+        rest_m = float(np.nanmedian(model.view.rest_range / model.camera.range_per_depth))
+        if not 1.0 / _OTHER_UNIT < seen_m / rest_m < _OTHER_UNIT:
+            raise InputError(
+                f"depth: {seen_m:.3g} m in the median, where the membrane of sensor "
+                f"{self._sensor.name} is {rest_m:.3g} m from the camera; floats are m, integers mm"
+            )
+
+
+class FrameSolver:
+    """Solves frames one after the other, whoever has them: `Estimator`, a recording, a stream.
+
+    The gas pressure is shifted by a zero, which is learned where it is still waited for; a texture
+    adds traction with friction and slip.
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        products: frozenset[Product] = PRODUCTS,
+        options: FrameOptions | None = None,
+        zero: PressureZero | None = None,
+        texture: PassingTexture | None = None,
+    ) -> None:
+        pipeline.prepare(products)  # set-up is not part of the first frame's time
+        self.pipeline, self.zero, self.texture = pipeline, zero, texture
+        self._products, self._options = products, options
+        self._measured_pa: float | None = None
+
+    def solve(self, frame: Frame) -> Result:
+        """The products of the next frame."""
+        self._measured_pa = self._measured_pa or frame.gas_pressure_pa
+        if self.zero is not None:
+            frame = zeroed(frame, self.zero, self.pipeline)
+        result = self.pipeline.process(frame, self._products, self._options)
+        if self.texture is not None:
+            self.texture.take(result)
+        return result
+
+    def gas_warning(self, where: str) -> str:
+        """What to say of a gas pressure that is not this sensor's; empty for nothing."""
+        known_pa = self.pipeline.model.gas.P0
+        if self.zero is None or self.zero.rest_pa is None:
+            return gas_warning(self._measured_pa, known_pa, f"in the {where}")
+        return gas_warning(self.zero.rest_pa, known_pa, f"without contact in the {where}")
+
+
+def patch_options(kappa: float | None) -> FrameOptions:
+    """Options with a patch threshold; InputError where it is no number of 0 or more."""
+    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
+        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+    return FrameOptions(kappa, fine_contact=kappa is None)
+
+
+def recorded_zero(source: FrameSource, pipeline: Pipeline) -> PressureZero | None:
+    """Zero of the gas pressure by all of a recording, which its frames do not change any more."""
+    zero = zero_of(source, pipeline)
+    if zero is not None:
+        zero.restore(zero.rest_pa, waiting=False)
+    return zero
+
+
+def solved(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> Iterator[Result]:
+    """Results of frames, each started where the last one ended.
+
+    InputError where one cannot be read.
+    """
+    for done, index in enumerate(frames.chosen, 1):
+        yield solver.solve(frames.source[index])
+        progress("solving", done / len(frames))

@@ -1,0 +1,150 @@
+"""The estimator that a program holds and gives images to, against `estimate` of the same frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_press import HEIGHTS, write_press, write_small_sensor
+
+import bubbleviz as bv
+
+SHAPE = (43, 56)
+TIMES = ("solve_ms", "total_ms")
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory):
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def frames(sensor):
+    return list(bv.open(write_press(sensor.with_name("press.mcap"), sensor)))
+
+
+@pytest.fixture(scope="module")
+def estimator(sensor):
+    return bv.Estimator(sensor, zero_gas=False)
+
+
+@pytest.fixture(autouse=True)
+def fresh(estimator):
+    estimator.reset()
+
+
+def given_as(frame):
+    return {"gas_pressure_pa": frame.gas_pressure_pa, "time_s": frame.time_s}
+
+
+def assert_same(found, run):
+    """Every number of every frame, but the times it took, to the last digit."""
+    for one, other in zip(found, run, strict=True):
+        assert one.status == other.status and one.time_s == pytest.approx(other.time_s, abs=1e-6)
+        for name in ("force_n", "force_sigma_n", "contact_pressure_pa", "nodes_m", "pixel_mask"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
+
+
+def test_arrays_and_frames_give_what_the_recording_gives(frames, sensor, estimator):
+    run = bv.estimate(frames, sensor, zero_gas=False)
+    assert {"ok", "no_contact"} == set(run.status)
+    assert_same([estimator.update(each.depth_m, **given_as(each)) for each in frames], run)
+    estimator.reset()
+    assert_same([estimator.update(frame) for frame in frames], run)
+
+
+def test_frames_of_the_real_press_give_what_the_recording_gives(punyo_press):
+    """Its camera info is not quite the sensor file's."""
+    press = bv.open(punyo_press)[72:80]
+    run = bv.estimate(press, zero_gas=False)
+    estimator = bv.Estimator("punyo_oval_d405", zero_gas=False)
+    assert_same([estimator.update(frame) for frame in press], run)
+    assert run[-1].status == "ok"
+
+
+def test_millimetres_and_missing_returns(frames, sensor, estimator):
+    depth_mm = np.nan_to_num(np.round(1e3 * frames[2].depth_m)).astype(np.uint16)
+    depth_mm[:2, :5] = 0
+    metres = (depth_mm * np.float32(1e-3)).astype(np.float32)
+    metres[depth_mm == 0] = np.nan
+    expected = bv.estimate(replace(frames[2], depth_m=metres, gas_pressure_pa=None), sensor)
+    zeros = np.nan_to_num(metres).astype(np.float64)
+    for given in (depth_mm, depth_mm.astype(np.int64), metres, zeros):
+        estimator.reset()
+        np.testing.assert_array_equal(estimator.update(given).force_n, expected.force_n)
+    assert expected.status == "ok"
+
+
+def test_a_covered_camera_is_a_status_and_no_number(estimator):
+    found = estimator.update(np.zeros(SHAPE))
+    assert found.status == "no_data" and np.isnan(found.force_n).all()
+
+
+def test_the_gas_pressure_is_zeroed_on_images_without_contact(frames, sensor):
+    """Another day's weather, 800 Pa less, is neither contact nor force."""
+    estimator, free, pressed = bv.Estimator(sensor), frames[0], frames[2]
+    for _ in range(15):
+        found = estimator.update(free.depth_m, free.gas_pressure_pa - 800.0)
+        assert found.status == "no_contact"
+    found = estimator.update(pressed.depth_m, pressed.gas_pressure_pa - 800.0)
+    expected = bv.estimate([free, pressed], sensor, zero_gas=False)[1]
+    np.testing.assert_allclose(found.force_n, expected.force_n, atol=0.02)
+
+
+def test_an_object_is_followed(frames, sensor):
+    estimator = bv.Estimator(sensor, object="cylinder", init="0.005 0 0.044 0 0 0 1")
+    heights = [estimator.update(frame).T_B_O[2, 3] for frame in frames[:4]]
+    np.testing.assert_allclose(heights[2:], HEIGHTS[2:4], atol=1e-3)
+    estimator.reset()
+    assert estimator.update(frames[0]).pose.status == "no_contact"
+
+
+@pytest.mark.parametrize(
+    ("depth", "says"),
+    [
+        (np.zeros((56, 43)), r"depth: an array \(43, 56\) of floats in m or integers in mm .*"),
+        (np.zeros((1, *SHAPE)), r"this is float64 \(1, 43, 56\)"),
+        (np.zeros(SHAPE, bool), r"this is bool \(43, 56\)"),
+        (np.full(SHAPE, 140.0), "depth: 140 m in the median, .* floats are m, integers mm"),
+        (np.full(SHAPE, 1400, np.uint16), "depth: 1.4 m in the median"),
+        ([["far"]], "depth: an array"),
+    ],
+)
+def test_depth_of_another_shape_type_or_unit_is_one_sentence(depth, says, estimator):
+    with pytest.raises(bv.InputError, match=says) as error:
+        estimator.update(depth)
+    assert "\n" not in str(error.value)
+
+
+def test_a_damaged_image_of_a_unit_that_is_known_is_a_status(frames, estimator):
+    """One such image must not end a robot's loop."""
+    assert estimator.update(frames[0].depth_m).status == "no_contact"
+    assert estimator.update(np.full(SHAPE, 140.0)).status not in ("ok", "no_contact")
+
+
+@pytest.mark.parametrize("pressure", [2585.0, 103.9, float("nan"), 0.0])
+def test_a_gas_pressure_that_is_not_absolute_or_not_in_pascals(pressure, frames, estimator):
+    with pytest.raises(bv.InputError, match=r"the absolute pressure in Pa is expected, near 1039"):
+        estimator.update(frames[0].depth_m, gas_pressure_pa=pressure)
+
+
+def test_other_arguments_that_do_not_fit(frames, estimator):
+    with pytest.raises(bv.InputError, match=r"colour: an array \(43, 56, 3\) of uint8"):
+        estimator.update(frames[0].depth_m, colour=np.zeros(SHAPE))
+    with pytest.raises(bv.InputError, match="a Frame has its own gas pressure"):
+        estimator.update(frames[0], gas_pressure_pa=103_900.0)
+    with pytest.raises(bv.InputError, match="built before the first image; name its sensor"):
+        bv.Estimator("auto")
+    with pytest.raises(bv.InputError, match="no such solver"):
+        bv.Estimator("pico_flexx_75mm", solver="magic")
+
+
+def test_a_path_does_for_a_recording(sensor, tmp_path):
+    path = write_press(tmp_path / "press.mcap", sensor, HEIGHTS[:3])
+    opened, by_path = bv.estimate(bv.open(path), sensor), bv.estimate(str(path), sensor)
+    assert_same(by_path, opened)
+    assert len(bv.track(path, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")) == 3
+    assert bv.export(path, tmp_path / "table.csv", sensor).frames == 3
+    with pytest.raises(bv.InputError, match=r"nowhere\.mcap"):
+        bv.estimate("nowhere.mcap", sensor)
+    with pytest.raises(bv.InputError, match=r"give arrays to bv\.Estimator"):
+        bv.estimate(np.zeros(SHAPE), sensor)
