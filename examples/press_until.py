@@ -3,8 +3,9 @@
     python examples/press_until.py zenoh:tcp/ROBOT:7447 mine.toml
 
 Without a window. The robot is moved by velocity commands that end by themselves, as those of most
-arms do: when the camera falls silent nothing renews them, and the robot stands still. After a
-second without an image it is told to stop, too, and the program ends with the reason.
+arms do: when the camera falls silent nothing renews them, and the robot stands still. Nor does an
+image that is old already. After a second without an image the robot is told to stop, too, and the
+program ends with the reason. However it ends, it says how old the last image was at the stop.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from bubbleviz.api.results import FrameResult
 
 SPEED_M_PER_S = 0.005
 VALID_S = 0.1  # three frames at 30 Hz
+LATEST_S = 0.25  # an older image says too little of the press now; chosen
 
 
 class Robot(Protocol):
@@ -56,15 +58,18 @@ def press_until(stream: Stream, robot: Robot, force_n: float) -> FrameResult | N
             known = last.status in ("ok", "no_contact")
             if not known or np.linalg.norm(last.force_n) >= force_n:
                 break
-            robot.move(SPEED_M_PER_S, VALID_S)
+            if last.age_s < LATEST_S:
+                robot.move(SPEED_M_PER_S, VALID_S)
     finally:
         robot.stop()
+        if last is not None:
+            print(f"{last}: told to stop {1e3 * last.age_s:.0f} ms after this image was taken")
     return last
 
 
 if __name__ == "__main__":
     try:
         with bv.connect(sys.argv[1], sensor=sys.argv[2]) as connected:
-            print(press_until(connected, PrintedRobot(), force_n=3.0))
+            press_until(connected, PrintedRobot(), force_n=3.0)
     except bv.InputError as error:
         sys.exit(str(error))

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from bubbleviz.live import Counters, LiveStream, open_stream, patience_s, sensor_for_source
+from bubbleviz.errors import InputError
+from bubbleviz.live import (
+    STOPPED_AFTER_S,
+    Counters,
+    LiveStream,
+    open_stream,
+    patience_s,
+    sensor_for_source,
+)
 from bubbleviz.recordings import AUTO, Frame
 from bubbleviz.sensor import Sensor, load_sensor
 
@@ -13,8 +22,9 @@ from bubbleviz.sensor import Sensor, load_sensor
 class Stream:
     """The newest frames of a live source; a frame that nobody took in time is left out.
 
-    A context manager; iterating gives frames until the source ends, and raises
-    `StreamStoppedError` where none comes for a second after the first.
+    A context manager; iterating gives frames until the source ends. It raises `InputError` where
+    the first does not come in 10 s, and `StreamStoppedError` where a later one does not in
+    `timeout_s`; both say what is missing.
 
     Parameters
     ----------
@@ -24,10 +34,18 @@ class Stream:
         What it was opened by.
     sensor : Sensor
         Of the source.
+    timeout_s : float, optional
+        How long a frame may take while it is iterated, s; None waits for ever.
     """
 
-    def __init__(self, live: LiveStream, uri: str, sensor: Sensor) -> None:
-        self.live, self.uri, self.sensor = live, uri, sensor
+    def __init__(
+        self,
+        live: LiveStream,
+        uri: str,
+        sensor: Sensor,
+        timeout_s: float | None = STOPPED_AFTER_S,
+    ) -> None:
+        self.live, self.uri, self.sensor, self.timeout_s = live, uri, sensor, timeout_s
 
     def take(self, timeout_s: float = 0.0) -> Frame | None:
         """The newest frame that was not taken yet, waiting for one; None when none came."""
@@ -48,7 +66,16 @@ class Stream:
         return self.sensor if str(sensor) == AUTO else load_sensor(sensor)
 
     def __iter__(self) -> Iterator[Frame]:
-        return self.live.each(self.take)
+        deadline_s = time.monotonic() + patience_s(self.uri)
+
+        def take(wait_s: float) -> Frame | None:
+            frame = self.take(wait_s)
+            silent = frame is None and self.live.status().silent_s is None and not self.ended
+            if silent and self.timeout_s is not None and time.monotonic() > deadline_s:
+                raise nothing_arrived(self.live, self.uri)
+            return frame
+
+        return self.live.each(take, self.timeout_s)
 
     def close(self) -> None:
         """Disconnect."""
@@ -61,7 +88,12 @@ class Stream:
         self.close()
 
 
-def connect(source: str, sensor: str | Path | Sensor = AUTO) -> Stream:
+def connect(
+    source: str,
+    sensor: str | Path | Sensor = AUTO,
+    *,
+    timeout_s: float | None = STOPPED_AFTER_S,
+) -> Stream:
     """Connect to a live source.
 
     Parameters
@@ -71,6 +103,9 @@ def connect(source: str, sensor: str | Path | Sensor = AUTO) -> Stream:
         `synthetic:[object]`, each with options, `scheme:place?option=value&…`.
     sensor : str, path or Sensor
         Sensor file or preset; `auto` waits for the first image and is the preset of its size.
+    timeout_s : float, optional
+        How long a frame may take while the stream itself is iterated, s; None waits for ever.
+        `estimate` and `track` have their own.
 
     Returns
     -------
@@ -92,7 +127,7 @@ def connect(source: str, sensor: str | Path | Sensor = AUTO) -> Stream:
     loaded = sensor_of(source, sensor)
     live = open_stream(source, loaded)
     live.start()
-    return Stream(live, source, loaded)
+    return Stream(live, source, loaded, timeout_s)
 
 
 def sensor_of(source: str, sensor: str | Path | Sensor) -> Sensor:
@@ -100,6 +135,12 @@ def sensor_of(source: str, sensor: str | Path | Sensor) -> Sensor:
     if not isinstance(sensor, Sensor):
         sensor = sensor_for_source(source, str(sensor), patience_s(source))
     return load_sensor(sensor)
+
+
+def nothing_arrived(stream: LiveStream, source: str) -> InputError:
+    """The error to raise about a source without a depth image; says why where that is known."""
+    seen = stream.source.problem or stream.counters().problem or offered(stream)
+    return InputError(f"--source {source}: no depth image arrived; {seen}")
 
 
 def offered(stream: LiveStream) -> str:

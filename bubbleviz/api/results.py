@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -80,6 +81,20 @@ class FrameResult:
         return self.result.frame.time_s
 
     @property
+    def stamp_ns(self) -> int:
+        """Time stamp of the image, ns since 1970 by the clock that stamped it; 0 without one."""
+        return self.result.frame.stamp_ns
+
+    @property
+    def age_s(self) -> float:
+        """Time from when the image was taken to now, s; NaN of a recording's.
+
+        It counts from the image's stamp or, where that is of another clock, from its arrival.
+        """
+        taken_ns = self.result.frame.taken_ns
+        return math.nan if taken_ns is None else 1e-9 * (time.time_ns() - taken_ns)
+
+    @property
     def status(self) -> str:
         """`ok`, `no_contact`, or why there is no number to trust (`Status`)."""
         return self.estimate.status
@@ -93,6 +108,11 @@ class FrameResult:
     def force_sigma_n(self) -> np.ndarray:
         """Standard deviation of the force, (3,), N; NaN where the linear model was solved."""
         return self._numbers("force_sigma_n")
+
+    @property
+    def torque_nm(self) -> np.ndarray:
+        """Moment of the contact about `center_of_pressure_m` in B, (3,), N·m."""
+        return self._numbers("torque_nm")
 
     @property
     def center_of_pressure_m(self) -> np.ndarray:

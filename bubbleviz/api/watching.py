@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
-from bubbleviz.api.connecting import offered, sensor_of
+from bubbleviz.api.connecting import nothing_arrived, sensor_of
 from bubbleviz.api.estimator import Estimator, FrameSolver
 from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
@@ -79,8 +79,7 @@ class Watcher:
         check = partial(stream.check_size, f"--source {source}", sensor.name)
         first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
         if first is None:
-            seen = stream.source.problem or stream.counters().problem or offered(stream)
-            raise InputError(f"--source {source}: no depth image arrived; {seen}")
+            raise nothing_arrived(stream, source)
         return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **how).solver, first)
 
     @property

@@ -295,10 +295,6 @@ class LiveStream:
 # Latency: the age of a frame when it is shown.
 
 
-SAME_CLOCK_NS = 5_000_000_000
-"""Stamps further than this from the arrival are of another clock: age is counted from arrival."""
-
-
 class LatencyReport(NamedTuple):
     """Ages of the last frames, s."""
 
@@ -314,9 +310,7 @@ class LatencyMeter:
 
     def add(self, frame: Frame, now_ns: int) -> None:
         """Take note of a live frame that is here now."""
-        same_clock = abs(frame.arrival_ns - frame.stamp_ns) < SAME_CLOCK_NS
-        since = frame.stamp_ns if same_clock else frame.arrival_ns
-        self._ages.append((now_ns - since) * 1e-9)
+        self._ages.append((now_ns - (frame.taken_ns or now_ns)) * 1e-9)
 
     @property
     def ages_s(self) -> list[float]:

@@ -12,9 +12,11 @@ import numpy as np
 from bubbleviz.camera import ColourImage, Intrinsics
 
 NO_COLOUR = "no colour images in this source"
+SAME_CLOCK_NS = 5_000_000_000
+"""Stamps further than this from the arrival are of another clock: age is counted from arrival."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Frame:
     """A depth image and what was measured with it.
 
@@ -66,6 +68,24 @@ class Frame:
     def colour(self) -> ColourImage | None:
         """Colour image of the moment of the depth image, by `colour_delay_s`; None without one."""
         return None if self.find_colour is None else self.find_colour(self.colour_delay_s)
+
+    @property
+    def taken_ns(self) -> int | None:
+        """When a live image was taken, ns since 1970 by this computer's clock; None for others.
+
+        By its stamp or, where that is of another clock, by its arrival.
+        """
+        if not self.arrival_ns:
+            return None
+        same_clock = abs(self.arrival_ns - self.stamp_ns) < SAME_CLOCK_NS
+        return self.stamp_ns if same_clock else self.arrival_ns
+
+    def __repr__(self) -> str:
+        height, width = self.depth_m.shape
+        image = f"{width}×{height} pixels" if self.depth_m.size else "image not kept"
+        gas = self.gas_pressure_pa
+        measured = "" if gas is None else f", gas {1e-3 * gas:.2f} kPa"
+        return f"<frame {self.index} at {self.time_s:.3f} s: {image}{measured}>"
 
 
 # Interface of the frame sources.

@@ -1,6 +1,7 @@
 """A stream whose camera dies ends with one clear error; `watch` says so and waits."""
 
 import json
+import time
 from dataclasses import replace
 
 import pytest
@@ -13,7 +14,7 @@ import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import StreamStoppedError
-from bubbleviz.live import STOPPED_AFTER_S
+from bubbleviz.live import STOPPED_AFTER_S, SessionOptions, ZenohPublisher
 from bubbleviz.recordings import RecordingWriter
 
 BEFORE, GAP_S = 4, 2.5
@@ -69,15 +70,45 @@ def test_who_is_patient_gets_the_frames_after_the_gap(timeout_s, gaps, sensor):
 
 
 def test_a_robot_that_is_killed_ends_the_loop(sensor):
+    """Until then every result has the time of its image, and after it its age grows."""
     port = free_port()
     with (
         robot(port) as process,
         bv.connect(f"zenoh:tcp/127.0.0.1:{port}", of_robot(sensor)) as stream,
         pytest.raises(StreamStoppedError, match="no depth image for"),
     ):
-        for count, _ in enumerate(bv.estimate(stream, timeout_s=0.5)):
+        before_ns = time.time_ns()
+        for count, found in enumerate(bv.estimate(stream, timeout_s=0.5)):
+            arrived_ns, asked_ns = found.result.frame.arrival_ns, time.time_ns()
+            age_s = found.age_s
+            assert before_ns < arrived_ns < asked_ns
+            assert age_s > 1e-9 * (asked_ns - arrived_ns) - 1e-6
             if count == 3:
                 process.kill()
+    assert found.age_s > age_s + 0.5
+
+
+@pytest.mark.parametrize("made", [iter, bv.estimate])
+def test_a_robot_without_a_camera_is_waited_for_in_vain(made, sensor, monkeypatch):
+    """It is there, and never sends a depth image."""
+    port = free_port()
+    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.5)
+    with (
+        ZenohPublisher(SessionOptions("robot", listen=f"tcp/127.0.0.1:{port}")),
+        bv.connect(f"zenoh:tcp/127.0.0.1:{port}", sensor, timeout_s=0.2) as stream,
+        pytest.raises(bv.InputError, match="no depth image arrived; no topics were found"),
+    ):
+        next(iter(made(stream)))
+
+
+def test_the_time_to_wait_for_a_frame_can_be_chosen(gaps, sensor):
+    with bv.connect(f"replay:{gaps}", sensor, timeout_s=2.0 * GAP_S) as stream:
+        assert [frame.index for frame in stream][-1] == 3 * BEFORE - 1
+    with (
+        bv.connect(f"replay:{gaps}", sensor, timeout_s=0.4) as stream,
+        pytest.raises(StreamStoppedError, match=r"no depth image for 0\.\d s"),
+    ):
+        list(stream)
 
 
 def of_robot(sensor):
