@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -57,7 +57,7 @@ class FineContact:
         return whole
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Estimate:
     """Solution of the inverse problem for one frame (Eq. 23).
 
@@ -130,6 +130,11 @@ class Estimate:
         """Whether its numbers are to be trusted."""
         return self.status in TRUSTED
 
+    def __repr__(self) -> str:
+        force = "" if self.force_n is None else f", {np.linalg.norm(self.force_n):.3g} N"
+        misfit = f", misfit {1e3 * self.residual_rms_m:.2g} mm rms"
+        return f"<estimate: {self.status}{force + misfit if self.trusted else ''}>"
+
     @property
     def force_half_width_n(self) -> float:
         """Half of the 95 % interval of |F|, N; NaN without contact, or of the paper's solver."""
@@ -144,7 +149,7 @@ class Estimate:
         return self.displacement_m if self.displacement_3d_m is None else self.displacement_3d_m
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Patch:
     """The contact patch: the part of the membrane that touches something (V-C).
 
@@ -193,6 +198,10 @@ class Patch:
     tangential_force_n: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
     torque_nm: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
     fine_level: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        force = float(np.linalg.norm(self.force_n))
+        return f"<patch: {1e6 * self.area_m2:.0f} mm², {force:.3g} N>"
 
     def finest(
         self, mesh: MembraneMesh, estimate: Estimate
@@ -378,7 +387,7 @@ class ObjectPatch:
     area_m2: float  # on the reference surface, m²
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """The products of one frame; those not requested are None."""
 
@@ -400,6 +409,12 @@ class Result:
     # wall time of each stage that ran, by stage name, ms; `total` is depth in → products out.
     # `flow` runs beside the others, and is not to be added to them.
     times_ms: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        made = [each.name for each in fields(self) if getattr(self, each.name) is not None]
+        products = ", ".join(name for name in made if name not in ("frame", "times_ms"))
+        said = "" if self.estimate is None else f"{self.estimate.status}; "
+        return f"<result of frame {self.frame.index}: {said}{products or 'nothing asked for'}>"
 
     @property
     def solution(self) -> tuple[Estimate, Patch]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from bubbleviz.sensor import Sensor
 _MAX_BLOCK = 32  # largest side of a block in pixels: beyond it averaging saves no more time
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SensorModel:
     """What estimating, simulating and calibrating need of one sensor."""
 
@@ -54,6 +55,17 @@ class SensorModel:
         if sensor.calibration is not None:
             pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)
         return cls(sensor, DepthCamera.of(own, intrinsics), build_mesh(sensor, nodes), pixels)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickle has: not what is made of it when it is asked for, three times as much."""
+        camera = DepthCamera(self.camera.intrinsics, self.camera.T_B_C)
+        own = {"sensor": self.sensor, "mesh": self.mesh, "pixels": self.pixels}
+        return {**own, "camera": camera}
+
+    def __repr__(self) -> str:
+        lens = self.camera.intrinsics
+        nodes = len(self.mesh.nodes)
+        return f"<{self.sensor.name}: {nodes} nodes, {lens.width}×{lens.height} pixels>"
 
     @cached_property
     def tension_n_per_m(self) -> float:

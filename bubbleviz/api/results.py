@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _ARROW = 0.5  # of the membrane's width, the length of the force's arrow
 _PRESSURE = "contact pressure, kPa"
 _NO_IMAGE = np.empty((0, 0), np.float32)
-"""In place of the depth images of a `Run`, which would fill the memory."""
+"""In place of the depth images of a `Run`, which would fill the memory as colour images would."""
 
 
 @dataclass(frozen=True)
@@ -212,12 +212,15 @@ class FrameResult:
         return nodal_fields(self.result, self.model.mesh)[name]
 
     def __repr__(self) -> str:
-        force = float(np.linalg.norm(self.force_n))
-        return f"<frame {self.index}: {self.status}, {force:.3g} N>"
+        found = f"<frame {self.index} at {self.time_s:.3f} s: {self.status}"
+        if not self.estimate.trusted:
+            return f"{found}, {self.estimate.reason or 'no number to trust'}>"
+        force, area = float(np.linalg.norm(self.force_n)), 1e6 * self.patch_area_m2
+        return f"{found}, {force:.3g} N on {area:.0f} mm²>"
 
 
 class Run(Sequence[FrameResult], Summary):
-    """What was found in the frames of a recording, like a list; depth images are not kept.
+    """What was found in the frames of a recording, like a list; images are not kept.
 
     Of frames that were written to a file as they were found, only the numbers are kept: table, plot
     and summary, and no `run[k]`.
@@ -241,7 +244,8 @@ class Run(Sequence[FrameResult], Summary):
         pose = None if result.pose is None else pose_columns(pose_row(result))
         self._numbers.add(result, pose)
         if keep:
-            light = replace(result, frame=replace(result.frame, depth_m=_NO_IMAGE))
+            frame = replace(result.frame, depth_m=_NO_IMAGE, find_colour=None)
+            light = replace(result, frame=frame)
             self._results.append(FrameResult(light, self.model))
 
     def __len__(self) -> int:
@@ -323,7 +327,7 @@ class Run(Sequence[FrameResult], Summary):
         return pandas.DataFrame(self.columns()).set_index("frame")
 
     def dataset(self) -> xarray.Dataset:
-        """Fields of all frames with named dimensions.
+        """Fields of all frames with named dimensions, and units as attributes.
 
         They are `frame`, `node`, `axis`, `bound` of an interval, `triangle` and `corner`.
 
@@ -337,10 +341,10 @@ class Run(Sequence[FrameResult], Summary):
         except ImportError as error:
             raise _missing("xarray") from error
         arrays = self.arrays()
-        frame, time = arrays.pop("frame"), arrays.pop("time_s")
+        frame = arrays.pop("frame")
         dimensions = _dimensions()
-        data = {name: (dimensions[name], array) for name, array in arrays.items()}
-        return xarray.Dataset(data, {"frame": frame, "time_s": ("frame", time)})
+        data = {name: (dimensions[name], array, _unit(name)) for name, array in arrays.items()}
+        return xarray.Dataset(data, {"frame": frame}).set_coords("time_s")
 
     def plot(self, path: str | Path | None = None, *, overwrite: bool = False) -> Figure:
         """Plot force, gas pressure, patch, residual and time over the frames; contact is shaded.
@@ -417,7 +421,11 @@ class Run(Sequence[FrameResult], Summary):
         return np.array([row[name] for row in self.rows()])
 
     def __repr__(self) -> str:
-        return f"<{count_of(len(self), 'frame')}: {counted(Counter(self.status.tolist()))}>"
+        force = np.linalg.norm(self.force_n, axis=1) if len(self) else np.zeros(0)
+        known = force[np.isfinite(force)]
+        most = f", up to {known.max():.3g} N" if len(known) else ""
+        statuses = counted(Counter(each["status"] for each in self.rows()))
+        return f"<{count_of(len(self), 'frame')} of {self.said['recording']}: {statuses}{most}>"
 
 
 class TrackedRun(Run):
@@ -610,6 +618,16 @@ def _dimensions() -> dict[str, tuple[str, ...]]:
     }
     nodes = {"nodes_m": ("node", "axis"), "normals": ("node", "axis"), "rim": ("node",)}
     return {**frames, **nodal, **nodes, "triangles": ("triangle", "corner")}
+
+
+_UNITS = {"m": "m", "m2": "m2", "n": "N", "nm": "N m", "pa": "Pa", "s": "s", "ms": "ms", "px": "1"}
+"""Units by the end of a name, as UDUNITS spells them."""
+
+
+def _unit(name: str) -> dict[str, str]:
+    """Attributes of an array of RESULT.npz: its unit, where it has one."""
+    unit = _UNITS.get(name.rpartition("_")[2]) if "_" in name else None
+    return {} if unit is None else {"units": unit}
 
 
 def _missing(library: str, extra: str = "notebook") -> InputError:

@@ -34,7 +34,8 @@ class FrameTable:
 
     Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
     force, the gas pressure as measured (absolute; NaN where the recording has none), the iterations
-    of the solver, and the columns of the pose where one is given with the frame.
+    of the solver, the time stamp of the image (ns since 1970, 0 where it has none), and the columns
+    of the pose where one is given with the frame.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class FrameTable:
             "force_magnitude_n": float(np.linalg.norm(row["force_n"])),
             "gas_pressure_pa": float("nan") if measured is None else measured,
             "iterations": result.solution[0].iterations,
+            "stamp_ns": result.frame.stamp_ns,
         }
         self._rows.append(row)
         self._more.append(more | dict(pose or {}))

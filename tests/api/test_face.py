@@ -1,5 +1,7 @@
 """What `import bubbleviz` offers, on small simulated presses and on the real one."""
 
+import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -125,6 +127,43 @@ def test_a_run_is_like_a_list_with_arrays(estimated):
     pressed = run[2].nodes_m - run[0].nodes_m
     deepest = pressed[np.argmax(run[2].contact_pressure_pa)]
     assert deepest[2] == pytest.approx(-0.008, abs=2e-3)  # 50 mm of dome under 42 mm
+
+
+def test_what_is_printed_is_one_line_with_units(frames, estimated):
+    pressed, free = estimated[2], estimated[0]
+    area, force = 1e6 * pressed.patch_area_m2, np.linalg.norm(pressed.force_n)
+    on = f"{force:.3g} N on {area:.0f} mm²"
+    assert repr(pressed) == f"<frame 2 at {pressed.time_s:.3f} s: ok, {on}>"
+    assert repr(free) == "<frame 0 at 0.000 s: no_contact, 0 N on 0 mm²>"
+    assert re.fullmatch(
+        rf"<5 frames of .*press\.mcap: 2 no_contact, 3 ok, up to {force:.1f}\d* N>", repr(estimated)
+    )
+    assert repr(estimated[3:3]).startswith("<0 frames of ")
+    assert re.fullmatch(
+        r"<frame 2 at 0\.\d{3} s: 56×43 pixels, gas 10\d\.\d\d kPa>", repr(frames[2])
+    )
+    assert re.fullmatch(
+        rf"<estimate: ok, {force:.3g} N, misfit 0\.\d+ mm rms>", repr(pressed.estimate)
+    )
+    assert repr(pressed.patch) == f"<patch: {area:.0f} mm², {force:.3g} N>"
+    assert repr(pressed.result) == "<result of frame 2: ok; estimate, patch>"
+    nodes = len(pressed.model.mesh.nodes)
+    assert repr(pressed.model) == f"<soft-bubble pico flexx: {nodes} nodes, 56×43 pixels>"
+    dark = bv.Estimator(estimated.model.sensor).update(np.zeros((43, 56)))
+    assert re.fullmatch(r"<frame 0 at 0\.000 s: no_data, .+>", repr(dark))
+    assert repr(dark.estimate) == "<estimate: no_data>"
+
+
+def test_a_run_travels_without_what_can_be_made_again(estimated):
+    """As to another process; a picture of the patch has been made, so that views are there."""
+    mask = estimated[2].pixel_mask
+    sent = pickle.dumps(estimated)
+    arrays = [*estimated.arrays().values(), *vars(estimated.model.mesh).values()]
+    assert len(sent) < 3 * sum(array.nbytes for array in arrays if hasattr(array, "nbytes"))
+    got = pickle.loads(sent)
+    assert got.status.tolist() == estimated.status.tolist()
+    np.testing.assert_array_equal(got[2].force_n, estimated[2].force_n)
+    np.testing.assert_array_equal(got[2].pixel_mask, mask)
 
 
 def test_one_frame_and_a_list_of_frames(frames, sensor):
@@ -275,6 +314,11 @@ def test_a_table_and_a_dataset(estimated):
     pressed = data.contact_pressure_pa.sel(frame=2)
     np.testing.assert_array_equal(pressed, estimated[2].contact_pressure_pa)
     assert data.force_n.dims == ("frame", "axis")
+    units = {name: array.attrs.get("units") for name, array in data.variables.items()}
+    expected = {"force_n": "N", "torque_nm": "N m", "contact_pressure_pa": "Pa", "time_s": "s"}
+    expected |= {"patch_area_m2": "m2", "nodes_m": "m", "status": None, "rim": None}
+    assert expected.items() <= units.items()
+    assert table.stamp_ns.is_monotonic_increasing
 
 
 def test_without_pandas_one_sentence_says_what_to_install(estimated, monkeypatch):
