@@ -28,6 +28,10 @@ from .api.frames import (
 from .api.identifying import (
     identify as identify,
 )
+from .api.installation import (
+    doctor as doctor,
+    presets as presets,
+)
 from .api.recording import (
     publish as publish,
     record as record,

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import bubbleviz as bv
 from benchmarks.window.__main__ import bench
 from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.live import LiveSession
 from bubbleviz.recordings import Frame, RecordingWriter
+from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 
 HEAVY = (
@@ -57,6 +59,51 @@ def test_every_command_has_help():
         done = CliRunner().invoke(main, [name, "--help"])
         assert done.exit_code == 0
         assert "Usage:" in done.stdout
+
+
+def test_every_command_has_the_short_option_for_help():
+    for words in ([], ["estimate"], ["study"], ["study", "speed"], ["open"]):
+        said = [CliRunner().invoke(main, [*words, each]).stdout for each in ("-h", "--help")]
+        assert said[0] == said[1] and "-h, --help" in said[0]
+
+
+def test_it_runs_as_a_module():
+    words = [sys.executable, "-m", "bubbleviz"]
+    done = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("bubbleviz, version ")
+    done = subprocess.run([*words, "fly"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "bubbleviz: No such command 'fly'; see bubbleviz --help\n"
+
+
+def test_presets_are_listed_by_the_names_that_options_take():
+    told = json.loads(CliRunner().invoke(main, ["presets", "--json"]).stdout)
+    assert {"pico_flexx_75mm", "punyo_oval_d405"} <= told["sensors"].keys()
+    for name, says in told["sensors"].items():
+        assert says.startswith(bv.load_sensor(name).name)
+    assert told["objects"]["cylinder"] == "24 × 24 × 40 mm"
+    for name in told["objects"]:
+        assert load_object(name).name == name
+    text = CliRunner().invoke(main, ["presets"]).stdout
+    assert "  cylinder        24 × 24 × 40 mm\n" in text
+
+
+def test_the_doctor_tells_what_a_bug_report_needs(tmp_path, monkeypatch):
+    """Also where a driver crashes, which must not end the command, or is not installed."""
+    (tmp_path / "pyvista.py").write_text("import os; os.abort()")
+    (tmp_path / "pyrealsense2.py").write_text("import nothing_of_that_name")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":77")
+    done = CliRunner().invoke(main, ["doctor", "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["version"] == bv.__version__ and sys.version.startswith(told["python"])
+    assert told["libraries"]["numpy"] == np.__version__
+    assert told["environment"]["DISPLAY"] == ":77"
+    assert told["opengl"] == "the driver ended with code -6"
+    assert "[realsense]" in told["cameras"]
+    text = CliRunner().invoke(main, ["doctor"]).stdout
+    assert ["numpy", np.__version__] in [line.split() for line in text.splitlines()]
 
 
 def loaded_after_help(which):

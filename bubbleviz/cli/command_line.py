@@ -110,7 +110,11 @@ class AllCommands(OneLineErrors):
         return None
 
 
-@click.group(cls=AllCommands, invoke_without_command=True)
+@click.group(
+    cls=AllCommands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(bubbleviz.__version__)
 @click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
 @click.pass_context

@@ -52,6 +52,20 @@ def info(recording: Path, lag: bool, as_json: bool) -> None:
 
 
 @click.command()
+@json_option
+def presets(as_json: bool) -> None:
+    """The sensors and objects that come with bubbleviz."""
+    report(bv.presets(), as_json=as_json)
+
+
+@click.command()
+@json_option
+def doctor(as_json: bool) -> None:
+    """Versions, libraries, OpenGL and cameras of this machine, for a bug report."""
+    report(bv.doctor(), as_json=as_json)
+
+
+@click.command()
 @option("--sensor", required=True, help="Sensor file or preset; no images tell which to simulate.")
 @option("--object", required=True, help="Object mesh or preset.")
 @option("--pose", help='T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')

@@ -1,0 +1,146 @@
+"""What is installed on this machine: presets, and the facts that a bug report needs."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib import metadata
+
+import numpy as np
+
+import bubbleviz
+from bubbleviz.api.summary import Summary
+from bubbleviz.files import preset_names, presets_folder
+from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import load_sensor
+from bubbleviz.wording import how_to_install
+
+_OPENGL = "import pyvista; print(pyvista.GPUInfo().renderer, pyvista.GPUInfo().version)"
+_CAMERAS = """
+import pyrealsense2 as sdk
+names = sdk.camera_info.name, sdk.camera_info.serial_number
+found = [" ".join(map(each.get_info, names)) for each in sdk.context().query_devices()]
+print(", ".join(found) or "none connected")
+"""
+_LONGEST_S = 30.0
+"""How long a driver may take to answer: drivers may hang or crash, in a process of their own."""
+_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM", "OPENBLAS_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class PresetsSummary(Summary):
+    """The presets by name, each in a few words."""
+
+    sensors: dict[str, str]
+    objects: dict[str, str]
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        return "\n".join(_listed("sensors", self.sensors) + _listed("objects", self.objects))
+
+
+def presets() -> PresetsSummary:
+    """List the sensors and objects that come with bubbleviz, for `sensor` and `object`.
+
+    Examples
+    --------
+    >>> bv.presets().sensors["pico_flexx_75mm"]
+    'soft-bubble pico flexx, spherical cap, camera of 224×171 pixels'
+    """
+    sensors, objects = {}, {}
+    for name in preset_names("sensors"):
+        own = load_sensor(name)
+        size = f"{own.camera.width}×{own.camera.height} pixels"
+        sensors[name] = f"{own.name}, {own.membrane.shape.replace('_', ' ')}, camera of {size}"
+    for path in sorted(presets_folder("objects").glob("*.ply")):
+        sides = 1e3 * np.ptp(load_object(path.stem).vertices, axis=0)
+        objects[path.stem] = f"{' × '.join(f'{side:.0f}' for side in sides)} mm"
+    return PresetsSummary(sensors, objects)
+
+
+@dataclass(frozen=True)
+class DoctorSummary(Summary):
+    """Facts of an installation."""
+
+    version: str
+    python: str
+    system: str
+    processors: int
+    libraries: dict[str, str]  # version by name, or how to install one that an extra needs
+    environment: dict[str, str]  # the variables that matter, where they are set
+    opengl: str  # renderer and version, or why there is none
+    cameras: str  # RealSense cameras by name and serial number, or why none is known
+
+    def to_text(self) -> str:
+        """Text for the terminal."""
+        facts = {
+            "bubbleviz": f"{self.version}, Python {self.python}",
+            "system": f"{self.system}, {self.processors} processors",
+            "OpenGL": self.opengl,
+            "cameras": self.cameras,
+        }
+        lines = [f"{name:<10} {text}" for name, text in facts.items()]
+        lines += _listed("environment", self.environment)
+        return "\n".join(lines + _listed("libraries", self.libraries))
+
+
+def doctor() -> DoctorSummary:
+    """Gather what a bug report needs: versions, libraries, OpenGL, cameras."""
+    return DoctorSummary(
+        version=bubbleviz.__version__,
+        python=platform.python_version(),
+        system=platform.platform(),
+        processors=os.cpu_count() or 1,
+        libraries=_libraries(),
+        environment={name: os.environ[name] for name in _VARIABLES if name in os.environ},
+        opengl=_answer(_OPENGL, "window"),
+        cameras=_answer(_CAMERAS, "realsense"),
+    )
+
+
+def _libraries() -> dict[str, str]:
+    """Version of each library that the package asks for, or how to have it."""
+    try:
+        asked_for = metadata.requires("bubbleviz") or ()
+    except metadata.PackageNotFoundError:
+        return {"bubbleviz": "not installed, but run from a folder"}
+    found = {}
+    for needed in asked_for:
+        name = re.split(r"[^\w.-]", needed)[0]
+        extra = re.search(r"extra == ['\"](.+?)['\"]", needed)
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            if extra is not None:
+                found[name] = f"not installed; {how_to_install(extra[1])}"
+            elif ";" not in needed:  # else it may be for another system
+                found[name] = "missing; install bubbleviz again"
+    return found
+
+
+def _answer(program: str, extra: str) -> str:
+    """The last line that a short Python program says, in a process of its own."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer in {_LONGEST_S:.0f} s"
+    if "ModuleNotFoundError" in done.stderr:
+        return f"not known; {how_to_install(extra)}"
+    lines = (done.stderr if done.returncode else done.stdout).split("\n")
+    said = [line.strip() for line in lines if line.strip()]
+    return said[-1] if said else f"the driver ended with code {done.returncode}"
+
+
+def _listed(title: str, texts: dict[str, str]) -> list[str]:
+    width = max(map(len, texts), default=0)
+    return [title, *(f"  {name:<{width}}  {text}" for name, text in texts.items())]
