@@ -97,11 +97,12 @@ def test_the_doctor_tells_what_a_bug_report_needs(tmp_path, monkeypatch):
     done = CliRunner().invoke(main, ["doctor", "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
-    assert told["version"] == bv.__version__ and sys.version.startswith(told["python"])
+    machine = told["machine"]
+    assert machine["bubbleviz"] == bv.__version__ and sys.version.startswith(machine["Python"])
     assert told["libraries"]["numpy"] == np.__version__
     assert told["environment"]["DISPLAY"] == ":77"
-    assert told["opengl"] == "the driver ended with code -6"
-    assert "[realsense]" in told["cameras"]
+    assert machine["OpenGL"] == "the driver ended with code -6"
+    assert "[realsense]" in machine["cameras"]
     text = CliRunner().invoke(main, ["doctor"]).stdout
     assert ["numpy", np.__version__] in [line.split() for line in text.splitlines()]
 

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from bubbleviz.api.frames import Frames
-from bubbleviz.api.results import FrameResult
+from bubbleviz.api.results import FrameResult, OneBlasThread
 from bubbleviz.calibration import PressureZero, zero_of, zeroed
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
@@ -101,11 +101,10 @@ class Estimator:
         self._how = EstimatorOptions.named(solver, friction)
         self._options = patch_options(kappa)
         self._zero_gas, self._shear, self._friction = zero_gas, shear, friction
-        self._blas = ThreadpoolController()  # looking for the libraries takes 2 ms: once
         self._build(intrinsics)
 
     def _build(self, intrinsics: Intrinsics | None) -> None:
-        with self._blas.limit(limits=1, user_api="blas"):
+        with OneBlasThread():
             self._pipeline = Pipeline.of(self._sensor, intrinsics, self._how)
             self.reset()
 
@@ -163,8 +162,7 @@ class Estimator:
                 self._build(lens)
         else:
             frame = self._frame(depth, gas_pressure_pa, colour, time_s)
-        with self._blas.limit(limits=1, user_api="blas"):
-            found = FrameResult(self.solver.solve(frame), self._pipeline.model)
+        found = FrameResult(self.solver.solve(frame), self._pipeline.model)
         self._unit_known = self._unit_known or found.estimate.trusted
         if not self._unit_known:
             self._check_unit(frame.depth_m)
@@ -253,15 +251,17 @@ class FrameSolver:
         self.pipeline, self.zero, self.texture = pipeline, zero, texture
         self._products, self._options = products, options
         self._measured_pa: float | None = None
+        self._blas = ThreadpoolController()  # looking for the libraries takes 2 ms: once
 
     def solve(self, frame: Frame) -> Result:
         """The products of the next frame."""
         self._measured_pa = self._measured_pa or frame.gas_pressure_pa
-        if self.zero is not None:
-            frame = zeroed(frame, self.zero, self.pipeline)
-        result = self.pipeline.process(frame, self._products, self._options)
-        if self.texture is not None:
-            self.texture.take(result)
+        with self._blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
+            if self.zero is not None:
+                frame = zeroed(frame, self.zero, self.pipeline)
+            result = self.pipeline.process(frame, self._products, self._options)
+            if self.texture is not None:
+                self.texture.take(result)
         return result
 
     def gas_warning(self, where: str) -> str:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from importlib import metadata
+from typing import Any
 
 import numpy as np
 
@@ -32,24 +33,31 @@ _VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM", "OPENBLAS_NUM_THR
 
 
 @dataclass(frozen=True)
-class PresetsSummary(Summary):
-    """The presets by name, each in a few words."""
+class Listing(Summary):
+    """Texts by name, in sections by title."""
 
-    sensors: dict[str, str]
-    objects: dict[str, str]
+    sections: dict[str, dict[str, str]]
+
+    def facts(self) -> dict[str, Any]:
+        """The sections."""
+        return self.sections
 
     def to_text(self) -> str:
-        """Text for the terminal, with units."""
-        return "\n".join(_listed("sensors", self.sensors) + _listed("objects", self.objects))
+        """Text for the terminal."""
+        lines = []
+        for title, texts in self.sections.items():
+            width = max(map(len, texts), default=0)
+            lines += [title, *(f"  {name:<{width}}  {text}" for name, text in texts.items())]
+        return "\n".join(lines)
 
 
-def presets() -> PresetsSummary:
+def presets() -> Listing:
     """List the sensors and objects that come with bubbleviz, for `sensor` and `object`.
 
-    Examples
-    --------
-    >>> bv.presets().sensors["pico_flexx_75mm"]
-    'soft-bubble pico flexx, spherical cap, camera of 224×171 pixels'
+    Returns
+    -------
+    Listing
+        With `sections` `sensors` and `objects`.
     """
     sensors, objects = {}, {}
     for name in preset_names("sensors"):
@@ -59,47 +67,26 @@ def presets() -> PresetsSummary:
     for path in sorted(presets_folder("objects").glob("*.ply")):
         sides = 1e3 * np.ptp(load_object(path.stem).vertices, axis=0)
         objects[path.stem] = f"{' × '.join(f'{side:.0f}' for side in sides)} mm"
-    return PresetsSummary(sensors, objects)
+    return Listing({"sensors": sensors, "objects": objects})
 
 
-@dataclass(frozen=True)
-class DoctorSummary(Summary):
-    """Facts of an installation."""
+def doctor() -> Listing:
+    """Gather what a bug report needs: versions, libraries, OpenGL, cameras.
 
-    version: str
-    python: str
-    system: str
-    processors: int
-    libraries: dict[str, str]  # version by name, or how to install one that an extra needs
-    environment: dict[str, str]  # the variables that matter, where they are set
-    opengl: str  # renderer and version, or why there is none
-    cameras: str  # RealSense cameras by name and serial number, or why none is known
-
-    def to_text(self) -> str:
-        """Text for the terminal."""
-        facts = {
-            "bubbleviz": f"{self.version}, Python {self.python}",
-            "system": f"{self.system}, {self.processors} processors",
-            "OpenGL": self.opengl,
-            "cameras": self.cameras,
-        }
-        lines = [f"{name:<10} {text}" for name, text in facts.items()]
-        lines += _listed("environment", self.environment)
-        return "\n".join(lines + _listed("libraries", self.libraries))
-
-
-def doctor() -> DoctorSummary:
-    """Gather what a bug report needs: versions, libraries, OpenGL, cameras."""
-    return DoctorSummary(
-        version=bubbleviz.__version__,
-        python=platform.python_version(),
-        system=platform.platform(),
-        processors=os.cpu_count() or 1,
-        libraries=_libraries(),
-        environment={name: os.environ[name] for name in _VARIABLES if name in os.environ},
-        opengl=_answer(_OPENGL, "window"),
-        cameras=_answer(_CAMERAS, "realsense"),
-    )
+    Returns
+    -------
+    Listing
+        With `sections` `machine`, `environment` and `libraries`.
+    """
+    machine = {
+        "bubbleviz": bubbleviz.__version__,
+        "Python": platform.python_version(),
+        "system": f"{platform.platform()}, {os.cpu_count()} processors",
+        "OpenGL": _answer(_OPENGL, "window"),
+        "cameras": _answer(_CAMERAS, "realsense"),
+    }
+    environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+    return Listing({"machine": machine, "environment": environment, "libraries": _libraries()})
 
 
 def _libraries() -> dict[str, str]:
@@ -139,8 +126,3 @@ def _answer(program: str, extra: str) -> str:
     lines = (done.stderr if done.returncode else done.stdout).split("\n")
     said = [line.strip() for line in lines if line.strip()]
     return said[-1] if said else f"the driver ended with code {done.returncode}"
-
-
-def _listed(title: str, texts: dict[str, str]) -> list[str]:
-    width = max(map(len, texts), default=0)
-    return [title, *(f"  {name:<{width}}  {text}" for name, text in texts.items())]

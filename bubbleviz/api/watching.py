@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
 from bubbleviz.api.connecting import nothing_arrived, sensor_of
@@ -99,13 +98,7 @@ class Watcher:
 
     def results(self, timeout_s: float | None) -> Iterator[FrameResult]:
         """What was found in the newest frame, over and over, until the source ends."""
-        blas = ThreadpoolController()  # looking for the libraries takes 2 ms: not at every frame
-
-        def step(wait_s: float) -> Result | None:
-            with blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
-                return self.step(wait_s)
-
-        for result in self.stream.each(step, timeout_s):
+        for result in self.stream.each(self.step, timeout_s):
             yield FrameResult(result, self.solver.pipeline.model)
 
 
