@@ -36,6 +36,9 @@ from .api.recording import (
     publish as publish,
     record as record,
 )
+from .api.results import (
+    load_run as load_run,
+)
 from .api.simulating import (
     simulate as simulate,
 )

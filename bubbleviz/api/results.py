@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -12,13 +13,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
+from zipfile import BadZipFile
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bubbleviz.api.summary import Summary, counted
+from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_existing, whole_file, write_rows
+from bubbleviz.files import checked, refuse_existing, whole_file, write_rows
+from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import (
     COLUMNS,
     DPI,
@@ -34,10 +38,12 @@ from bubbleviz.output import (
     pose_columns,
     pose_row,
     result_arrays,
+    results_of,
     summary_row,
     write_poses,
 )
 from bubbleviz.result import TRUSTED, Estimate, Patch, Pose, Result
+from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of, how_to_install
 
@@ -147,7 +153,8 @@ class FrameResult:
     @property
     def pixel_mask(self) -> np.ndarray:
         """Pixels that see the contact patch, (H, W) bool; found when asked for."""
-        return self.model.view.patch_pixels(self.estimate, self.patch)
+        found = self.patch.pixel_mask
+        return self.model.view.patch_pixels(self.estimate, self.patch) if found is None else found
 
     @property
     def pose(self) -> Pose | None:
@@ -223,7 +230,7 @@ class Run(Sequence[FrameResult], Summary):
     """What was found in the frames of a recording, like a list; images are not kept.
 
     Of frames that were written to a file as they were found, only the numbers are kept: table, plot
-    and summary, and no `run[k]`.
+    and summary, and no `run[k]`; `load_run` has all of it.
 
     Parameters
     ----------
@@ -265,7 +272,7 @@ class Run(Sequence[FrameResult], Summary):
             It was written to a file and not kept.
         """
         if len(self) and not self._results:
-            raise InputError(f"{self.said['out']}: has the frames; load it, or estimate without it")
+            raise InputError(f"{self.said['out']}: has the frames; give it to load_run")
         if not isinstance(index, slice):
             return self._results[index]
         part = type(self)(self.model, self.said, self.made_by)
@@ -426,6 +433,56 @@ class Run(Sequence[FrameResult], Summary):
         most = f", up to {known.max():.3g} N" if len(known) else ""
         statuses = counted(Counter(each["status"] for each in self.rows()))
         return f"<{count_of(len(self), 'frame')} of {self.said['recording']}: {statuses}{most}>"
+
+
+def load_run(path: str | Path) -> Run:
+    """Load what `estimate` found from the RESULT.npz that it, or `Run.save`, wrote.
+
+    Parameters
+    ----------
+    path : path
+        All of it is read, with 0.3 MB a frame of 640×480 pixels for the mask of the patch.
+
+    Returns
+    -------
+    Run
+        Of traction and slip the file alone tells, as the `warning` of such a run says.
+
+    Raises
+    ------
+    InputError
+        The file is missing, or is no RESULT.npz.
+
+    Examples
+    --------
+    >>> bv.estimate("press.mcap").save("press.npz")
+    >>> bv.load_run("press.npz").force_n.shape
+    (90, 3)
+    """
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        texts = {name: str(arrays.pop(name)) for name in [*arrays] if not arrays[name].ndim}
+        sensor = checked(Sensor, tomllib.loads(texts["sensor_toml"]), Path(path), "sensor")
+        mesh = MembraneMesh(arrays["nodes_m"], arrays["triangles"], arrays["rim"])
+        results = results_of(arrays)
+    except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(f"{path}: not a RESULT.npz of estimate ({error}); give one") from error
+    lost = "traction and slip are in the file, not in this run"
+    said = {
+        "recording": str(path),
+        "sensor": sensor.name,
+        "out": None,
+        "solver": texts["solver"],
+        "kappa": results[0].solution[1].kappa,
+        "texture": None,
+        "gas_zero": None,
+        "warning": lost if "traction_status" in arrays else None,
+    }
+    run = Run(SensorModel(sensor, DepthCamera.of(sensor.camera), mesh), said, texts)
+    for result in results:
+        run.add(result, keep=True)
+    return run
 
 
 class TrackedRun(Run):

@@ -14,6 +14,7 @@ from .results import (
     csv_row as csv_row,
     nodal_fields as nodal_fields,
     result_arrays as result_arrays,
+    results_of as results_of,
     summary_row as summary_row,
     surface_arrays as surface_arrays,
 )

@@ -14,8 +14,8 @@ import numpy as np
 
 from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import force_of, measured_force
-from bubbleviz.result import Result
+from bubbleviz.recordings import Frame, force_of, measured_force
+from bubbleviz.result import Estimate, Patch, Result
 
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
@@ -28,9 +28,11 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("frame", "time_s", "status", "gas_pressure_change_pa", "threshold_pa"), ()),
     **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n", "torque_nm"),
     "measured_force_n": (),
+    **by_axis("wrench_n"),
     **by_axis("center_of_pressure_m"),
     "patch_area_m2": (),
     "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
+    **dict.fromkeys(("gas_pressure_pa", "iterations", "stamp_ns"), ()),
     **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
     # traction with friction and slip, only where they were asked for:
     **dict.fromkeys(("traction_status", "traction_reason"), ()),
@@ -56,6 +58,7 @@ _OF_SHEAR = ("traction_pa", "tangential_displacement_m")
 
 _KNOWN_WITHOUT_DATA = {
     *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
+    *("wrench_n", "gas_pressure_pa", "iterations", "stamp_ns"),
 }
 
 
@@ -65,7 +68,7 @@ def summary_row(result: Result) -> dict[str, Any]:
     The measured force needs the other frames, see `add_measured_force`; `wrench_n` is for that.
     """
     estimate, patch = result.solution
-    sigma = estimate.force_sigma_n
+    sigma, gas_pa = estimate.force_sigma_n, result.frame.gas_pressure_pa
     row: dict[str, Any] = {
         "frame": result.frame.index,
         "time_s": result.frame.time_s,
@@ -87,6 +90,9 @@ def summary_row(result: Result) -> dict[str, Any]:
         "solve_ms": estimate.solve_ms,
         "total_ms": result.times_ms["total"],
         "kappa": np.nan if patch.kappa is None else patch.kappa,
+        "gas_pressure_pa": np.nan if gas_pa is None else gas_pa,
+        "iterations": estimate.iterations,
+        "stamp_ns": result.frame.stamp_ns,
     }
     if not estimate.trusted:
         for key in row.keys() & COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
@@ -176,6 +182,59 @@ def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
         "triangles": mesh.triangles,
         "rim": mesh.rim,
     }
+
+
+def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
+    """Results of the frames in a RESULT.npz; images and what shear found are not in them."""
+    frames = len(arrays["frame"])
+    older = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}  # 0.2 did not write them
+    held = {key: np.full(frames, value) for key, value in older.items()}
+    held |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
+    return [_result_of({key: held[key][k] for key in held.keys() & _READ}) for k in range(frames)]
+
+
+_READ = {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
+
+
+def _result_of(held: dict[str, Any]) -> Result:
+    def known(key: str) -> float | None:
+        return None if np.isnan(held[key]) else float(held[key])
+
+    frame = Frame(
+        int(held["frame"]),
+        float(held["time_s"]),
+        np.empty((0, 0), np.float32),
+        gas_pressure_pa=known("gas_pressure_pa"),
+        wrench=np.append(held["wrench_n"], np.full(3, np.nan)),
+        stamp_ns=int(held["stamp_ns"]),
+    )
+    estimate = Estimate(
+        str(held["status"]),  # type: ignore[arg-type]
+        held["displacement_m"],
+        held["contact_pressure_pa"],
+        float(held["gas_pressure_change_pa"]),
+        float(held["residual_rms_m"]),
+        float(held["kkt_residual"]),
+        int(held["iterations"]),
+        float(held["solve_ms"]),
+        held["displacement_3d_m"],
+        force_n=held["force_n"],
+        force_sigma_n=held["force_sigma_n"],
+    )
+    low_m2, high_m2 = held["patch_area_interval_m2"].tolist()
+    patch = Patch(
+        float(held["threshold_pa"]),
+        held["patch_level"],
+        held["force_n"],
+        held["center_of_pressure_m"],
+        float(held["patch_area_m2"]),
+        area_interval_m2=(low_m2, high_m2),
+        pixel_mask=held["patch_mask"],
+        kappa=known("kappa"),
+        tangential_force_n=held["tangential_force_n"],
+        torque_nm=held["torque_nm"],
+    )
+    return Result(frame, estimate, patch, times_ms={"total": float(held["total_ms"])})
 
 
 class ResultWriter:

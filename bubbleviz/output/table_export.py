@@ -33,9 +33,7 @@ class FrameTable:
     """Collects a row a frame.
 
     Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
-    force, the gas pressure as measured (absolute; NaN where the recording has none), the iterations
-    of the solver, the time stamp of the image (ns since 1970, 0 where it has none), and the columns
-    of the pose where one is given with the frame.
+    force, and the columns of the pose where one is given with the frame.
     """
 
     def __init__(
@@ -51,13 +49,8 @@ class FrameTable:
         return len(self._rows)
 
     def add(self, result: Result, pose: Mapping[str, Any] | None = None) -> None:
-        row, measured = summary_row(result), result.frame.gas_pressure_pa
-        more = {
-            "force_magnitude_n": float(np.linalg.norm(row["force_n"])),
-            "gas_pressure_pa": float("nan") if measured is None else measured,
-            "iterations": result.solution[0].iterations,
-            "stamp_ns": result.frame.stamp_ns,
-        }
+        row = summary_row(result)
+        more = {"force_magnitude_n": float(np.linalg.norm(row["force_n"]))}
         self._rows.append(row)
         self._more.append(more | dict(pose or {}))
 

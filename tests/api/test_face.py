@@ -166,6 +166,44 @@ def test_a_run_travels_without_what_can_be_made_again(estimated):
     np.testing.assert_array_equal(got[2].pixel_mask, mask)
 
 
+def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
+    """Elsewhere: of the sensor file only what is in the result's file is needed."""
+    estimated.save(tmp_path / "press.npz")
+    got = bv.load_run(tmp_path / "press.npz")
+    assert got.status.tolist() == estimated.status.tolist()
+    for name, column in estimated.columns().items():
+        np.testing.assert_array_equal(got.columns()[name], column, name)
+    for name, array in estimated.arrays().items():
+        if array.dtype.kind == "f":  # a sum and a difference: the last digit
+            np.testing.assert_allclose(got.arrays()[name], array, rtol=1e-12, atol=1e-15)
+    for one, other in zip(got, estimated, strict=True):
+        np.testing.assert_array_equal(one.pixel_mask, other.pixel_mask)
+    got[1:3].save(tmp_path / "part.npz")
+    assert bv.load_run(tmp_path / "part.npz").columns()["frame"].tolist() == [1, 2]
+    assert got.model.sensor == bv.load_sensor(sensor).model_copy(
+        update={"folder": Path(), "file": ""}
+    )
+    assert got.facts()["max_force_n"] == estimated.facts()["max_force_n"]
+
+
+def test_what_is_no_result_is_refused_in_one_sentence(tmp_path):
+    (tmp_path / "text.npz").write_text("no archive")
+    np.savez(tmp_path / "other.npz", force_n=np.zeros((2, 3)))
+    for name in ("text", "other", "missing"):
+        with pytest.raises(bv.InputError, match=rf"{name}\.npz: not a RESULT\.npz") as error:
+            bv.load_run(tmp_path / f"{name}.npz")
+        assert "\n" not in str(error.value)
+
+
+def test_the_real_press_is_saved_and_loaded(punyo_press, tmp_path):
+    run = bv.estimate(bv.open(punyo_press)[76:80], out=tmp_path / "press.npz")
+    with pytest.raises(bv.InputError, match="give it to load_run"):
+        run[0]
+    got = bv.load_run(tmp_path / "press.npz")
+    np.testing.assert_array_equal(got.force_n, run.force_n)
+    assert got[-1].contact_pressure_pa.max() > 1000.0 and got[-1].pixel_mask.any()
+
+
 def test_one_frame_and_a_list_of_frames(frames, sensor):
     found = bv.estimate(frames[2], sensor)
     both = bv.estimate([frames[2], frames[3]], sensor)

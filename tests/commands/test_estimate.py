@@ -88,12 +88,13 @@ def test_every_key_of_the_contract(result):
         "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
         "normal_force_n": (frames, 3), "tangential_force_n": (frames, 3), "torque_nm": (frames, 3),
         "patch_area_interval_m2": (frames, 2), "kappa": (frames,),
-        "sensor_toml": (), "version": (), "solver": (),
+        "wrench_n": (frames, 3), "gas_pressure_pa": (frames,), "iterations": (frames,),
+        "stamp_ns": (frames,), "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
     kinds = {key: array.dtype.kind for key, array in result.items()}
     texts, flags = {"status", "sensor_toml", "version", "solver"}, {"rim", "patch_mask"}
-    whole = {"frame", "triangles"}
+    whole = {"frame", "triangles", "iterations", "stamp_ns"}
     assert {key for key, kind in kinds.items() if kind == "U"} == texts
     assert {key for key, kind in kinds.items() if kind == "b"} == flags
     assert {key for key, kind in kinds.items() if kind == "i"} == whole
