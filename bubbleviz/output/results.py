@@ -7,6 +7,7 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -190,51 +191,30 @@ def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
     older = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}  # 0.2 did not write them
     held = {key: np.full(frames, value) for key, value in older.items()}
     held |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
-    return [_result_of({key: held[key][k] for key in held.keys() & _READ}) for k in range(frames)]
-
-
-_READ = {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
+    of_frames = held.keys() & {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
+    return [_result_of({key: held[key][k] for key in of_frames}) for k in range(frames)]
 
 
 def _result_of(held: dict[str, Any]) -> Result:
-    def known(key: str) -> float | None:
-        return None if np.isnan(held[key]) else float(held[key])
-
-    frame = Frame(
-        int(held["frame"]),
-        float(held["time_s"]),
-        np.empty((0, 0), np.float32),
-        gas_pressure_pa=known("gas_pressure_pa"),
-        wrench=np.append(held["wrench_n"], np.full(3, np.nan)),
-        stamp_ns=int(held["stamp_ns"]),
-    )
-    estimate = Estimate(
-        str(held["status"]),  # type: ignore[arg-type]
-        held["displacement_m"],
-        held["contact_pressure_pa"],
-        float(held["gas_pressure_change_pa"]),
-        float(held["residual_rms_m"]),
-        float(held["kkt_residual"]),
-        int(held["iterations"]),
-        float(held["solve_ms"]),
-        held["displacement_3d_m"],
-        force_n=held["force_n"],
-        force_sigma_n=held["force_sigma_n"],
-    )
-    low_m2, high_m2 = held["patch_area_interval_m2"].tolist()
-    patch = Patch(
-        float(held["threshold_pa"]),
-        held["patch_level"],
-        held["force_n"],
-        held["center_of_pressure_m"],
-        float(held["patch_area_m2"]),
-        area_interval_m2=(low_m2, high_m2),
-        pixel_mask=held["patch_mask"],
-        kappa=known("kappa"),
-        tangential_force_n=held["tangential_force_n"],
-        torque_nm=held["torque_nm"],
-    )
-    return Result(frame, estimate, patch, times_ms={"total": float(held["total_ms"])})
+    """Result of one frame; most fields have the names of their arrays."""
+    known = {
+        key: None if np.isnan(held[key]) else held[key] for key in ("kappa", "gas_pressure_pa")
+    }
+    held |= known | {
+        "index": held["frame"],
+        "depth_m": np.empty((0, 0), np.float32),
+        "wrench": np.append(held["wrench_n"], np.full(3, np.nan)),
+        "level": held["patch_level"],
+        "area_m2": held["patch_area_m2"],
+        "area_interval_m2": held["patch_area_interval_m2"],
+        "pixel_mask": held["patch_mask"],
+    }
+    made: list[Any] = [
+        kind(**{each.name: held[each.name] for each in fields(kind) if each.name in held})
+        for kind in (Frame, Estimate, Patch)
+    ]
+    frame, estimate, patch = made
+    return Result(frame, estimate, patch, times_ms={"total": held["total_ms"]})
 
 
 class ResultWriter:
