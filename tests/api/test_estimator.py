@@ -148,3 +148,25 @@ def test_a_path_does_for_a_recording(sensor, tmp_path):
         bv.estimate("nowhere.mcap", sensor)
     with pytest.raises(bv.InputError, match=r"give arrays to bv\.Estimator"):
         bv.estimate(np.zeros(SHAPE), sensor)
+
+
+def test_colour_arrays_give_the_traction_that_frames_with_colour_give():
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    given = bv.load_sensor("pico_flexx_75mm")
+    membrane = given.membrane.model_copy(update={"nodes": 200, "prestretch": 1.2})
+    rubber = given.model_copy(update={"membrane": membrane})
+    free, pressed = (
+        bv.simulate(
+            rubber, "cylinder", f"0 0 {height} 0 0 0 1", frames=1, friction=0.8, texture=True
+        )[0]
+        for height in (0.060, 0.046)
+    )
+    by_array, by_frame = (bv.Estimator(rubber, shear=True) for _ in range(2))
+    for k in range(26):
+        image = replace(pressed if k == 25 else free, index=k, time_s=k / 30.0)
+        one = by_array.update(image.depth_m, image.gas_pressure_pa, image.colour.rgb(), k / 30.0)
+        other = by_frame.update(image)
+    assert one.result.flow is not None and one.result.traction is not None
+    assert one.result.traction.status == "ok"
+    np.testing.assert_array_equal(one.result.traction.force_n, other.result.traction.force_n)
+    assert np.linalg.norm(one.result.traction.force_n) > 1.0
