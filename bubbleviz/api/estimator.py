@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -121,7 +122,7 @@ class Estimator:
         zero = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self.solver = FrameSolver(pipeline, products, self._options, zero, texture)
-        self._count, self._began_s, self._unit_known = 0, 0.0, False
+        self._count, self._began_ns, self._unit_known = 0, 0, False
 
     def update(
         self,
@@ -183,6 +184,9 @@ class Estimator:
                 f"depth: an array {shape} of floats in m or integers in mm is expected, as of the "
                 f"camera of sensor {self._sensor.name}; this is {raw.dtype} {raw.shape}"
             )
+        for name, value in (("gas_pressure_pa", gas_pressure_pa), ("time_s", time_s)):
+            if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
+                raise InputError(f"{name}: a number, or None, is expected; this is {value!r}")
         known_pa = self._pipeline.model.gas.P0
         if gas_pressure_pa is not None and not 0.5 < gas_pressure_pa / known_pa < 2.0:
             raise InputError(
@@ -192,10 +196,10 @@ class Estimator:
         now_ns = time.time_ns()
         stamp_ns = now_ns if time_s is None else round(1e9 * time_s)
         if not self._count:
-            self._began_s = 1e-9 * stamp_ns
+            self._began_ns = stamp_ns
         return Frame(
             index=self._count,
-            time_s=1e-9 * stamp_ns - self._began_s,
+            time_s=1e-9 * (stamp_ns - self._began_ns),
             depth_m=metres(raw.astype(np.float32), 1.0 if raw.dtype.kind == "f" else 1e-3),
             intrinsics=own,
             gas_pressure_pa=gas_pressure_pa,

@@ -1,5 +1,6 @@
 """The estimator that a program holds and gives images to, against `estimate` of the same frames."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,22 @@ def test_millimetres_and_missing_returns(frames, sensor, estimator):
     assert expected.status == "ok"
 
 
+def test_a_result_knows_when_its_image_was_taken(frames, estimator):
+    """Times since 1970 are this computer's, small ones some other clock's."""
+    began_s = time.time() - 2.0
+    for k in range(2):
+        found = estimator.update(frames[0].depth_m, time_s=began_s + 0.125 * k)
+        assert found.time_s == pytest.approx(0.125 * k, abs=1e-6)
+        assert found.stamp_ns == pytest.approx(1e9 * (began_s + 0.125 * k), abs=1000)
+        assert found.age_s > 2.0 - 0.125 * k
+    for given in ({"time_s": 77.0}, {}):
+        estimator.reset()
+        before_s = time.time()
+        found = estimator.update(frames[0].depth_m, **given)
+        assert 0.0 < found.age_s < time.time() - before_s + 1e-3 and found.time_s == 0.0
+    assert np.isnan(bv.estimate(frames[0], estimator.solver.pipeline.model.sensor).age_s)
+
+
 def test_a_covered_camera_is_a_status_and_no_number(estimator):
     found = estimator.update(np.zeros(SHAPE))
     assert found.status == "no_data" and np.isnan(found.force_n).all()
@@ -121,13 +138,16 @@ def test_a_damaged_image_of_a_unit_that_is_known_is_a_status(frames, estimator):
     assert estimator.update(np.full(SHAPE, 140.0)).status not in ("ok", "no_contact")
 
 
-@pytest.mark.parametrize("pressure", [2585.0, 103.9, float("nan"), 0.0])
+@pytest.mark.parametrize("pressure", [2585.0, 103.9, 0.0, np.float32(-1.0)])
 def test_a_gas_pressure_that_is_not_absolute_or_not_in_pascals(pressure, frames, estimator):
     with pytest.raises(bv.InputError, match=r"the absolute pressure in Pa is expected, near 1039"):
         estimator.update(frames[0].depth_m, gas_pressure_pa=pressure)
 
 
 def test_other_arguments_that_do_not_fit(frames, estimator):
+    for given in ({"gas_pressure_pa": float("nan")}, {"gas_pressure_pa": "1e5"}, {"time_s": "now"}):
+        with pytest.raises(bv.InputError, match=f"{next(iter(given))}: a number, or None, is exp"):
+            estimator.update(frames[0].depth_m, **given)
     with pytest.raises(bv.InputError, match=r"colour: an array \(43, 56, 3\) of uint8"):
         estimator.update(frames[0].depth_m, colour=np.zeros(SHAPE))
     with pytest.raises(bv.InputError, match="a Frame has its own gas pressure"):
