@@ -17,6 +17,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import (
     MOST_COLOUR_DELAY_S,
     checked,
+    is_unit,
     named_file,
     presets_folder,
     read_toml,
@@ -115,7 +116,7 @@ class Camera(_Section):
     def _plausible_pose(self) -> Camera:
         if any(abs(x) > 2.0 for x in self.position_m):
             raise ValueError("position_m is more than 2 m from the bubble; is it in millimetres?")
-        if abs(np.linalg.norm(self.quaternion_xyzw) - 1.0) > 1e-3:
+        if not is_unit(self.quaternion_xyzw):
             raise ValueError("quaternion_xyzw is not of unit length")
         return self
 

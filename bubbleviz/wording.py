@@ -32,3 +32,8 @@ def how_to_install(extra: str) -> str:
     if (checkout / "pyproject.toml").is_file():
         return f'pip install -e "{checkout}[{extra}]"'
     return f'pip install "bubbleviz[{extra}]"'
+
+
+def encodable(text: str) -> str:
+    r"""Text that can be written as UTF-8: of a file name that is none, `\udcff` as in JSON."""
+    return text.encode(errors="backslashreplace").decode()

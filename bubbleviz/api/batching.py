@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 import shutil
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -24,7 +23,15 @@ from bubbleviz.api.results import statistics
 from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import file_hash
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.files import cannot_write, refuse_existing, table, to_json, whole_file, write_rows
+from bubbleviz.files import (
+    cannot_write,
+    refuse_existing,
+    sweep,
+    table,
+    to_json,
+    whole_file,
+    write_rows,
+)
 from bubbleviz.processes import WorkerProcess, check_cluster, run_on_cluster
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, checked_sensor
@@ -429,13 +436,9 @@ def _lock(descriptor: int, out: Path) -> None:
 
 
 def _discard_unfinished(todo: list[Job]) -> None:
-    """Remove what `whole_file` left of results when their process was killed."""
-    for path in {Path(job.out) for job in todo}:
-        ours = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{8}}{re.escape(path.suffix)}")
-        if path.parent.is_dir():
-            for each in path.parent.iterdir():
-                if ours.fullmatch(each.name) and each.is_dir():
-                    shutil.rmtree(each, ignore_errors=True)
+    """Remove what killed workers left of results: nobody else writes there."""
+    for out in {Path(job.out) for job in todo}:
+        sweep(out, of_others=True)
 
 
 def _processors() -> int:

@@ -264,6 +264,7 @@ class RecordingInfo(Summary):
     gas_pressure_pa: tuple[float, float] | None  # lowest and highest, absolute
     wrench: bool
     colour: ColourInfo | None
+    bad_frames: tuple[int, ...] = ()  # whose message is too short for an image: they have no data
     note: str = ""  # what is missing of the recording, in words; empty when it is whole
 
     def to_text(self) -> str:
@@ -279,12 +280,19 @@ class RecordingInfo(Summary):
             "wrench": "recorded" if self.wrench else "not recorded",
             "colour": "not recorded" if self.colour is None else self.colour.to_text(),
             "size": f"{self.size_bytes / 1e6:.1f} MB",
+            **({"bad frames": self._bad_text()} if self.bad_frames else {}),
             **({"note": self.note} if self.note else {}),
         }
         width = max(len(topic.name) for topic in self.topics)
         lines = [f"{label:<13} {text}" for label, text in facts.items()]
         lines += ["topics", *(f"  {t.name:<{width}}  {t.count:>8}  {t.type}" for t in self.topics)]
         return "\n".join(lines)
+
+    def _bad_text(self) -> str:
+        shown = ", ".join(map(str, self.bad_frames[:20]))
+        more = len(self.bad_frames) - 20
+        which = shown + (f" and {more} more" if more > 0 else "")
+        return f"{len(self.bad_frames)} without an image, which have no data: {which}"
 
     def _gaps_text(self) -> str:
         if not self.gaps:
@@ -336,6 +344,7 @@ def info(recording: str | Path | Frames | Recording, *, lag: bool = False) -> Re
         gas_pressure_pa=extremes,
         wrench=source.has_wrench,
         colour=ColourInfo.of(source, lag=lag),
+        bad_frames=source.bad_frames,
         note=source.bag.note,
     )
 

@@ -274,6 +274,7 @@ def zenoh_place(
         ROUTER,
         Credentials,  # `record` does without
         SessionOptions,
+        listening_warning,
     )
 
     if listen is not None and connect is not None:
@@ -281,9 +282,12 @@ def zenoh_place(
     if connect is None:
         listen = listen or ROUTER
     option = "--connect" if listen is None else "--listen"
-    return SessionOptions(
+    place = SessionOptions(
         f"{option} {listen or connect}", connect, listen, Credentials(**credentials)
     )
+    if warning := listening_warning(place):
+        tqdm.write(f"bubbleviz: warning: {warning}", file=sys.stderr)
+    return place
 
 
 @contextmanager

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from bubbleviz.errors import InputError
+from bubbleviz.files import damage, plain_numbers, read_npz
+
+NOISES_M = 1e-9, 1.0  # σ of a pixel
+FARTHEST_OFF_M = 1.0  # bias of a pixel
 
 
 @dataclass(frozen=True)
@@ -56,13 +59,11 @@ class PixelModel:
 
         Raises InputError: the file is unreadable, incomplete or of another image size.
         """
-        try:
-            with np.load(path) as data:
-                mask, bias, noise = (data[key] for key in ("mask", "bias_m", "noise_m"))
-                correlated = float(data["correlated_pixels"])
-                line = _line(data)
-        except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
-            raise InputError(f"{path}: not a pixels file ({error}); calibrate again") from error
+        with damage(path, "the pixels file", "calibrate again"):
+            data = read_npz(path)
+            mask, bias, noise = (plain_numbers(data[key]) for key in ("mask", "bias_m", "noise_m"))
+            correlated = float(plain_numbers(data["correlated_pixels"]))
+            line = _line(data)
         same = {mask.shape, bias.shape, noise.shape}
         if line is not None:
             same |= {line.slope.shape, line.rest_m.shape}
@@ -72,7 +73,16 @@ class PixelModel:
         if shape is not None and mask.shape != shape:
             made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
             raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
-        return cls(mask.astype(bool), bias.astype(float), noise.astype(float), correlated, line)
+        used = mask.astype(bool)
+        if not (
+            (np.abs(bias[used]) < FARTHEST_OFF_M).all()
+            and (noise[used] >= NOISES_M[0]).all()
+            and (noise[used] <= NOISES_M[1]).all()
+            and 0.0 < correlated < mask.size + 1.0
+            and (line is None or np.isfinite(line.straighten(bias)[used]).all())
+        ):
+            raise InputError(f"{path}: has values that no pixel can have; calibrate again")
+        return cls(used, bias, noise, correlated, line)
 
     def at(self, pixels: np.ndarray) -> PixelModel:
         """What is known of some pixels, by their flat indices; arrays (k,)."""
@@ -91,7 +101,7 @@ def _line(data: Mapping[str, np.ndarray]) -> RangeLine | None:
     if "slope" not in data:
         return None
     names = ("slope", "rest_m", "nearest_m", "farthest_m")
-    slope, rest, nearest, farthest = (data[name].astype(float) for name in names)
+    slope, rest, nearest, farthest = (plain_numbers(data[name]) for name in names)
     return RangeLine(slope, rest, nearest, farthest, int(data["levels"]))
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import entry_points
 from typing import Any, NoReturn
 
@@ -15,7 +18,7 @@ import bubbleviz
 from bubbleviz.cli import verb_commands
 from bubbleviz.cli.study_commands import study
 from bubbleviz.errors import InputError, SolveError
-from bubbleviz.wording import how_to_install
+from bubbleviz.wording import encodable, how_to_install
 
 WINDOW_GROUP = "bubbleviz.commands"
 """Entry points of the commands that the window brings."""
@@ -46,7 +49,8 @@ class OneLineErrors(click.Group):
         if not standalone_mode:
             return super().main(args, standalone_mode=False, **extra)
         try:
-            code = super().main(args, standalone_mode=False, **extra)
+            with _cleaning_up_when_terminated():
+                code = super().main(args, standalone_mode=False, **extra)
         except InputError as error:
             _fail(str(error), 2)
         except SolveError as error:
@@ -71,6 +75,24 @@ class OneLineErrors(click.Group):
         sys.exit(code if isinstance(code, int) else 0)
 
 
+@contextmanager
+def _cleaning_up_when_terminated() -> Iterator[None]:
+    """Have SIGTERM end a command as ^C does, so that it leaves no unfinished file."""
+
+    def end(*_: object) -> NoReturn:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough, for `timeout` and systemd
+        sys.exit(128 + signal.SIGTERM)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _in_one_line(error: click.UsageError) -> str:
     """What was wrong; click's own text for a group without a command is its whole help."""
     if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
@@ -79,7 +101,7 @@ def _in_one_line(error: click.UsageError) -> str:
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    click.echo(f"bubbleviz: {' '.join(message.split())}", err=True)
+    click.echo(f"bubbleviz: {encodable(' '.join(message.split()))}", err=True)
     sys.exit(code)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from bubbleviz.files import MOST_COLOUR_DELAY_S
+from bubbleviz.wording import encodable
 
 if TYPE_CHECKING:
     from bubbleviz.api.summary import Summary
@@ -105,7 +106,7 @@ def check_new(*paths: Path | None, overwrite: bool) -> None:
 
 def report(done: Summary, *, as_json: bool) -> None:
     """Print a summary and, on standard error, what it warns of."""
-    click.echo(done.to_json() if as_json else done.to_text())
+    click.echo(encodable(done.to_json() if as_json else done.to_text()))
     warning = getattr(done, "warning", None)
     if warning:
         click.echo(f"bubbleviz: warning: {warning}", err=True)

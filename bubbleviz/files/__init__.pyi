@@ -5,6 +5,8 @@ from .output_files import (
     out_folder as out_folder,
     refuse_existing as refuse_existing,
     set_aside as set_aside,
+    sweep as sweep,
+    sync as sync,
     table as table,
     to_json as to_json,
     whole_file as whole_file,
@@ -15,6 +17,7 @@ from .output_files import (
 from .poses import (
     COLUMNS as COLUMNS,
     angles_of_pose as angles_of_pose,
+    is_unit as is_unit,
     parse_pose as parse_pose,
     pose_matrix as pose_matrix,
     pose_numbers as pose_numbers,
@@ -30,5 +33,12 @@ from .preset_files import (
     pages_folder as pages_folder,
     preset_names as preset_names,
     presets_folder as presets_folder,
+)
+from .reading import (
+    damage as damage,
+    exists as exists,
+    plain_numbers as plain_numbers,
+    read_npy as read_npy,
+    read_npz as read_npz,
 )
 from .toml_files import checked as checked, named_file as named_file, read_toml as read_toml

@@ -6,6 +6,7 @@ VTK is imported only for the formats that need it: it comes with the window's ex
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.reading import damage, exists
 
 # PLY files: any element and property order, ASCII or binary of either byte order.
 #
 # By hand because the readers at hand refuse files that are right: trimesh binary files that mix
 # triangles with other polygons, VTK faces before vertices, Open3D x, y, z in another order. And
-# trimesh takes an ASCII file that was cut off for a whole one, and a quarter of a second to import.
+# trimesh takes an ASCII file that was cut off for a whole one, logs on stderr, and takes a quarter
+# of a second to import.
 
 
 _TYPES = {
@@ -150,6 +153,10 @@ def _values(body: bytes, kind: np.dtype, count: int, at: int) -> np.ndarray:
     return np.frombuffer(body, kind, count, at)
 
 
+FARTHEST = 1e9  # of a coordinate, in the file's own unit: its square is exact enough to compare
+_MOST_NEAR = 64  # vertices within the distance that makes them one, on average
+_STL_HEAD = 84  # bytes before the first triangle
+_STL_FACET = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
 SUFFIXES = (".ply", ".obj", ".stl", ".vtk", ".vtp")
 
 
@@ -162,33 +169,28 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     coordinates.
     """
     path = Path(path)
-    if not path.is_file():
+    if not exists(path) or not path.is_file():
         raise InputError(f"{path}: no such mesh file; check the path")
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: not a mesh format this reads; give {', '.join(SUFFIXES)}")
-    try:
+    with damage(path, "the mesh", "export it again"):
         vertices, triangles = _read(path)
-    except ModuleNotFoundError:
-        raise  # the command line says what to install
-    except Exception as error:  # trimesh raises whatever a damaged file leads to
-        reason = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a mesh ({reason}); export it again") from error
+        if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
+            raise ValueError("a triangle names a vertex that is not there")
     if not len(triangles):
         raise InputError(f"{path}: holds no triangles; export a surface mesh")
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise InputError(f"{path}: a triangle names a vertex that is not there; export it again")
-    wrong = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    wrong = np.flatnonzero(~(np.abs(vertices) < FARTHEST).all(axis=1))
     if len(wrong):
         raise InputError(f"{path}: vertex {wrong[0]} is not a finite number; repair the mesh")
-    return _merge(vertices, triangles)
+    with damage(path, "the mesh", "export it again"):
+        return _merge(vertices, triangles)
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Polygons of the file, triangulated."""
-    if path.suffix.lower() in (".obj", ".stl"):
-        return _read_trimesh(path)
-    if path.suffix.lower() != ".ply":
-        return _read_vtk(path)
+    other = {".obj": _read_obj, ".stl": _read_stl, ".vtk": _read_vtk, ".vtp": _read_vtk}
+    if (read := other.get(path.suffix.lower())) is not None:
+        return read(path)
     vertices, polygons = read_ply(path)
     fans = [
         np.stack([p[:, 0], p[:, k], p[:, k + 1]], axis=1)
@@ -198,12 +200,39 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate(fans) if fans else np.zeros((0, 3), dtype=np.int64)
 
 
-def _read_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """OBJ and STL through trimesh, which needs a quarter of a second to load."""
-    from trimesh import load_mesh
+def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Binary or ASCII STL: three vertices of its own a triangle."""
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == _STL_HEAD + count * _STL_FACET.itemsize:
+        vertices = np.frombuffer(data, _STL_FACET, count, _STL_HEAD)["vertices"]
+    elif data.lstrip().startswith(b"solid"):
+        words = [line.split() for line in data.splitlines()]
+        vertices = np.array([each[1:4] for each in words if each[:1] == [b"vertex"]], np.float64)
+    else:
+        raise ValueError(f"{len(data)} bytes are no STL of {count} triangles")
+    with np.errstate(invalid="ignore"):  # NaN, which is told later
+        vertices = vertices.astype(np.float64).reshape(-1, 3)
+    if len(vertices) % 3:
+        raise ValueError("a triangle is cut short")
+    return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
-    mesh = load_mesh(path, process=False, maintain_order=True)
-    return np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+
+def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of an OBJ, polygons as fans; whatever else it has is left."""
+    vertices, triangles = list[list[float]](), list[tuple[int, int, int]]()
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            vertices.append([float(word) for word in words[1:4]])
+        elif words[:1] == ["f"]:
+            named = [int(word.partition("/")[0]) for word in words[1:]]
+            # from 1 on, or back from the vertex that came last
+            corners = [k - 1 if k > 0 else len(vertices) + k for k in named]
+            triangles += [(corners[0], *pair) for pair in pairwise(corners[1:])]
+    if any(len(vertex) < 3 for vertex in vertices):
+        raise ValueError("a vertex has less than three coordinates")
+    return np.array(vertices).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
 
 
 def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -248,11 +277,16 @@ def _vtk_reader(path: Path) -> Any:
 
 def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices closer than 1e-7 of the mesh's size made one, unused ones dropped; order kept."""
-    size = float(np.ptp(vertices, axis=0).max())
-    pairs = cKDTree(vertices).query_pairs(1e-7 * size, output_type="ndarray")
-    n = len(vertices)
+    radius = 1e-7 * float(np.ptp(vertices, axis=0).max())
+    places, label = np.unique(vertices, axis=0, return_inverse=True)
+    tree = cKDTree(places)
+    if tree.count_neighbors(tree, radius) > _MOST_NEAR * len(places):  # counted without a list
+        raise ValueError("many of its vertices are nearly, but not quite, at one place")
+    pairs = tree.query_pairs(radius, output_type="ndarray")
+    n = len(places)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
+    _, part = connected_components(graph, directed=False)
+    label, n = part[label.ravel()], len(vertices)
     used = np.zeros(n, dtype=bool)
     used[triangles] = True
     first = np.full(n, n)

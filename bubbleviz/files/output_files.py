@@ -7,8 +7,11 @@ import errno
 import json
 import math
 import os
+import re
 import secrets
 import shutil
+import socket
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
@@ -16,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.errors import InputError
+from bubbleviz.wording import encodable
 
 _OURS = {
     *(".csv", ".parquet", ".npz", ".json", ".html", ".toml", ".ply", ".pvd", ".vtp", ".series"),
@@ -23,6 +27,10 @@ _OURS = {
 }
 """Suffixes of files that this program writes into folders."""
 _CANNOT_WRITE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
+
+
+_MARK = re.compile(r"([0-9a-f]{8})-([1-9]\d*)-[0-9a-f]{8}")
+"""In the hidden name of an unfinished output: where it is written, and by which process."""
 
 
 @contextmanager
@@ -37,11 +45,14 @@ def whole_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     refuse_existing(path, overwrite=overwrite)
-    temporary = _beside(path)
+    sweep(path)
+    temporary = _beside(path, f"{_where()}-{os.getpid()}-{secrets.token_hex(4)}")
     try:
         yield temporary
+        _sync(temporary)
         with set_aside(path) if overwrite and temporary.is_dir() else nullcontext():
             _publish(temporary, path, overwrite=overwrite)
+        sync(path.parent)
     except OSError as error:
         if error.errno in _CANNOT_WRITE or error.filename == str(temporary):
             raise cannot_write(path, error) from error
@@ -56,7 +67,7 @@ def set_aside(*paths: Path) -> Iterator[None]:
 
     For outputs that have to be written in place, or are several.
     """
-    kept = {path: _beside(path) for path in paths if os.path.lexists(path)}
+    kept = {path: _beside(path, secrets.token_hex(4)) for path in paths if os.path.lexists(path)}
     for path, aside in kept.items():
         path.rename(aside)
     try:
@@ -104,10 +115,62 @@ def free_name(path: Path) -> Path:
     return free
 
 
-def _beside(path: Path) -> Path:
+def _beside(path: Path, mark: str) -> Path:
     """Hidden name in the same folder that is not taken."""
-    beginning = path.stem[:50]  # a name as long as the disk takes leaves no room for more
-    return path.parent / f".{beginning}.{secrets.token_hex(4)}{path.suffix}"
+    # a name as long as the disk takes leaves no room for more, in bytes: é is two of them
+    beginning = os.fsencode(path.stem)[:50].decode(errors="ignore")
+    return path.parent / f".{beginning}.{mark}{path.suffix}"
+
+
+def _where() -> str:
+    """Name of the computer, or container: others write to the same folder over a network."""
+    space = Path("/proc/self/ns/pid")  # in which processes are numbered
+    name = f"{socket.gethostname()} {space.readlink() if space.is_symlink() else ''}"
+    return f"{zlib.crc32(name.encode()):08x}"
+
+
+def sweep(path: Path, *, of_others: bool = False) -> None:
+    """Remove what killed processes left of an output that they were writing at a path.
+
+    Those of other computers may still run, unless the caller knows better.
+    """
+    for each in path.parent.glob(".*"):
+        mark = _MARK.fullmatch(each.stem.rpartition(".")[2])
+        if mark and each == _beside(path, mark[0]) and (of_others or _is_dead(mark[1], mark[2])):
+            _discard(each)
+
+
+def _is_dead(where: str, pid: str) -> bool:
+    """Whether a process of this computer is no more."""
+    try:
+        if where == _where():
+            os.kill(int(pid), 0)
+    except (ProcessLookupError, OverflowError):
+        return True
+    except OSError:  # another user's
+        pass
+    return False
+
+
+def _sync(path: Path) -> None:
+    """Have a file, or those in a folder, on the disk before their name is: a crash leaves no half.
+
+    Some file systems cannot.
+    """
+    for each in (*path.rglob("*"), path) if path.is_dir() else (path,):
+        sync(each)
+
+
+def sync(path: Path) -> None:
+    """Have a file's content, or a folder's names, on the disk; some file systems cannot."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
+            raise
+    finally:
+        os.close(descriptor)
 
 
 def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
@@ -168,7 +231,7 @@ def write_json(path: Path, data: Any) -> None:
 
 def to_json(data: Any) -> str:
     """JSON text; numbers that are not finite become null."""
-    return json.dumps(_finite(data), indent=1, allow_nan=False, ensure_ascii=False)
+    return encodable(json.dumps(_finite(data), indent=1, allow_nan=False, ensure_ascii=False))
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
@@ -182,10 +245,17 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
     Give the temporary path of `whole_file`.
     """
-    with path.open("w", newline="", encoding="utf-8") as file:
+    # names of files may be no UTF-8
+    with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [])
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+
+
+def _cell(value: Any) -> Any:
+    """A text that a spreadsheet would run as a formula, as one that it shows."""
+    formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@"))
+    return f"'{value}" if formula else value
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.reading import damage
 
 COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 FARTHEST_M = 2.0  # m; further away the numbers are millimetres
+LATEST_S = 2.0**31  # s since 1970 that a message's stamp can hold
 
 
 def parse_pose(text: str) -> np.ndarray:
@@ -36,12 +39,17 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
         raise InputError("not finite numbers; correct them")
     if np.abs(position).max() > FARTHEST_M:
         raise InputError("more than 2 m from the bubble; is it in millimetres? use metres")
-    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-3:
+    if not is_unit(quaternion):
         raise InputError("the quaternion is not of unit length; give qx qy qz qw")
     T = np.eye(4)
     T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     T[:3, 3] = position
     return T
+
+
+def is_unit(quaternion: Sequence[float] | np.ndarray) -> bool:
+    """Whether four numbers are of unit length, and not so large that their squares overflow."""
+    return bool(np.abs(quaternion).max() < 2.0 and abs(np.linalg.norm(quaternion) - 1.0) <= 1e-3)
 
 
 def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
@@ -93,11 +101,11 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
     Raises InputError: it cannot be read as CSV.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            return list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as CSV ({error}); check the path") from error
+    with (
+        damage(path, "the CSV file", "check the path"),
+        path.open(newline="", encoding="utf-8-sig") as file,
+    ):
+        return list(csv.DictReader(file))
 
 
 def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
@@ -107,6 +115,8 @@ def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
         times = np.array([float(row["time_s"] or "nan") for row in rows])
     except ValueError as error:
         raise InputError(f"{path}: time_s: {error}; give seconds") from None
-    if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
+    if not (np.abs(times) < LATEST_S).all():
+        raise InputError(f"{path}: time_s: no times within 68 years of 1970; give seconds")
+    if not (np.diff(times) > 0.0).all():
         raise InputError(f"{path}: time_s does not grow from line to line; correct it")
     return times - times[0]

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from bubbleviz.errors import InputError
+from bubbleviz.files.reading import damage, exists
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -20,10 +21,10 @@ def named_file(name: str | Path, presets: Path, what: str) -> Path:
     Raises InputError: there is neither; lists the presets.
     """
     path = Path(name)
-    if path.exists():
+    if exists(path):
         return path
     path = presets / f"{path.stem}.toml"
-    if path.exists():
+    if exists(path):
         return path
     known = ", ".join(sorted(p.stem for p in presets.glob("*.toml")))
     raise InputError(f"{name}: no such {what}; give a .toml file or one of: {known}")
@@ -34,10 +35,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises InputError: it cannot be read, or is not TOML.
     """
-    try:
+    with damage(path, "the TOML file", "correct it"):
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a readable TOML file ({error}); correct it") from error
 
 
 def checked(

@@ -43,6 +43,7 @@ from .zenoh_session import (
     ROUTER as ROUTER,
     Credentials as Credentials,
     SessionOptions as SessionOptions,
+    listening_warning as listening_warning,
     open_session as open_session,
 )
 from .zenoh_source import ZenohSource as ZenohSource

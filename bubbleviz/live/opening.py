@@ -19,6 +19,7 @@ from bubbleviz.files import (
     MOST_COLOUR_DELAY_S,
     SYNTHETIC_SENSOR,
     checked,
+    is_unit,
     named_file,
     presets_folder,
     read_toml,
@@ -189,7 +190,7 @@ class SensorPlace(_Strict):
 
     @model_validator(mode="after")
     def _unit(self) -> SensorPlace:
-        if abs(np.linalg.norm(self.quaternion_xyzw) - 1.0) > 1e-3:
+        if not is_unit(self.quaternion_xyzw):
             raise ValueError("quaternion_xyzw: not of length 1; normalise it")
         return self
 

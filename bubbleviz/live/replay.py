@@ -7,10 +7,13 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
 from bubbleviz.live.topic_names import TYPES, TopicNames, stamp_of
 from bubbleviz.recordings import (
+    GARBAGE_NS,
     Bag,
     FrameMessages,
     FrameSource,
@@ -58,12 +61,14 @@ class Replay(LiveSource):
             for number, stream in enumerate(self._streams)
             for k, log_ns in enumerate(stream.log_ns)
         )
+        # a message logged in 1970 is not waited for: no pause of a recording is an hour
+        steps = np.diff([log_ns for log_ns, _, _ in rows], prepend=rows[0][0])
+        after_s = 1e-9 * np.cumsum(np.where(steps > GARBAGE_NS, 0, steps)) / self._speed
         colour, played = TopicNames(), 0
         while True:
             start = time.monotonic()
-            for log_ns, number, k in rows:
-                due = start + (log_ns - rows[0][0]) * 1e-9 / self._speed
-                if not self._wait_until(due):
+            for after, (_, number, k) in zip(after_s.tolist(), rows, strict=True):
+                if not self._wait_until(start + after):
                     return
                 stream = self._streams[number]
                 if self._with_colour or not colour.is_colour(stream.topic.name, stream.topic.type):

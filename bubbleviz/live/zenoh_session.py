@@ -235,6 +235,20 @@ def open_session(options: SessionOptions) -> Any:
         raise _no_session(options, error) from error
 
 
+def listening_warning(options: SessionOptions) -> str:
+    """What to say of a session that listens to other computers; empty where it does not."""
+    parts = re.match(r"(\w+)/\[?([^\[\]]+?)\]?:\d+", options.listen or "")
+    if parts is None or parts[2] == "localhost" or re.fullmatch(r"127\.[\d.]+|::1", parts[2]):
+        return ""
+    given = options.credentials
+    who = "whoever knows the login" if given.login else "anybody"
+    if parts[1] == "tls" and given.ca and given.cert:
+        who = "whoever has a certificate of its authority"
+    told = f"{options.listen} is open to other computers: {who} on the network can connect"
+    unencrypted = parts[1] != "tls"
+    return told + (", and what is sent is NOT ENCRYPTED; use tls/" if unencrypted else "")
+
+
 def connected(session: Any) -> bool:
     return bool(session.info.peers_zid() or session.info.routers_zid())
 
@@ -261,6 +275,7 @@ TOKENS = ("@ros2_lv/**", "@/*/@ros2_lv/**")  # where publishers are announced
 Layout = Literal["rmw", "dds"]
 
 _DDS_SLASH = "§"
+_TOPIC = re.compile(r"(/[^/*$#?@\s]+){1,32}")
 _ATTACHMENT = struct.Struct("<qqB16s")
 _NAMED = (b"sequence_number", b"source_gid")
 
@@ -292,19 +307,20 @@ def parse_token(key: str, domain: int) -> Announced | None:
         return _bridged(parts[2:])
     if len(parts) < 12 or parts[1] != str(domain) or parts[5] != "MP":
         return None
-    kind = ros_type(parts[10])
-    return None if kind is None else Announced(_topic(parts[9].replace("%", "/")), kind, "rmw")
+    return _announced(parts[9].replace("%", "/"), ros_type(parts[10]), "rmw")
 
 
 def _bridged(parts: list[str]) -> Announced | None:
     if len(parts) < 3 or parts[0] != "MP":
         return None
     key, kind = (part.replace(_DDS_SLASH, "/") for part in parts[1:3])
-    return Announced(_topic(key), kind, "dds")
+    return _announced(key, kind, "dds")
 
 
-def _topic(key: str) -> str:
-    return "/" + key.strip("/")
+def _announced(key: str, kind: str | None, layout: Layout) -> Announced | None:
+    """None of a name that is no topic's: Zenoh refuses it, or takes it for a pattern of others."""
+    topic = "/" + key.strip("/")
+    return Announced(topic, kind, layout) if kind and _TOPIC.fullmatch(topic) else None
 
 
 def subscription(topic: str, layout: Layout, domain: int) -> str:

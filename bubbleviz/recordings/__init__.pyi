@@ -98,6 +98,7 @@ from .sensor_matching import (
 )
 from .time_series import (
     FORWARD_NS as FORWARD_NS,
+    GARBAGE_NS as GARBAGE_NS,
     NEAREST_NS as NEAREST_NS,
     VALUES as VALUES,
     GrowingSeries as GrowingSeries,

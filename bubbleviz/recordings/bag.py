@@ -5,17 +5,20 @@ rosbags is imported with the first recording: the window starts without it.
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from bubbleviz.errors import InputError
+from bubbleviz.files import damage, exists
 from bubbleviz.recordings.bag_storage import (
     MAGIC,
     McapStorage,
@@ -23,8 +26,12 @@ from bubbleviz.recordings.bag_storage import (
     SqliteStorage,
     Storage,
     decompress,
+    zstd,
 )
-from bubbleviz.recordings.message_decoding import header_stamp_ns
+from bubbleviz.recordings.message_decoding import LATEST_NS, header_stamp_ns
+
+UNREADABLE = -1  # in place of the stamp of a message without a header
+MOST_BAD = 100  # messages at the beginning of a topic that are tried for the first one
 
 
 @dataclass(frozen=True)
@@ -48,22 +55,6 @@ def typestore(*, ros1: bool) -> Any:
     return store
 
 
-@contextmanager
-def damage(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever a damaged file makes a reader raise into one InputError."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
-        if isinstance(error, MemoryError):  # rosbags believes the sizes it reads
-            reason = "a size in it is implausible"
-        raise InputError(
-            f"{path}: {what} cannot be read ({reason}); record or copy it again"
-        ) from error
-
-
 class Bag:
     """An open rosbag2 folder, `.mcap`, `.db3` or ROS 1 `.bag`."""
 
@@ -72,11 +63,7 @@ class Bag:
         self.note = ""  # what is missing of the recording, in words; empty when it is whole
         self._storages: list[Storage] = []
         self._open_files = ExitStack()
-        try:
-            found = self.path.exists()
-        except (OSError, ValueError):
-            found = False
-        if not found:
+        if not exists(self.path):
             raise InputError(f"{self.path}: no such recording; check the path")
         self.ros1 = self.path.suffix == ".bag"  # whether messages are serialised as in ROS 1
         try:
@@ -124,21 +111,17 @@ class Bag:
         return [Ros1Storage(self._opened(Reader(self.path)))]
 
     def _ros2_files(self) -> list[Storage]:
-        from rosbags.rosbag2.reader import DirectoryReader
-
         described = (self.path / "metadata.yaml").exists()
         if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
-            folder = self._opened(DirectoryReader(self.path))
+            _check_unpacked(self.path)
+            folder = self._opened(_ros2_readers()[""](self.path))
             self.inflates = folder.metadata.compression_mode == "message"
             return [_storage(reader) for reader in folder.storages]
         return [self._open_bare(file) for file in self._bare_files()]
 
     def _open_bare(self, file: Path) -> Storage:
-        from rosbags.rosbag2.storage_mcap import McapReader
-        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
-
-        kinds = {".mcap": McapReader, ".db3": Sqlite3Reader}
-        if file.suffix not in kinds:
+        kinds = _ros2_readers()
+        if file.suffix not in (".mcap", ".db3"):
             raise InputError(
                 f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
             )
@@ -172,10 +155,41 @@ class Bag:
         return files
 
 
+@cache
+def _ros2_readers() -> dict[str, Any]:
+    """Readers of rosbags by suffix, of which only indexes are asked; that of folders by none."""
+    from rosbags.rosbag2.reader import DirectoryReader
+    from rosbags.rosbag2.storage_mcap import McapReader, Statistics
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    class IndexReader(McapReader):
+        """Of a file without an index it reads nothing, where rosbags unpacks all without limit."""
+
+        def meta_scan(self) -> None:
+            self.chunks.clear()  # `McapStorage` then walks the file
+            self.statistics = Statistics(0, 0, 0, 0, 0, 0, 0, 0, {})
+
+    class FolderReader(DirectoryReader):
+        STORAGE_PLUGINS: ClassVar[Any] = {"mcap": IndexReader, "sqlite3": Sqlite3Reader}
+
+    return {".mcap": IndexReader, ".db3": Sqlite3Reader, "": FolderReader}
+
+
 def _storage(reader: Any) -> Storage:
     """Random access to a file of a rosbag2 that rosbags has opened."""
-    is_mcap = type(reader).__name__ == "McapReader"
+    is_mcap = isinstance(reader, _ros2_readers()[".mcap"])
     return McapStorage(reader.bio, reader) if is_mcap else SqliteStorage(reader)
+
+
+def _check_unpacked(folder: Path) -> None:
+    """Refuse files compressed as a whole that would fill the disk they are unpacked to."""
+    left = shutil.disk_usage(tempfile.gettempdir()).free // 2
+    for file in folder.glob("*.zstd"):
+        with zstd.open(file, "rb") as unpacked:
+            while piece := unpacked.read(1 << 20):
+                left -= len(piece)
+                if left < 0:
+                    raise ValueError(f"{file.name} unpacks to more than half of the disk's room")
 
 
 def _is_whole_mcap(file: Path) -> bool:
@@ -201,23 +215,41 @@ class Messages:
         self._storages = [storage for storage, _ in parts]
         numbered = [np.insert(rows, 3, part, axis=1) for part, (_, rows) in enumerate(parts)]
         rows = np.concatenate(numbered or [np.empty((0, 4), np.int64)])
+        rows[:, 0] = rows[:, 0].clip(0, LATEST_NS)
         self._rows = rows[np.argsort(rows[:, 0], kind="stable")]
         self.log_ns = self._rows[:, 0].copy()  # (n,) int64, when each message was recorded, ns
 
     def __len__(self) -> int:
         return len(self.log_ns)
 
-    def payload(self, k: int, limit: int | None = None) -> bytes:
-        """Serialised message `k`, or its first `limit` bytes."""
-        _, chunk, offset, part = self._rows[k].tolist()
-        if self._bag.inflates:
-            return decompress(self._storages[part].read(chunk, offset))[:limit]
-        return self._storages[part].read(chunk, offset, limit)
+    def payload(self, k: int) -> bytes:
+        """Serialised message `k`."""
+        return self._read(k, None)[0]
+
+    def header(self, k: int) -> tuple[int, int]:
+        """Header stamp of message `k`, ns, and its size; reads no more than the header.
+
+        The stamp is 0 when unset, `UNREADABLE` where the message is shorter than a header.
+        """
+        with damage(self._bag.path, f"the header of message {k} of {self.topic.name}"):
+            begin, size = self._read(k, 16)
+            if len(begin) < 12:
+                return UNREADABLE, size
+            return header_stamp_ns(begin, ros1=self._bag.ros1), size
 
     def stamp_ns(self, k: int) -> int:
-        """Header stamp of message `k`, ns; 0 when unset. Reads no more than the header."""
-        with damage(self._bag.path, f"the header of message {k} of {self.topic.name}"):
-            return header_stamp_ns(self.payload(k, 16), ros1=self._bag.ros1)
+        """Header stamp of message `k`, ns; 0 when unset, its log time where it has no header."""
+        stamp, _ = self.header(k)
+        return int(self.log_ns[k]) if stamp == UNREADABLE else stamp
+
+    def first(self, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
+        """The first message that can be read and is as wanted; else message 0, or its error."""
+        for k in range(min(len(self), MOST_BAD)):
+            with suppress(InputError):
+                message = self.message(k)
+                if wanted(message):
+                    return message
+        return self.message(0)
 
     def message(self, k: int) -> Any:
         """Message `k`, decoded by rosbags."""
@@ -225,3 +257,10 @@ class Messages:
             store = typestore(ros1=self._bag.ros1)
             read = store.deserialize_ros1 if self._bag.ros1 else store.deserialize_cdr
             return read(self.payload(k), self.topic.type)
+
+    def _read(self, k: int, limit: int | None) -> tuple[bytes, int]:
+        _, chunk, offset, part = self._rows[k].tolist()
+        if not self._bag.inflates:
+            return self._storages[part].read(chunk, offset, limit)
+        whole = decompress(self._storages[part].read(chunk, offset)[0])
+        return whole[:limit], len(whole)

@@ -7,6 +7,7 @@ import os
 import struct
 import sys
 import zlib
+from array import array
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,7 +28,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-MAX_SIZE = 1 << 30  # no chunk or message of a sensor is larger, B; a file that says so is damaged
+MAX_SIZE = 1 << 28  # no chunk or message of a sensor is larger, B: 8192×8192 pixels of 4 bytes
 
 _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "zstd": zstd.ZstdDecompressor,
@@ -165,8 +166,8 @@ class Storage(Protocol):
         A position is a chunk and an offset; what they mean is the storage's business.
         """
 
-    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
-        """Payload of the message at a position; only its first `limit` bytes when given."""
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> tuple[bytes, int]:
+        """Payload of the message at a position, and its size; its first `limit` bytes if given."""
 
 
 def table_of(rows: Any) -> np.ndarray:
@@ -188,7 +189,7 @@ class Ros1Storage:
     def entries(self, channel: int) -> np.ndarray:
         return table_of([tuple(entry) for entry in self._reader.indexes.get(channel, [])])
 
-    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> tuple[bytes, int]:
         # imported by the reader already
         from rosbags.rosbag1.reader import Header, RecordType, read_bytes, read_uint32
 
@@ -203,7 +204,7 @@ class Ros1Storage:
                     read_bytes(data, size)
             if opcode != RecordType.MSGDATA:
                 raise ValueError("the index points to something that is no message")
-            return bytes(read_bytes(data, size if limit is None else min(size, limit)))
+            return bytes(read_bytes(data, size if limit is None else min(size, limit))), size
 
     def _load(self, position: int) -> FilePart | LazyChunk:
         chunk = self._reader.chunks[position]
@@ -229,12 +230,12 @@ class SqliteStorage:
         query = "SELECT timestamp, 0, id FROM messages WHERE topic_id = ?"
         return table_of(self._database.execute(query, (channel,)).fetchall())
 
-    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> tuple[bytes, int]:
         with self._database.blob_open("main", "messages", "data", offset, False) as blob:
             size = blob.length()
             if size > MAX_SIZE:
                 raise ValueError("a message is implausibly large")
-            return bytes(blob.read(size if limit is None else min(limit, size)))
+            return bytes(blob.read(size if limit is None else min(limit, size))), size
 
 
 def _check_whole(path: Path) -> None:
@@ -253,6 +254,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
 _SCHEMA_OP, _CHANNEL_OP, _MESSAGE_OP, _CHUNK_OP, _INDEX_OP = range(3, 8)
 _UNCHUNKED = -1  # in place of a chunk's number
+_MOST_MESSAGES = 10_000_000  # of a topic in a file without an index: four days at 30 Hz
 
 
 class _Connection(NamedTuple):
@@ -284,7 +286,8 @@ class McapStorage:
         self._file = FilePart(file, 0, os.fstat(file.fileno()).st_size)
         self._cache = ChunkCache(self._load)
         self._places: list[_ChunkPlace] = []
-        self._found: dict[int, list[tuple[int, int, int]]] = {}  # messages without an index
+        # rows of `entries` by channel, one after the other, of messages without an index
+        self._found: dict[int, array[int]] = {}
         self.lost_bytes = 0  # bytes behind the last whole chunk of a file without its end
         chunks = [] if reader is None else reader.chunks
         if chunks and all(chunk.message_index_offsets for chunk in chunks):
@@ -314,7 +317,7 @@ class McapStorage:
         rows = np.column_stack([pairs[:, 0], chunk, pairs[:, 1]])
         return np.concatenate([rows, table_of(self._found.get(channel, []))])
 
-    def read(self, chunk: int, offset: int, limit: int | None = None) -> bytes:
+    def read(self, chunk: int, offset: int, limit: int | None = None) -> tuple[bytes, int]:
         with self._cache.at(chunk, offset) as data:
             head = data.read(_MESSAGE.size + (limit or 0))
             opcode, length, *_ = _MESSAGE.unpack_from(head)
@@ -322,11 +325,11 @@ class McapStorage:
             if opcode != _MESSAGE_OP or not 0 <= size <= MAX_SIZE:
                 raise ValueError("the index points to something that is no message")
             if limit is not None:
-                return head[_MESSAGE.size :][:size]
+                return head[_MESSAGE.size :][:size], size
             payload = data.read(size)
             if len(payload) != size:
                 raise ValueError("a message is cut short")
-            return payload
+            return payload, size
 
     def _bytes(self, offset: int, count: int) -> bytes:
         self._file.seek(offset)
@@ -412,7 +415,10 @@ class McapStorage:
         elif opcode == _MESSAGE_OP:
             data.seek(at)
             _, _, to, _, log, _ = _MESSAGE.unpack(data.read(_MESSAGE.size))
-            self._found.setdefault(to, []).append((min(log, 2**63 - 1), number, at))
+            rows = self._found.setdefault(to, array("q"))
+            rows.extend((min(log, 2**63 - 1), number, at))
+            if len(rows) > 3 * _MOST_MESSAGES:
+                raise ValueError(f"more than {_MOST_MESSAGES} messages on a topic")
 
 
 def _records(data: FilePart | LazyChunk, at: int, stop: int) -> Iterator[tuple[int, int, int]]:

@@ -18,6 +18,7 @@ from bubbleviz.recordings.depth_topics import (
     IMAGE,
     common_prefix,
     find_intrinsics,
+    has_data,
     of_type,
 )
 
@@ -27,6 +28,7 @@ from bubbleviz.recordings.depth_topics import (
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC_TRANSFORMS = "/tf_static"
 
+_MOST_POSES = 10_000  # kept, the last ones
 _MOST_LINKS = 100  # between a frame of reference and its root; more are a loop
 
 
@@ -47,7 +49,9 @@ class StaticPoses:
             _bare(each.child_frame_id): (_bare(each.header.frame_id), pose_of(each.transform))
             for each in message.transforms
         }
-        return StaticPoses({**self.parents, **told})
+        known = {name: pose for name, pose in self.parents.items() if name not in told}
+        latest = list({**known, **told}.items())[-_MOST_POSES:]
+        return StaticPoses(dict(latest))
 
     def pose(self, frame: str, base: str) -> np.ndarray | None:
         """T_base_frame (4, 4); None where the two are not connected, or not named."""
@@ -105,7 +109,7 @@ def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None
     ]
     found.sort(key=lambda topic: not is_called_colour(topic.name))
     for topic in found:
-        if size_of(bag.messages(topic).message(0)) is not None:
+        if size_of(bag.messages(topic).first(has_data)) is not None:
             return topic
     if name is not None:
         raise InputError(f"{bag.path}: no colour images on topic {name}; see bubbleviz info")
@@ -143,7 +147,7 @@ def _namespace(topic: str, words: tuple[str, ...]) -> str:
 
 def find_camera(bag: Bag, colour: Topic, depth: Topic) -> ColourCamera:
     """Camera of the colour images: intrinsics of their size that are nearest by name, and pose."""
-    size = size_of(bag.messages(colour).message(0))
+    size = size_of(bag.messages(colour).first(has_data))
     info, intrinsics = find_intrinsics(bag, colour, size)
     pose = _relative_pose(bag, colour, depth)
     return colour_camera(intrinsics, pose, own=is_own(info, colour.name, depth.name))
@@ -179,7 +183,7 @@ def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
         messages = bag.messages(topic)
         for k in range(len(messages)):
             poses = poses.after(messages.message(k))
-    frames = (bag.messages(topic).message(0).header.frame_id for topic in (colour, depth))
+    frames = (bag.messages(topic).first().header.frame_id for topic in (colour, depth))
     return poses.pose(*frames)
 
 
@@ -199,7 +203,7 @@ def _extrinsics(bag: Bag, image: Topic) -> dict[str, np.ndarray]:
     stream = _REALSENSE_STREAM.fullmatch(image.name)
     prefix = f"{stream[1]}/tf/" if stream else "\0"
     return {
-        topic.name.removeprefix(prefix): pose_of(bag.messages(topic).message(0))
+        topic.name.removeprefix(prefix): pose_of(bag.messages(topic).first())
         for topic in of_type(bag, TRANSFORM)
         if topic.name.startswith(prefix)
     }

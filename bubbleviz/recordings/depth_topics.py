@@ -8,7 +8,8 @@ from typing import Any
 
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.recordings.bag import Bag, Topic, damage
+from bubbleviz.files import damage
+from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.message_decoding import (
     COMPRESSED,
     DEPTH_ENCODINGS,
@@ -54,14 +55,14 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
     """
     candidates = of_type(bag, IMAGE, name)
     candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
-    encodings = {topic.name: bag.messages(topic).message(0).encoding for topic in candidates}
+    encodings = {topic.name: _first(bag, topic).encoding for topic in candidates}
     for topic in candidates:
         encoding = encodings[topic.name]
         realsense = encoding == REALSENSE_ENCODING and _REALSENSE_DEPTH.fullmatch(topic.name)
         if encoding in DEPTH_ENCODINGS or realsense:
             return topic
     for topic in of_type(bag, COMPRESSED_IMAGE, name):
-        if COMPRESSED in bag.messages(topic).message(0).format:
+        if COMPRESSED in _first(bag, topic).format:
             return topic
     clouds = of_type(bag, POINT_CLOUD, name)
     if clouds:
@@ -77,6 +78,15 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
         if name is None
         else f"{bag.path}: no depth images on topic {name}; see bubbleviz info"
     )
+
+
+def has_data(message: Any) -> bool:
+    """Whether a message of an image or a cloud is not empty."""
+    return len(message.data) > 0
+
+
+def _first(bag: Bag, topic: Topic) -> Any:
+    return bag.messages(topic).first(has_data)
 
 
 def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
@@ -111,7 +121,7 @@ def find_intrinsics(
     """
     if name is not None:
         first_of_type(bag, CAMERA_INFO, name)
-    infos = {t.name: bag.messages(t).message(0) for t in of_type(bag, CAMERA_INFO, name)}
+    infos = {t.name: bag.messages(t).first() for t in of_type(bag, CAMERA_INFO, name)}
     found = nearest_info(infos, images.name, size)
     if not found:
         return "", None

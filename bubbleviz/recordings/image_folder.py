@@ -5,21 +5,22 @@ from __future__ import annotations
 import csv
 import json
 import re
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from pydantic import BaseModel, PositiveFloat, PositiveInt
 
-from bubbleviz.camera import ColourImage, DistortionModel, EncodedImage, Intrinsics
+from bubbleviz.camera import MAX_SIDE, ColourImage, DistortionModel, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import checked, read_toml
+from bubbleviz.files import checked, damage, read_npy, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame, usual_step
-from bubbleviz.recordings.message_decoding import metres, project_points
+from bubbleviz.recordings.message_decoding import LATEST_NS, metres, project_points
 from bubbleviz.recordings.recorded_colour import ColourAround
 from bubbleviz.recordings.time_series import Moment, Series, values_at
 from bubbleviz.wording import count_of
@@ -79,6 +80,8 @@ class ImageFolder:
         if len(stamps) != len(self._files):
             images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
             raise InputError(f"{folder}: {images} but {times}")
+        if not (np.abs(stamps) < 1e-9 * LATEST_NS).all():
+            raise InputError(f"{folder}: a time is not within 68 years of 1970; give seconds")
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
             raise InputError(f"{folder}: the time of image {late} is not after the one before")
@@ -158,7 +161,8 @@ class ImageFolder:
                 f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}"
             )
         usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
-        depth = (pixels * (self._scale or usual)).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # beyond a depth camera's: no return
+            depth = (pixels * (self._scale or usual)).astype(np.float32)
         if (depth < 0).sum() > (depth > 0).sum():
             raise InputError(f"{path}: most depths are negative; turn their sign, z points forward")
         return metres(depth, 1.0)
@@ -227,10 +231,8 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
-        try:
+        with damage(path, "the JSON file", "correct it"):
             table = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: not a readable JSON file ({error}); correct it") from error
     else:
         table = read_toml(path)
     camera = table.get("camera", table) if isinstance(table, dict) else table
@@ -280,14 +282,12 @@ def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
 
 
 def _columns(path: str | Path, count: int) -> np.ndarray:
-    try:
+    with damage(path, "the CSV of numbers", "correct it"):
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
         if rows and not _is_number(rows[0][0]):
             rows = rows[1:]
         table = np.array([[float(value) for value in row[:count]] for row in rows])
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a CSV of numbers: {error}") from error
     if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
         raise InputError(f"{path}: wants rows of {count} finite numbers, separated by commas")
     return table
@@ -315,13 +315,16 @@ def _size(shape: Sequence[int]) -> str:
 
 
 def _read(path: Path) -> np.ndarray:
-    try:
+    with damage(path, "the image", "export it again"), path.open("rb") as file:
         if path.suffix.lower() == ".npy":
-            return np.asarray(np.load(path, allow_pickle=False))
-        with Image.open(path) as image:
-            return np.asarray(image)
-    except (OSError, ValueError, EOFError, UnidentifiedImageError) as error:
-        raise InputError(f"{path}: cannot be read as an image: {error}") from error
+            return read_npy(file, path.stat().st_size)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of tags that Pillow skips
+            # by content and not by name: other formats run other programs, as EPS does
+            with Image.open(file, formats=("PNG", "TIFF")) as image:
+                if max(image.size) > MAX_SIDE:
+                    raise ValueError(f"{image.width}×{image.height} pixels are no depth camera's")
+                return np.asarray(image)
 
 
 def _read_colour(path: Path) -> EncodedImage:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import bubbleviz
 from bubbleviz.errors import InputError
-from bubbleviz.files import cannot_write, refuse_existing
+from bubbleviz.files import cannot_write, refuse_existing, sync
 from bubbleviz.recordings.message_encoding import Message, ros2_types
 
 CHUNK_BYTES = 4 << 20
@@ -70,7 +70,7 @@ class McapFile:
         )
         self._writer.start("ros2", f"bubbleviz {bubbleviz.__version__}")
         self.sync()
-        _sync_folder(self._file.parent)
+        sync(self._file.parent)
 
     def write(self, message: Message, log_ns: int) -> None:
         """Append a message, logged at a time, ns since 1970; OSError if that fails."""
@@ -180,14 +180,3 @@ class McapFile:
             "custom_data": None,
             "ros_distro": "bubbleviz",
         }
-
-
-def _sync_folder(folder: Path) -> None:
-    """Have the file's name on the disk, too."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    except OSError:  # some file systems cannot
-        pass
-    finally:
-        os.close(descriptor)

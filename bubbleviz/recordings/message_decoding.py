@@ -33,6 +33,7 @@ _MODELS: dict[str, DistortionModel] = {
 }
 
 
+LATEST_NS = 2**31 * 1_000_000_000 - 1  # the latest time that a message's stamp can hold
 FARTHEST_M = 1e4
 """No depth camera sees further, not even in millimetres that were taken for metres."""
 
@@ -174,7 +175,7 @@ def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
     else:
         order = "<" if payload[1] & 1 else ">"  # CDR encapsulation
         sec, nanosec = struct.unpack_from(f"{order}iI", payload, 4)
-    return max(int(sec) * 1_000_000_000 + int(nanosec), 0)
+    return min(max(int(sec) * 1_000_000_000 + int(nanosec), 0), LATEST_NS)
 
 
 # Point clouds to depth images.

@@ -14,7 +14,7 @@ from bubbleviz.recordings.bag import typestore
 from bubbleviz.recordings.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.recordings.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame
-from bubbleviz.recordings.message_decoding import header_stamp_ns
+from bubbleviz.recordings.message_decoding import LATEST_NS, header_stamp_ns
 
 Encoding = Literal["32FC1", "16UC1"]
 
@@ -52,7 +52,7 @@ class Message(NamedTuple):
         old, stamp_ns = self.payload, self.stamp_ns + later_ns
         if header_stamp_ns(old, ros1=False) != self.stamp_ns:
             return self._replace(stamp_ns=stamp_ns)
-        stamp = struct.pack("<iI", *divmod(stamp_ns, 1_000_000_000))
+        stamp = struct.pack("<iI", *divmod(min(stamp_ns, LATEST_NS), 1_000_000_000))
         payload = b"".join((old[:4], stamp, memoryview(old)[12:]))
         return self._replace(payload=payload, stamp_ns=stamp_ns)
 

@@ -11,6 +11,7 @@ import numpy as np
 from bubbleviz.camera import ColourImage, EncodedImage
 from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.colour_topics import find_camera
+from bubbleviz.recordings.depth_topics import has_data
 from bubbleviz.recordings.frame import usual_step
 from bubbleviz.recordings.time_series import Laps, Moment, Series, recorded_series
 
@@ -55,7 +56,7 @@ class RecordedColour:
 
         self.topic, self.camera = topic, find_camera(bag, topic, depth)
         self.images = recorded_series(messages, image, by_log=by_log, laps=laps)
-        first = EncodedImage.of(messages.message(0))
+        first = EncodedImage.of(messages.first(has_data))
         # size: width and height, pixels
         self.encoding, self.size = first.encoding, first.size
         step = usual_step(np.diff(messages.log_ns))

@@ -12,11 +12,13 @@ import numpy as np
 
 from bubbleviz.camera import ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.recordings.bag import Bag, Messages, damage
+from bubbleviz.files import damage
+from bubbleviz.recordings.bag import UNREADABLE, Bag, Messages
 from bubbleviz.recordings.colour_topics import find_colour
 from bubbleviz.recordings.depth_topics import (
     CAMERA_INFO,
     COMPRESSED_IMAGE,
+    IMAGE,
     MARKERS,
     POINT_CLOUD,
     PRESSURE,
@@ -25,10 +27,16 @@ from bubbleviz.recordings.depth_topics import (
     find_depth,
     find_intrinsics,
     first_of_type,
+    has_data,
     metres_per_unit,
 )
 from bubbleviz.recordings.frame import Frame, usual_step
-from bubbleviz.recordings.message_decoding import decode_cloud, decode_depth, encoding_of
+from bubbleviz.recordings.message_decoding import (
+    DEPTH_ENCODINGS,
+    decode_cloud,
+    decode_depth,
+    encoding_of,
+)
 from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour
 from bubbleviz.recordings.time_series import (
     NEAREST_NS,
@@ -36,11 +44,12 @@ from bubbleviz.recordings.time_series import (
     Laps,
     Moment,
     Series,
+    plausible_times,
     recorded_series,
     values_at,
-    without_garbage,
 )
 
+_PIXEL_BYTES = {name: kind.itemsize for name, kind in DEPTH_ENCODINGS.items()}
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
 
 
@@ -100,7 +109,7 @@ class Recording:
         index = int(index)
         with self._lock, damage(self.path, f"frame {index}"):
             k = int(self._order[index])
-            depth = self._decoded(self._images.message(k))
+            depth = self._nothing if index in self._bad else self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
                 raise ValueError(
                     f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
@@ -135,12 +144,22 @@ class Recording:
     def has_wrench(self) -> bool:
         return WRENCH in self._series
 
+    @property
+    def bad_frames(self) -> tuple[int, ...]:
+        """Frames whose message is too short to hold an image: theirs has no return anywhere.
+
+        Of a recording of more than 4096 images, all stamped when they were logged, a sample is
+        looked at; another bad frame is told when it is read.
+        """
+        return tuple(sorted(self._bad))
+
     def gas_pressures_pa(self) -> np.ndarray:
         """Every recorded gas pressure, shape (n,), absolute, Pa; empty where there is none."""
         if (series := self._series.get(PRESSURE)) is None:
             return np.empty(0)
         with self._lock, damage(self.path, "the gas pressure"):
-            return np.array([series.item(k)[0] for k in range(len(series))])
+            pressures = np.array([series.item(k)[0] for k in range(len(series))])
+        return pressures[np.isfinite(pressures)]
 
     def marks(self) -> tuple[tuple[int, str], ...]:
         """Markers and notes made while recording: the frame of each, and its text."""
@@ -151,15 +170,17 @@ class Recording:
             return ()
         with self._lock, damage(self.path, "the markers"):
             messages = self.bag.messages(found[0])
-            log_ns = self._images.log_ns[self._order]
             return tuple(
-                (int(np.abs(log_ns - messages.log_ns[k]).argmin()), str(messages.message(k).data))
+                (
+                    int(np.abs(self._log_ns - messages.log_ns[k]).argmin()),
+                    str(messages.message(k).data),
+                )
                 for k in range(len(messages))
             )
 
     def _moment(self, index: int) -> Moment:
         """Of a frame; by its key, which is its stamp where there is one lap."""
-        return Moment(int(self._keys[index]), int(self._images.log_ns[self._order[index]]))
+        return Moment(int(self._keys[index]), int(self._log_ns[index]))
 
     def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
         """Colour image nearest to a time after that of a frame."""
@@ -205,27 +226,36 @@ class Recording:
                 f"{self.path}: the points on {self.depth_topic.name} have no rows and columns; "
                 "record the camera info with them"
             )
-        camera = self.bag.messages(info).message(0)
+        camera = self.bag.messages(info).first()
         return int(camera.width), int(camera.height)
 
     def _open_images(self, info_topic: str | None) -> None:
         self._images = self.bag.messages(self.depth_topic)
         if len(self._images) == 0:
             raise InputError(f"{self.path}: the index lists no depth images; record it again")
-        first = self._images.message(0)
+        first = self._images.first(has_data)
         self.size = self._size_of(first, info_topic)  # width and height of the depth images, pixels
         # encoding of the depth images; `points` where they are point clouds
         self.encoding = encoding_of(first)
-        stamps = without_garbage(_header_stamps(self._images), self._images.log_ns)
+        headers, sizes = _headers(self._images)
+        stamps, log_ns = plausible_times(headers, self._images.log_ns)
+        arrived = np.argsort(log_ns, kind="stable")
+        stamps, log_ns = stamps[arrived], log_ns[arrived]
         self._by_log = not stamps.all()
         if self._by_log:
-            stamps = self._images.log_ns
-        laps = Laps(stamps, self._images.log_ns)
+            stamps = log_ns
+        laps = Laps(stamps, log_ns)
         self._laps = laps if len(laps) > 1 and not self._by_log else None
         times = stamps if self._laps is None else laps.times_ns(stamps)
-        self._order = np.argsort(times, kind="stable")
-        self._keys = laps.keys(stamps, laps.number)[self._order]
-        self.stamps_ns = times[self._order]  # (F,) int64, the stamps they come from, ns
+        order = np.argsort(times, kind="stable")
+        self._order, self._log_ns = arrived[order], log_ns[order]
+        self._keys = laps.keys(stamps, laps.number)[order]
+        raw = self.depth_topic.type == IMAGE
+        least = self.size[0] * self.size[1] * _PIXEL_BYTES.get(self.encoding, 0) if raw else 0
+        bad = (headers == UNREADABLE) | (sizes < least)
+        self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
+        self._nothing = np.full(self.size[::-1], np.nan, np.float32)
+        self.stamps_ns = times[order]  # (F,) int64, the stamps they come from, ns
         # (F,), time of each frame since the first, s
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
@@ -243,20 +273,25 @@ class Recording:
 
 
 def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
+    """What message `k` says; NaN where it is too short to say anything."""
+    if messages.header(k)[0] == UNREADABLE:
+        return np.full(1 if kind == PRESSURE else 6, np.nan)
     return VALUES[kind](messages.message(k))
 
 
-def _header_stamps(images: Messages) -> np.ndarray:
-    """Header stamps of the images, ns; 0 where unset.
+def _headers(images: Messages) -> tuple[np.ndarray, np.ndarray]:
+    """Header stamps of the images, ns, and the sizes of their messages.
 
-    Each costs the decompression of the chunk's first blocks (0.1 ms). In a long recording whose
-    sampled stamps all are the log times to the nanosecond, the others are taken to be, too.
+    Stamps are 0 where unset and `UNREADABLE` where there is no header. Each costs the decompression
+    of the chunk's first blocks (0.1 ms). In a long recording whose sampled stamps all are the log
+    times to the nanosecond, the others are taken to be, too, and their sizes to be as large.
     """
     if len(images) > SAMPLED_ABOVE:
         sample = np.linspace(0, len(images) - 1, 64).astype(int)
-        if all(images.stamp_ns(int(k)) == images.log_ns[k] for k in sample):
-            return images.log_ns
-    return np.array([images.stamp_ns(k) for k in range(len(images))], dtype=np.int64)
+        if all(images.header(int(k))[0] == images.log_ns[k] for k in sample):
+            return images.log_ns, np.full(len(images), np.iinfo(np.int64).max)
+    headers = np.array([images.header(k) for k in range(len(images))], dtype=np.int64)
+    return headers[:, 0], headers[:, 1]
 
 
 # The size of the force that a wrench sensor beside the bubble measured.

@@ -107,7 +107,7 @@ def _check_camera_info(recording: Recording) -> None:
     for topic in of_type(recording.bag, CAMERA_INFO):
         if PurePosixPath(topic.name).parent != namespace:
             continue
-        message = recording.bag.messages(topic).message(0)
+        message = recording.bag.messages(topic).first()
         size = (int(message.width), int(message.height))
         if size != recording.size:
             raise InputError(

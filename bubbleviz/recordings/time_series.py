@@ -3,7 +3,7 @@
 The rules are the same in a recording and live: a recording is a stream that has ended. Live, a
 `GrowingSeries` is filled as messages arrive; of a recording `recorded_series` reads only what is
 asked for. Implausible stamps are told from a clock that was set by what is known of them: live by
-those that came before (`StampClock`), in a recording by all (`Laps`, `without_garbage`).
+those that came before (`StampClock`), in a recording by all (`Laps`, `plausible_times`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from bubbleviz.recordings.bag import Messages
+from bubbleviz.recordings.bag import UNREADABLE, Messages
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.message_decoding import pressure_of, wrench_of
 
@@ -92,12 +92,12 @@ class Series(Generic[T]):
         k, t = self._place(moment)
         if not 0 < k < len(self) or (self._laps is not None and self._laps[k - 1] != self._laps[k]):
             found = self.nearest(moment, NEAREST_NS)
-            return None if found is None else self.item(found[0])
+            return None if found is None else _told(self.item(found[0]))
         ta, tb = int(self._times[k - 1]), int(self._times[k])
         if not ta < t < tb:  # at one of them; or the times do not rise
-            return self.item(k - 1 if abs(t - ta) <= abs(t - tb) else k)
+            return _told(self.item(k - 1 if abs(t - ta) <= abs(t - tb) else k))
         weight = (t - ta) / (tb - ta)
-        return (1.0 - weight) * self.item(k - 1) + weight * self.item(k)
+        return _told((1.0 - weight) * self.item(k - 1) + weight * self.item(k))
 
     def _time_of(self, moment: Moment) -> int:
         return moment.arrival_ns if self.by_arrival else moment.stamp_ns
@@ -106,6 +106,11 @@ class Series(Generic[T]):
         """First message that is not before a moment, and the moment on the clock of this topic."""
         t = self._time_of(moment)
         return bisect_left(self._times, t), t
+
+
+def _told(values: np.ndarray) -> np.ndarray | None:
+    """Values of a message, or of two; None where one could not be read, which is NaN then."""
+    return values if np.isfinite(values).all() else None
 
 
 VALUES: dict[str, Callable[[Any], np.ndarray]] = {PRESSURE: pressure_of, WRENCH: wrench_of}
@@ -302,15 +307,24 @@ def _start_of_laps(stamps_ns: np.ndarray, log_ns: np.ndarray, number: np.ndarray
     return starts
 
 
-def without_garbage(stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray:
-    """Stamps, with those more than an hour off the others replaced.
+def plausible_times(stamps_ns: np.ndarray, log_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and log times (n,), those replaced that are more than an hour off the others.
 
-    A camera whose clock was lost for a moment would else end the recording in 1970, or 2100.
+    Of two that are so far from each other the one counts that is nearer to its neighbours: a clock
+    that was lost for a moment, the camera's or the recorder's, would else begin the recording in
+    1970, or end it in 2100. Stamps that are 0, unset, stay so.
     """
+    told = stamps_ns > 0
+    if not told.any():
+        return np.maximum(stamps_ns, 0), log_ns
     ahead = stamps_ns - log_ns
-    usual = int(np.median(ahead))
-    garbage = (np.abs(ahead - usual) > GARBAGE_NS) & (stamps_ns != 0)
-    return np.where(garbage, log_ns + usual, stamps_ns)
+    usual = int(np.median(ahead[told]))
+    apart = told & (np.abs(ahead - usual) > GARBAGE_NS)
+    off_stamp = np.abs(stamps_ns - int(np.median(stamps_ns[told])))
+    off_log = np.abs(log_ns - int(np.median(log_ns)))
+    by_log = (stamps_ns == UNREADABLE) | (apart & (off_stamp >= off_log))
+    stamps = np.where(by_log, log_ns + usual, stamps_ns)
+    return stamps, np.where(apart & ~by_log, stamps_ns - usual, log_ns)
 
 
 def recorded_series(

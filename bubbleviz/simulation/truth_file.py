@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import MISSING, fields
 from pathlib import Path
 
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import TRUTH_SUFFIX
+from bubbleviz.files import TRUTH_SUFFIX, damage, read_npz
 from bubbleviz.recordings import Frame, Recording
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.wording import count_of
@@ -83,17 +82,15 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
 
     Raises InputError: it cannot be read, or is no truth of a simulation.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [key for key in KEYS if key not in file.files]
-            if missing:
-                raise InputError(
-                    f"{path}: is no TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
-                    "choose another file"
-                )
-            arrays = {key: file[key] for key in (*KEYS, *MORE) if key in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
-        raise InputError(f"{path}: cannot be read as TRUTH.npz ({error}); check it") from error
+    with damage(path, "the truth", "check it"):
+        arrays = read_npz(path)
+    missing = [key for key in KEYS if key not in arrays]
+    if missing:
+        raise InputError(
+            f"{path}: is no TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
+            "choose another file"
+        )
+    arrays = {key: arrays[key] for key in (*KEYS, *MORE) if key in arrays}
     counts = {len(array) if array.ndim else 0 for array in arrays.values()}
     if len(counts) != 1 or 0 in counts or arrays["patch_mask"].ndim != 3:
         raise InputError(f"{path}: its arrays do not fit together; write it anew")

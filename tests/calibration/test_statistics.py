@@ -201,7 +201,7 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
     np.testing.assert_allclose(back.noise_m, noise, atol=1e-6)
     assert back.correlated_pixels == pytest.approx(7.5)
     (tmp_path / "bad.npz").write_bytes(b"nonsense")
-    with pytest.raises(InputError, match=r"bad\.npz: not a pixels file"):
+    with pytest.raises(InputError, match=r"bad\.npz: the pixels file cannot be read"):
         PixelModel.load(tmp_path / "bad.npz")
 
 

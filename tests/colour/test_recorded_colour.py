@@ -161,9 +161,9 @@ def test_depth_alone_reads_nothing_of_the_colour_images(tmp_path, monkeypatch):
         read: list[str] = []
         original = Messages.payload
 
-        def noting(messages, k, limit=None):
+        def noting(messages, k):
             read.append(messages.topic.name)
-            return original(messages, k, limit)
+            return original(messages, k)
 
         monkeypatch.setattr(Messages, "payload", noting)
         frames = [recording[k] for k in range(6)]

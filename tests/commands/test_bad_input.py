@@ -151,7 +151,7 @@ def test_camera_info_of_another_size_than_the_images(bench, solving):
         ("-0.104", "nan", ("position_m", "finite")),
         ("quaternion_xyzw = [\n    0.0", "quaternion_xyzw = [\n    nan", ("quaternion", "finite")),
         ("-0.104", "-104.0", ("position_m", "millimetres")),
-        ("name = ", "name ", ("not a readable TOML",)),
+        ("name = ", "name ", ("the TOML file cannot be read",)),
         ("2585.5", "2.5855", ("gauge_pressure_pa", "2.5855", "pascals")),
     ],
     ids=[

@@ -237,7 +237,7 @@ def test_the_force_is_that_of_the_original(tmp_path):
     ("spoil", "words"),
     [
         (lambda p: None, "no times; give a rate"),
-        (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "cannot be read as an image"),
+        (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "the image cannot be read"),
         (lambda p: np.save(p / "9.npy", np.ones((4, 5))), "5×4 pixels, the first image has 32×24"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give the metres per unit"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), -0.1)), "most depths are negative"),

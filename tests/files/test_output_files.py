@@ -2,11 +2,14 @@
 
 import errno
 import os
+import signal
+import subprocess
+import sys
 
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import whole_file
+from bubbleviz.files import whole_file, write_rows
 
 
 def test_it_appears_when_the_block_ends(tmp_path):
@@ -98,3 +101,45 @@ def test_a_folder_that_takes_no_file_is_an_input_error(tmp_path):
 def test_a_missing_input_is_not_taken_for_the_output(tmp_path):
     with pytest.raises(FileNotFoundError), whole_file(tmp_path / "out"):
         (tmp_path / "input").read_text()
+
+
+def test_what_a_killed_process_left_goes_with_the_next_run(tmp_path):
+    """But not what others write at this moment, nor files that only look alike."""
+    script = (
+        "import os, sys; from bubbleviz.files import whole_file\n"
+        "with whole_file(sys.argv[1]) as path: path.write_text('half'); os.kill(os.getpid(), 9)"
+    )
+    for name in ("a.csv", "b.csv"):
+        killed = subprocess.run([sys.executable, "-c", script, str(tmp_path / name)], check=False)
+        assert killed.returncode == -signal.SIGKILL
+    (tmp_path / ".a.notes.csv").write_text("mine")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert len(left) == 3
+    with pytest.raises(InputError, match="exists"), whole_file(tmp_path / "a.csv") as outer:
+        outer.write_text("1")
+        with whole_file(tmp_path / "a.csv") as inner:
+            inner.write_text("2")
+    (other,) = (name for name in left if name.startswith(".b."))
+    assert {path.name for path in tmp_path.iterdir()} == {"a.csv", ".a.notes.csv", other}
+    assert (tmp_path / "a.csv").read_text() == "2"
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_content_is_on_the_disk_before_the_name_is(tmp_path, monkeypatch, folder):
+    synced = []
+    monkeypatch.setattr(
+        "bubbleviz.files.output_files.sync",
+        lambda path: synced.append((path.name, (tmp_path / "out").exists())),
+    )
+    with whole_file(tmp_path / "out") as temporary:
+        if folder:
+            temporary.mkdir()
+        (temporary / "a" if folder else temporary).write_text("1")
+    assert synced[-1] == (tmp_path.name, True)
+    assert all(not there for _, there in synced[:-1])
+    assert ("a" in [name for name, _ in synced]) == folder
+
+
+def test_no_cell_of_a_table_is_a_formula(tmp_path):
+    write_rows(tmp_path / "a.csv", [{"name": "=1+1", "x": -1.5}, {"name": "\udcff", "x": 2}])
+    assert (tmp_path / "a.csv").read_text().split() == ["name,x", "'=1+1,-1.5", r"\udcff,2"]

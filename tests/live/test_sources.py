@@ -270,7 +270,7 @@ def test_two_sensors_are_recorded_into_one_file_and_told_apart(
         ('colour = "red"', "colour"),
         ("quaternion_xyzw = [1.0, 1.0, 0.0, 0.0]", "normalise"),
         ("speed = 1", "speed"),
-        ("= =", "not a readable TOML"),
+        ("= =", "the TOML file cannot be read"),
     ],
 )
 def test_session_files_are_refused_by_key(tmp_path, change, says):

@@ -101,7 +101,9 @@ class BagMaker:
             for topic, kind, log, message in self.rows:
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                if self.ros1:
+                if isinstance(message, bytes):
+                    payload = message
+                elif self.ros1:
                     payload = self.store.serialize_ros1(message, kind)
                 else:
                     payload = self.store.serialize_cdr(message, kind)

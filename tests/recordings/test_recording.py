@@ -242,8 +242,8 @@ def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(tmp_p
         jittered.image(START + k * PERIOD, depth_image(k, 2, 3), log=START + k * PERIOD + k % 7)
     from bubbleviz.recordings import Messages
 
-    original = Messages.stamp_ns
-    monkeypatch.setattr(Messages, "stamp_ns", lambda m, k: reads.append(k) or original(m, k))
+    original = Messages.header
+    monkeypatch.setattr(Messages, "header", lambda m, k: reads.append(k) or original(m, k))
     with Recording(bag.write(tmp_path, "same")) as recording:
         assert len(reads) == 64
         np.testing.assert_allclose(np.diff(recording.times_s), PERIOD / SECOND, atol=1e-12)

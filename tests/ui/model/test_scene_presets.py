@@ -65,7 +65,7 @@ def test_an_unknown_scene_is_refused_by_name():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("not toml", "not a readable TOML file"),
+        ("not toml", "the TOML file cannot be read"),
         ('title = "x"\nlayers = ["membran"]', r"layers\.0"),
         ('title = "x"\nlayers = []\npannels = []', "pannels"),
         ('title = "x"\nlayers = []\n[membrane]\nopacity = 2.0', r"membrane\.opacity"),

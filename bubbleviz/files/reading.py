@@ -1,0 +1,88 @@
+"""Files that others may have made: damage is one InputError, and sizes are bounded."""
+
+from __future__ import annotations
+
+import math
+import warnings
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from bubbleviz.errors import InputError
+
+MOST_BYTES = 1 << 30  # arrays of one file, decompressed: 870 images of 640×480 pixels
+
+
+@contextmanager
+def damage(path: str | Path, what: str, remedy: str = "record or copy it again") -> Iterator[None]:
+    """Turn whatever a damaged file makes a reader raise into one InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except ModuleNotFoundError:
+        raise  # the command line says what to install
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        if isinstance(error, MemoryError):  # libraries believe the sizes they read
+            reason = "a size in it is implausible"
+        if isinstance(error, RecursionError):
+            reason = "it is nested too deeply"
+        raise InputError(f"{path}: {what} cannot be read ({reason}); {remedy}") from error
+
+
+def exists(path: Path) -> bool:
+    """Whether a file is there; no where its name is impossible."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def read_npy(file: IO[bytes], size: int) -> np.ndarray:
+    """Array of a `.npy` file of so many bytes.
+
+    Raises ValueError: it claims more than it has, or holds anything but numbers and texts.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers written by Python 2
+        version = np.lib.format.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"version {version[0]}.{version[1]} of the format is not read")
+        header = "read_array_header_1_0" if version == (1, 0) else "read_array_header_2_0"
+        shape, _, dtype = getattr(np.lib.format, header)(file)
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > min(size, MOST_BYTES):
+        raise ValueError(f"shape {shape} is more than it holds")
+    if dtype.kind not in "biufUS":
+        raise ValueError(f"values of {dtype} are no plain numbers")
+    file.seek(0)
+    return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+    """Arrays of an `.npz` file by name, none of which is decompressed if they are too large.
+
+    Raises ValueError, or what `zipfile` does: give it to `damage`.
+    """
+    with zipfile.ZipFile(path) as archive:
+        members = [each for each in archive.infolist() if each.filename.endswith(".npy")]
+        if sum(each.file_size for each in members) > MOST_BYTES:
+            raise ValueError(f"its arrays are larger than {MOST_BYTES >> 20} MiB")
+        return {each.filename.removesuffix(".npy"): _member(archive, each) for each in members}
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    with archive.open(info) as file:
+        return read_npy(file, info.file_size)
+
+
+def plain_numbers(array: Any) -> np.ndarray:
+    """An array of real numbers as float64, in this computer's byte order; ValueError of others."""
+    array = np.asarray(array)
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"values of {array.dtype} are no numbers")
+    return array.astype(np.float64)
