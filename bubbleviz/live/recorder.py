@@ -28,6 +28,8 @@ FLUSH_BYTES = 1 << 20
 QUEUE_BYTES = 256 << 20  # messages that may wait for the disk; beyond it the source is made to wait
 PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
 
+STATIC_BYTES = 1 << 20  # of poses that are sent once: those of some 10,000 links; the last ones
+
 
 @dataclass(frozen=True)
 class RecorderStatus:
@@ -70,10 +72,18 @@ class Recorder:
         return self._session is not None
 
     def push(self, message: Message) -> None:
-        """Take a message; from any thread. Does not raise, and waits only for a disk too slow."""
+        """Take a message; from any thread. Does not raise, and waits only for a disk too slow.
+
+        One of a type that is not known, which no file can describe, is left out.
+        """
+        if message.type not in ros2_types().fielddefs:
+            return
         with self._lock:
             if are_static_poses(message.topic, message.type):
+                self._static.pop(message.payload, None)
                 self._static[message.payload] = message  # sent once: every recording needs it
+                while sum(map(len, self._static)) > STATIC_BYTES:
+                    del self._static[next(iter(self._static))]
             session = self._session
             if session is None:
                 self._keep(message)

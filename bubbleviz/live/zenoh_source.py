@@ -43,6 +43,7 @@ from bubbleviz.recordings import (
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
 BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
 LOOK_S = 0.1  # how often newly announced topics are subscribed to, and the connection is looked at
+MOST_ANNOUNCED = 4096  # publishers that are kept in mind, ten times a large robot's; chosen
 WHY_EVERY_S = 3.0
 """How often it is asked why a session does not come back: Zenoh tries every 2 s at least."""
 
@@ -159,9 +160,9 @@ class ZenohSource(LiveSource):
         announced = parse_token(key, self._domain)
         if announced is None:
             return
-        if alive:
+        if alive and len(self._announced) < MOST_ANNOUNCED:
             self._announced[key] = announced
-        else:
+        elif not alive:
             self._announced.pop(key, None)
         found = {(each.topic, each.type) for each in self._announced.values()}
         ours = [t for t in sorted(found) if is_used(*t) or self._names.is_colour(*t)]
@@ -190,17 +191,21 @@ class ZenohSource(LiveSource):
         if place in self._subscribers:
             return
         key = subscription(announced.topic, announced.layout, self._domain)
+        self._subscribers[place] = (announced.type, None)  # refused ones are not tried again
 
         def receive(sample: Any) -> None:
             self._on_sample(sample, announced)
 
-        if are_static_poses(announced.topic, announced.type):  # sent once, perhaps long ago
-            history = HistoryConfig(detect_late_publishers=True)
-            subscriber: Any = declare_advanced_subscriber(
-                self._session, key, receive, history=history
-            )
-        else:
-            subscriber = self._session.declare_subscriber(key, receive)
+        try:
+            if are_static_poses(announced.topic, announced.type):  # sent once, perhaps long ago
+                history = HistoryConfig(detect_late_publishers=True)
+                subscriber: Any = declare_advanced_subscriber(
+                    self._session, key, receive, history=history
+                )
+            else:
+                subscriber = self._session.declare_subscriber(key, receive)
+        except zenoh.ZError:  # a name that Zenoh does not take is one of no sensor
+            return
         self._subscribers[place] = (announced.type, subscriber)
 
     def _let_go_of_colour(self) -> None:
@@ -210,7 +215,8 @@ class ZenohSource(LiveSource):
         for (topic, layout), (kind, subscriber) in list(self._subscribers.items()):
             if self._names.is_colour(topic, kind):
                 del self._subscribers[topic, layout]
-                subscriber.undeclare()
+                if subscriber is not None:
+                    subscriber.undeclare()
                 with self._gate:
                     for heard in [k for k in self._counts if k[1] == topic]:
                         del self._counts[heard]
@@ -244,6 +250,8 @@ class ZenohSource(LiveSource):
             self.missed += sequence - last - 1
         if last is None or sequence > last:
             self._counts[publisher, topic] = sequence
+        if len(self._counts) > MOST_ANNOUNCED:
+            del self._counts[next(iter(self._counts))]
 
 
 def _image_type(topic: str | None) -> str:

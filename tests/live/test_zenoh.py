@@ -73,6 +73,32 @@ def test_a_topic_named_needs_no_announcement(small_sensor):
         assert frame.depth_m.shape == (HEIGHT, WIDTH)
 
 
+def test_hostile_announcements_and_types_end_nothing(small_sensor, tmp_path):
+    """Names that Zenoh refuses or takes for patterns, and a type that no file can describe."""
+    port, recorder = free_port(), Recorder()
+    image_type, topic = "sensor_msgs::msg::dds_::Image_", KEYS["rmw"]["/cam/depth"]
+    names = ("%", "%%", "%*", "%**", "%a$*", "%a%%b", "%" + 60 * "a%", "%cam%depth")
+    tokens = [f"@ros2_lv/0/b3f7/0/{k}/MP/%/%/n/{name}/{image_type}/RIHS01_00/:" for k, name in
+              enumerate(names) if "*" not in name]  # fmt: skip
+    tokens += ["@/b3f7/@ros2_lv/MP/§/sensor_msgs§msg§Image/:::"]
+    assert all(zenoh_keys.parse_token(token, 0) is None for token in (*tokens[:-2], tokens[-1]))
+    recorder.start(tmp_path / "rec.mcap")
+    with open_session(str(port)) as camera:
+        held = [camera.liveliness().declare_token(key) for key in tokens]
+        with stream_of(port, small_sensor) as stream:
+            recorder.listen_to(stream)
+            frames, sent = 0, 0
+            while frames < 3:
+                extra = {"attachment": attachment(sent)}
+                camera.put(topic.replace("Image_", "Bomb_"), b"\0\1\0\0", **extra)
+                camera.put(topic, image(time.time_ns()), **extra)
+                frames, sent = frames + (stream.take(0.05) is not None), sent + 1
+            assert stream.status().state == "live"
+        assert len(held) == len(tokens)
+    status = recorder.stop()
+    assert status.problem == "" and status.messages >= 3
+
+
 @pytest.mark.parametrize("raw_too", [False, True])
 def test_compressed_depth_is_asked_for_where_there_is_no_other(small_sensor, raw_too):
     """Else the robot would have to compress every image for nobody."""
