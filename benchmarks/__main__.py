@@ -118,5 +118,28 @@ def stages(sensor: Sensor, quick: bool) -> list[Study]:
     return [stages_study(sensor, quick_sizes if quick else StageSizes())]
 
 
+@benchmarks.command()
+@click.option("--count", type=click.IntRange(1), default=10_000, help="Of inputs.")
+@click.option("--first", type=click.IntRange(0), default=0, help="Number of the first one.")
+@seed_option
+@click.option("--keep", type=click.Path(path_type=Path), help="New folder to leave the inputs in.")
+def fuzz(count: int, first: int, seed: int, keep: Path | None) -> None:
+    """Damaged and hostile inputs, each in one line refused or read; exit code 1 if one is not."""
+    from tempfile import TemporaryDirectory
+
+    from tqdm import tqdm
+
+    from benchmarks.fuzz import fuzz, to_text
+
+    with TemporaryDirectory() as scratch:
+        folder = Path(scratch) if keep is None else keep
+        folder.mkdir(exist_ok=keep is None)
+        running = fuzz(range(first, first + count), seed, folder)
+        outcomes = list(tqdm(running, total=count, leave=False, disable=None))
+    click.echo(to_text(outcomes))
+    if any(each.fault for each in outcomes):
+        raise SystemExit(1)
+
+
 if __name__ == "__main__":
     benchmarks(prog_name="python -m benchmarks")

@@ -1,0 +1,27 @@
+"""A short run of the damaged and hostile inputs; all of them by `python -m benchmarks fuzz`."""
+
+from benchmarks.fuzz import fuzz, to_text
+
+
+def test_every_input_is_read_or_refused_in_one_line(tmp_path):
+    outcomes = list(fuzz(range(270), 0, tmp_path))
+    assert len(outcomes) == 270
+    assert not any(each.fault for each in outcomes), to_text(outcomes)
+
+
+def test_a_fault_is_found(tmp_path, monkeypatch):
+    """Of a reader that raises what is no InputError, and one that never ends."""
+
+    def broken(corpus, folder, rng):
+        return lambda: {}["key"]
+
+    def endless(corpus, folder, rng):
+        while True:
+            pass
+
+    monkeypatch.setattr("benchmarks.fuzz.PATIENCE_S", 0.5)
+    monkeypatch.setattr("benchmarks.fuzz.KINDS", {"broken": broken, "endless": endless})
+    faults = [each.fault for each in fuzz(range(3), 0, tmp_path)]
+    assert faults[0].startswith("KeyError at test_fuzz.py")
+    assert faults[1] == "no end after 0.5 s"
+    assert faults[2] == faults[0]
