@@ -244,7 +244,7 @@ def make_corpus(folder: Path) -> Corpus:
     )
     (folder / "sensor.toml").write_text(sensor_to_toml(sensor), encoding="utf-8")
     shape = (24, 32)
-    pixels = {"mask": np.ones(shape, bool), "bias_m": np.zeros(shape)}
+    pixels: dict[str, Any] = {"mask": np.ones(shape, bool), "bias_m": np.zeros(shape)}
     pixels |= {"noise_m": np.full(shape, 1e-3), "correlated_pixels": np.array(2.0)}
     np.savez(folder / "pixels.npz", **pixels)
     shown = load_object("cylinder")

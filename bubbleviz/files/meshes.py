@@ -278,7 +278,7 @@ def _vtk_reader(path: Path) -> Any:
 def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices closer than 1e-7 of the mesh's size made one, unused ones dropped; order kept."""
     radius = 1e-7 * float(np.ptp(vertices, axis=0).max())
-    places, label = np.unique(vertices, axis=0, return_inverse=True)
+    places, place = np.unique(vertices, axis=0, return_inverse=True)
     tree = cKDTree(places)
     if tree.count_neighbors(tree, radius) > _MOST_NEAR * len(places):  # counted without a list
         raise ValueError("many of its vertices are nearly, but not quite, at one place")
@@ -286,7 +286,7 @@ def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
     n = len(places)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, part = connected_components(graph, directed=False)
-    label, n = part[label.ravel()], len(vertices)
+    label, n = part[place.ravel()], len(vertices)
     used = np.zeros(n, dtype=bool)
     used[triangles] = True
     first = np.full(n, n)

@@ -5,8 +5,6 @@ rosbags is imported with the first recording: the window starts without it.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -25,8 +23,8 @@ from bubbleviz.recordings.bag_storage import (
     Ros1Storage,
     SqliteStorage,
     Storage,
+    check_unpacked,
     decompress,
-    zstd,
 )
 from bubbleviz.recordings.message_decoding import LATEST_NS, header_stamp_ns
 
@@ -113,7 +111,7 @@ class Bag:
     def _ros2_files(self) -> list[Storage]:
         described = (self.path / "metadata.yaml").exists()
         if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
-            _check_unpacked(self.path)
+            check_unpacked(self.path)
             folder = self._opened(_ros2_readers()[""](self.path))
             self.inflates = folder.metadata.compression_mode == "message"
             return [_storage(reader) for reader in folder.storages]
@@ -162,14 +160,14 @@ def _ros2_readers() -> dict[str, Any]:
     from rosbags.rosbag2.storage_mcap import McapReader, Statistics
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    class IndexReader(McapReader):
+    class IndexReader(McapReader):  # type: ignore[misc]
         """Of a file without an index it reads nothing, where rosbags unpacks all without limit."""
 
         def meta_scan(self) -> None:
             self.chunks.clear()  # `McapStorage` then walks the file
             self.statistics = Statistics(0, 0, 0, 0, 0, 0, 0, 0, {})
 
-    class FolderReader(DirectoryReader):
+    class FolderReader(DirectoryReader):  # type: ignore[misc]
         STORAGE_PLUGINS: ClassVar[Any] = {"mcap": IndexReader, "sqlite3": Sqlite3Reader}
 
     return {".mcap": IndexReader, ".db3": Sqlite3Reader, "": FolderReader}
@@ -179,17 +177,6 @@ def _storage(reader: Any) -> Storage:
     """Random access to a file of a rosbag2 that rosbags has opened."""
     is_mcap = isinstance(reader, _ros2_readers()[".mcap"])
     return McapStorage(reader.bio, reader) if is_mcap else SqliteStorage(reader)
-
-
-def _check_unpacked(folder: Path) -> None:
-    """Refuse files compressed as a whole that would fill the disk they are unpacked to."""
-    left = shutil.disk_usage(tempfile.gettempdir()).free // 2
-    for file in folder.glob("*.zstd"):
-        with zstd.open(file, "rb") as unpacked:
-            while piece := unpacked.read(1 << 20):
-                left -= len(piece)
-                if left < 0:
-                    raise ValueError(f"{file.name} unpacks to more than half of the disk's room")
 
 
 def _is_whole_mcap(file: Path) -> bool:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import bz2
 import os
+import shutil
 import struct
 import sys
+import tempfile
 import zlib
 from array import array
 from collections import OrderedDict
@@ -144,6 +146,17 @@ def decompress(data: bytes) -> bytes:
     if len(out) >= MAX_SIZE:
         raise ValueError("a compressed message is implausibly large")
     return out
+
+
+def check_unpacked(folder: Path) -> None:
+    """Refuse files compressed as a whole that would fill the disk they are unpacked to."""
+    left = shutil.disk_usage(tempfile.gettempdir()).free // 2
+    for file in folder.glob("*.zstd"):
+        with zstd.open(file, "rb") as unpacked:
+            while piece := unpacked.read(1 << 20):
+                left -= len(piece)
+                if left < 0:
+                    raise ValueError(f"{file.name} unpacks to more than half of the disk's room")
 
 
 _MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin like these
