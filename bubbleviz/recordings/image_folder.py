@@ -276,8 +276,8 @@ class _Camera(BaseModel):
 
 
 def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
-    if np.any(np.diff(table[:, 0]) <= 0.0):
-        raise InputError(f"{path}: the times do not rise")
+    if not (np.abs(table[:, 0]) < 1e-9 * LATEST_NS).all() or np.any(np.diff(table[:, 0]) <= 0.0):
+        raise InputError(f"{path}: the times do not rise, or are no times in seconds")
     return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
 
 

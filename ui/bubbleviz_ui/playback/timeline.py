@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain, count
+
 import numpy as np
 from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import (
@@ -182,7 +184,8 @@ class Timeline(QWidget):
     def _paint_times(self, painter: QPainter) -> None:
         span_s = self._axis.span_s
         most = max(self._span / LABEL_PIXELS, 1)
-        step = next((s for s in STEPS_S if span_s / s <= most), STEPS_S[-1])
+        longer = (STEPS_S[-1] * 10.0**k for k in count(1))  # of stamps that no clock had
+        step = next(s for s in chain(STEPS_S, longer) if span_s / s <= most)
         painter.setPen(QColor(theme.of(self).dim))
         font = painter.font()
         font.setPointSizeF(0.8 * font.pointSizeF())

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote, unquote
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, presets_folder, whole_file
@@ -63,6 +64,7 @@ def source_with(source: str, rename: Rename) -> str:
 
 SYNTHETIC = "synthetic:"
 MOST_RECENT = 10  # in the menu
+FARTHEST_M = 1e3  # of a point of view
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
 _CHOICES = TypeAdapter(Choices)
@@ -77,6 +79,15 @@ class SavedCamera(BaseModel):
     focal_point: Point
     up: Point
     view_angle: float = Field(gt=0.0, lt=180.0)
+
+    @model_validator(mode="after")
+    def _is_a_view(self) -> SavedCamera:
+        place, centre, up = (np.array(p) for p in (self.position, self.focal_point, self.up))
+        if max(np.abs(p).max() for p in (place, centre, up)) > FARTHEST_M:
+            raise ValueError("the point of view is not in metres")
+        if not np.linalg.norm(np.cross(centre - place, up)) > 0.0:
+            raise ValueError("the point of view has no direction, or none that is up")
+        return self
 
 
 class SavedSession(BaseModel):

@@ -42,6 +42,7 @@ from bubbleviz_ui.session_files.session_file import (
     with_paths,
     with_sensor,
 )
+from bubbleviz_ui.shell.file_dialogs import agreed
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.window_parts import WindowParts
 
@@ -187,10 +188,23 @@ class SessionSaver(QObject):
     def restore(self, saved: SavedSession, path: Path) -> bool:
         """Restore a session that was read from a file; whether its source is being opened."""
         self._remember(str(path.absolute()))
+        saved = self._allowed(saved, path)
         present = plain_choices(self._window.state.choices)
         own = {name: present[name] for name in OWN_CHOICES}
         saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
         return self.open_source(saved, path, partial(self.use, saved, path))
+
+    def _allowed(self, saved: SavedSession, path: Path) -> SavedSession:
+        """The session without its live sensors, unless the user agrees where they connect to.
+
+        A file may come from anybody: it names computers, and files with passwords for them.
+        """
+        places = [] if saved.live is None else [each.source for each in saved.live.sensors]
+        remote = [place for place in places if place.startswith("zenoh:")]
+        question = "\n".join([f"{path.name} connects to", *remote, "Connect?"])
+        if not remote or agreed(self._frame, "Open session", question):
+            return saved
+        return saved.model_copy(update={"live": None})
 
     def use(self, saved: SavedSession, file: Path | None = None) -> None:
         """Take choices and layout of a session."""

@@ -58,6 +58,13 @@ def unsaved(parent: QWidget, title: str, text: str) -> Answer:
     return answers.get(question.exec(), "cancel")
 
 
+def agreed(parent: QWidget, title: str, text: str) -> bool:
+    """Ask whether to do something; no is the answer that Enter gives."""
+    kind = QMessageBox.StandardButton
+    answer = QMessageBox.question(parent, title, text, kind.Yes | kind.No, kind.No)
+    return bool(answer == kind.Yes)
+
+
 def file_to_save(
     parent: QWidget, title: str, proposed: str, kinds: str = "", *, of: str
 ) -> Path | None:
