@@ -104,6 +104,9 @@ class Estimate:
         Why there is no number to trust, in one clause; empty where there is one.
     fine : FineContact or None
         The contact on a finer mesh; None where the mesh resolves what noise leaves of it.
+    image_errors : (4,) array or None
+        What the whole depth image is off by since calibration, see `bubbleviz.camera.IMAGE_ERRORS`;
+        None of the paper's solver.
     """
 
     status: Status
@@ -124,6 +127,7 @@ class Estimate:
     resolution_m: float | None = None
     reason: str = ""
     fine: FineContact | None = None
+    image_errors: np.ndarray | None = None
 
     @property
     def trusted(self) -> bool:

@@ -190,7 +190,7 @@ def estimate(
             "gas_zero": None if zero is None else zero.words,
         }
         run = Run(pipeline.model, said, made_by)
-        seen = False
+        seen, image_errors = False, list[np.ndarray]()
         with ExitStack() as stack:
             write: Callable[[Result], object] = lambda _: None  # noqa: E731
             if out is not None:
@@ -200,13 +200,18 @@ def estimate(
             frame_solver = FrameSolver(pipeline, products, options, zero)
             for result in solved(chosen, frame_solver, progress):
                 seen = seen or has_returns(result.frame.depth_m)
+                if result.estimate is not None and result.estimate.image_errors is not None:
+                    image_errors.append(result.estimate.image_errors)
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, seen)
-        gas = frame_solver.gas_warning("recording")
-        said["warning"] = (
-            "; ".join(filter(None, (_note(chosen), gas, _camera_warning(pipeline)))) or None
+        warnings = (
+            _note(chosen),
+            frame_solver.gas_warning("recording"),
+            _camera_warning(pipeline),
+            _drift_warning(pipeline, image_errors),
         )
+        said["warning"] = "; ".join(filter(None, warnings)) or None
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -420,6 +425,21 @@ def _camera_warning(pipeline: Pipeline) -> str:
     return (
         f"the camera info has fx {there:.1f}, the sensor file {own:.1f} pixels, which moves depth "
         f"by {1e3 * moved:.2f} mm: choose the sensor file of this camera"
+    )
+
+
+def _drift_warning(pipeline: Pipeline, image_errors: Sequence[np.ndarray]) -> str:
+    """What to say where whole depth images are off by more than three standard deviations."""
+    if not image_errors:
+        return ""
+    estimator = pipeline.estimator
+    by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
+    off_m = float(units @ np.median(image_errors, axis=0) / by_offset)
+    if abs(off_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
+        return ""
+    return (
+        f"depth is {1e3 * off_m:+.2f} mm off since the sensor was calibrated; forces are corrected "
+        "for that: let the camera warm up, or identify anew"
     )
 
 

@@ -13,6 +13,7 @@ from .intrinsics import (
     Intrinsics as Intrinsics,
 )
 from .observer import (
+    IMAGE_ERRORS as IMAGE_ERRORS,
     MAD as MAD,
     SURELY as SURELY,
     BlockSquares as BlockSquares,
@@ -24,7 +25,10 @@ from .observer import (
     facet_error as facet_error,
     sagittas as sagittas,
 )
-from .pixel_model import PixelModel as PixelModel, RangeLine as RangeLine
+from .pixel_model import (
+    PixelModel as PixelModel,
+    RangeLine as RangeLine,
+)
 from .raycast import (
     MembraneView as MembraneView,
     RayCaster as RayCaster,

@@ -74,6 +74,11 @@ def median(values: np.ndarray) -> np.ndarray:
     return middle
 
 
+IMAGE_ERRORS = ("offset", "tilt to the right", "tilt downwards", "scale")
+"""Errors of a whole depth image that change with a camera's temperature or its mounting: an offset,
+in m; offsets that grow with the tangent of the angle off the optical axis, in m; and a share of the
+depth."""
+
 _HUBER = 1.345  # residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise
 
 _FAR, _FAR_SHARE = 4.0, 1e-3
@@ -218,6 +223,12 @@ class RangeObserver:
         at_rest = self._caster.cast(mesh.nodes, mesh.normals)
         self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
+        # (B, 4), errors of the block ranges under a unit of each of `IMAGE_ERRORS`, 0 for blocks
+        # that do not see the membrane at rest
+        right, down, forward = camera.T_B_C[:3, :3].T @ rays.T
+        tilts = right / forward**2, down / forward**2
+        self.image_errors = np.stack([1.0 / forward, *tilts, self._rest_range], axis=1)
+        self.image_errors[np.isnan(self._rest_range)] = 0.0
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)

@@ -1,17 +1,17 @@
 """The contact pressure that explains a range image, around a shape of the exact membrane.
 
-    min  ½ ‖e − D (δ − S Δp + B c)‖²_W + ½ λ pᵀ L p + ½ cᵀ Σ⁻¹ c + τᵀ p   over p = p₀ + Δp ≥ 0
+    min  ½ ‖e − D (δ − S Δp) − R c‖²_W + ½ λ pᵀ L p + ½ cᵀ Σ⁻¹ c + τᵀ p   over p = p₀ + Δp ≥ 0
 
 with e the ranges that the shape leaves unexplained, D their derivative by the nodes and δ the
-motion to equilibrium under the present pressure p₀. The nuisance amplitudes c, such as the error of
-a measured gas pressure and the friction of each contact, have a prior and are eliminated from the
-misfit. First with the L1 term to find where there is contact, then on the likeliest support there
-without it, which takes out its bias.
+motion to equilibrium under the present pressure p₀. The nuisance amplitudes c (errors of a measured
+gas pressure and of the whole image, friction of each contact) change the ranges by R c; they have a
+prior and are eliminated from the misfit. First with the L1 term to find where there is contact,
+then on the likeliest support there without it, which takes out its bias.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log
@@ -204,27 +204,53 @@ def smoothness(mesh: MembraneMesh, weight: float) -> sparse.csr_array:
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Motions of the membrane, besides those by contact pressure, of unknown amplitudes.
+    """What changes the ranges besides contact pressure, each by an unknown amplitude.
 
     Attributes
     ----------
     motions : (n, 3, a) array
-        B: motion under a unit of each, m.
+        B: motion of the membrane under a unit of each, m.
     sigma : (a,) array
-        Standard deviation of each amplitude, known before a frame.
+        Standard deviation of each amplitude, known before a frame; 0 for one that is not free.
     forces : (n, 3, a) array
         Contact forces on the nodes that a unit of each stands for, N.
+    errors_m : (k, a) array
+        E: error of the measured ranges under a unit of each.
     """
 
     motions: np.ndarray
     sigma: np.ndarray
     forces: np.ndarray
+    errors_m: np.ndarray
 
     @classmethod
     def none(cls, nodes: int) -> Nuisances:
         """No amplitudes at all, of a membrane with so many nodes."""
         empty = np.zeros((nodes, 3, 0))
-        return cls(empty, np.zeros(0), empty)
+        return cls(empty, np.zeros(0), empty, np.zeros((1, 0)))
+
+    @classmethod
+    def of_motions(
+        cls, motions: np.ndarray, sigma: np.ndarray, forces: np.ndarray, ranges: int
+    ) -> Nuisances:
+        """Motions that so many ranges show without error."""
+        return cls(motions, sigma, forces, np.zeros((ranges, len(sigma))))
+
+    @classmethod
+    def of_image(cls, errors_m: np.ndarray, sigma: np.ndarray, nodes: int) -> Nuisances:
+        """Errors of an image of a membrane with so many nodes."""
+        nothing = np.zeros((nodes, 3, len(sigma)))
+        return cls(nothing, sigma, nothing, errors_m)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Nuisances]) -> Nuisances:
+        """All of several, in their order."""
+        return cls(
+            np.concatenate([part.motions for part in parts], axis=2),
+            np.concatenate([part.sigma for part in parts]),
+            np.concatenate([part.forces for part in parts], axis=2),
+            np.concatenate([part.errors_m for part in parts], axis=1),
+        )
 
 
 @dataclass(frozen=True)
@@ -254,9 +280,10 @@ class Ranges:
 
     @cached_property
     def by_nuisances(self) -> np.ndarray:
-        """R = D B: ranges under a unit of each nuisance, (k, a), m."""
+        """R = D B + E: ranges under a unit of each nuisance, (k, a), m."""
         motions = self.nuisances.motions
-        return self.jacobian @ motions.reshape(3 * len(motions), motions.shape[2])
+        moved = self.jacobian @ motions.reshape(3 * len(motions), motions.shape[2])
+        return moved + self.nuisances.errors_m
 
     @cached_property
     def nuisances_weighed(self) -> np.ndarray:
@@ -266,8 +293,10 @@ class Ranges:
     @cached_property
     def nuisance_covariance(self) -> np.ndarray:
         """(Σ⁻¹ + RᵀWR)⁻¹: covariance of the amplitudes given everything else, (a, a)."""
-        prior = np.diag(self.nuisances.sigma**-2.0)
-        return np.linalg.inv(prior + self.nuisances_weighed.T @ self.by_nuisances)
+        sigma = np.diag(self.nuisances.sigma)  # may have zeros
+        data = self.nuisances_weighed.T @ self.by_nuisances
+        scaled = np.linalg.inv(np.eye(len(sigma)) + sigma @ data @ sigma)
+        return np.asarray(sigma @ scaled @ sigma)
 
     def amplitudes(self, unexplained_m: np.ndarray) -> np.ndarray:
         """Most likely amplitudes (a,) for ranges (k,) that nothing else explains."""

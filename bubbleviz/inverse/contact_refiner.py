@@ -181,6 +181,8 @@ class ContactRefiner:
             view = observer.around(x, view)
             observation = observer.weigh(measured, view.model_m)
             error = observation.residual_m[view.block] - view.model_m[view.block]
+            if estimate.image_errors is not None:
+                error -= observer.image_errors[view.block] @ estimate.image_errors
             weight = observation.weight[view.block] / noise**2
             ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(x)))
             if response is None or float(np.abs(x - response.x).max()) > self._serves_m:

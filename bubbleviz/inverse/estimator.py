@@ -10,7 +10,13 @@ import numpy as np
 from bubbleviz.camera import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import FRICTION, smoothness
-from bubbleviz.inverse.gauss_newton import FailedFrame, GaussNewton, SolvedFrame, Start
+from bubbleviz.inverse.gauss_newton import (
+    IMAGE_ERROR,
+    FailedFrame,
+    GaussNewton,
+    SolvedFrame,
+    Start,
+)
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
     STATUS_REASONS,
@@ -72,6 +78,9 @@ class EstimatorOptions:
     friction : float
         Standard deviation of the coefficients of friction of contacts with the exact membrane, see
         `friction_loads`; 0 for contacts without friction.
+    image_error : float
+        Standard deviation, over the depth, of what a whole depth image is off by since calibration:
+        an offset, a scale and tilts. 0 for a camera that measures as it did then.
     """
 
     solver: str | None = None
@@ -81,6 +90,7 @@ class EstimatorOptions:
     rim_slack_m: float = RIM_SLACK_M
     fine_contact: bool = True
     friction: float = FRICTION
+    image_error: float = IMAGE_ERROR
 
     @classmethod
     def named(cls, name: str | None, friction: float | None = None) -> EstimatorOptions:
@@ -159,7 +169,9 @@ class Estimator:
         self.smoothness = smoothness(self.mesh, self.prior_weight)
         self.size_m = size = sqrt(self.mesh.facet_areas.sum() / pi)
         friction = self.options.friction if exact else 0.0
-        self._newton = GaussNewton(observer, bubble, self.smoothness, size, friction)
+        self._newton = GaussNewton(
+            observer, bubble, self.smoothness, size, friction, self.options.image_error
+        )
         self.information = self._newton.weight_density
         tension = bubble.tension_n_per_m
         self.resolution_m = resolution_m(self.prior_weight, tension, self.information)
@@ -232,6 +244,7 @@ class Estimator:
             force_sigma_n=answer.sigma_n,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
+            image_errors=state.image_errors,
         )
 
 

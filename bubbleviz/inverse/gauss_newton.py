@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import time
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import log
 
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import SURELY, Measured, Misfit, Observation, RangeObserver, ShapeRanges
+from bubbleviz.camera import (
+    IMAGE_ERRORS,
+    SURELY,
+    Measured,
+    Misfit,
+    Observation,
+    RangeObserver,
+    ShapeRanges,
+)
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
     ContactProblem,
@@ -54,6 +63,15 @@ MODEL_ERROR = 0.02
 amplitudes of friction miss. Chosen on balls and pucks that stick to a membrane of another mesh and
 are dragged and twisted: forces are off by 1.8 % in the median of 42 frames, by up to 9 % where a
 puck is twisted by 15° and dragged at once; of frictionless presses by 1.4 % at most."""
+IMAGE_ERROR = 1e-3
+"""Standard deviation of the errors of a whole depth image over the depth: 0.1 mm at 100 mm; where
+more than noise is left it is as much larger. Chosen on rubber dragged by another solver, whose
+images have none: 1e-2 lets an offset and a scale against each other pass for a change of gas
+pressure, and forces are 4 to 8 % off; up to 1e-3 they are less than 1 % off. An image that is off
+by 1 mm overrules it, by thousands of blocks."""
+_FREE_SHARE = 0.5
+"""Share of the image that has to see the membrane where nothing touches it for errors of the whole
+image to be looked for: most of what is fitted should not be the contact itself. Chosen."""
 _NOISE_STEP, _NOISES = 1.1, 8
 """Factor between the noises that frames are solved with, and how many are tried in one. From a
 continuum a frame would stop at one that hangs on where it began. Half a step is about a standard
@@ -77,6 +95,8 @@ class State:
         p_v, Pa.
     friction : (n, 3) array
         Force of friction on the nodes, N.
+    image_errors : (4,) array
+        Amplitudes of `IMAGE_ERRORS`, m, m, m and 1.
     """
 
     x: np.ndarray
@@ -84,6 +104,7 @@ class State:
     support: np.ndarray
     gas: float
     friction: np.ndarray
+    image_errors: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -141,11 +162,14 @@ class _Sight:
     observation : Observation
     error_m : (k,) array
         Measured minus modelled ranges of the blocks in `view`.
+    image : Nuisances
+        Errors of the whole image.
     """
 
     view: ShapeRanges
     observation: Observation
     error_m: np.ndarray
+    image: Nuisances
 
     @property
     def weight(self) -> np.ndarray:
@@ -153,9 +177,21 @@ class _Sight:
         return self.observation.weight[self.view.block]
 
     def is_nearer_at_rest(self, error_m: np.ndarray) -> bool:
-        """Whether the image is more like the membrane at rest than what leaves errors (k,)."""
-        at_rest = self.observation.residual_m[self.view.block]
-        return bool(self.weight @ error_m**2 > self.weight @ at_rest**2)
+        """Whether the image is more like the membrane at rest than what leaves errors (k,).
+
+        Each with the errors of the whole image that suit it best.
+        """
+        at_rest, by_image = self.observation.residual_m[self.view.block], self._by_image
+        return bool(error_m @ by_image.weighed(error_m) > at_rest @ by_image.weighed(at_rest))
+
+    def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
+        """Errors (k,) less what those of the whole image explain of them."""
+        explained: np.ndarray = self.image.errors_m @ self._by_image.amplitudes(error_m)
+        return error_m - explained
+
+    @cached_property
+    def _by_image(self) -> Ranges:
+        return Ranges(self.view.jacobian, self.error_m, self.weight, self.image)
 
 
 @dataclass(frozen=True)
@@ -188,6 +224,12 @@ class Step:
     ranges: Ranges
     left_m: np.ndarray
     solve_ms: float
+
+    @property
+    def image_error_m(self) -> np.ndarray:
+        """Errors of the ranges (k,) by those of the whole image."""
+        errors: np.ndarray = self.ranges.nuisances.errors_m @ self.contact.amplitudes
+        return errors
 
 
 @dataclass(frozen=True)
@@ -236,6 +278,8 @@ class GaussNewton:
         Size of the membrane, m: ranges that are off by more are not of it.
     friction : float
         Standard deviation of the amplitudes of `friction_loads`; 0 for none.
+    image_error : float
+        Standard deviation of the errors of a whole image, see `IMAGE_ERROR`; 0 for none.
 
     Attributes
     ----------
@@ -250,15 +294,20 @@ class GaussNewton:
         smoothness: sparse.csr_array,
         length_m: float,
         friction: float,
+        image_error: float,
     ) -> None:
         self.mesh, self.observer, self.bubble = observer.mesh, observer, bubble
         self._smoothness, self._length_m, self._friction = smoothness, length_m, friction
+        depth = float(observer.image_errors[:, 3].mean() / observer.image_errors[:, 0].mean())
+        self._image_sigma = image_error * np.array([depth, depth, depth, 1.0])
         edge = self.mesh.edge_length
         self._near_m, self._serves_m = NEAR * edge, SERVES * edge
         self._far_m, self._longest_m = FAR * edge, _LONGEST * edge
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
-        self._rest = State(rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest))
+        self._rest = State(
+            rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest), np.zeros_like(self._image_sigma)
+        )
         self._rest_tangent = {
             measured: bubble.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
@@ -292,6 +341,8 @@ class GaussNewton:
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
         A start that the image is less like than the membrane at rest is left for that.
+        Errors of the whole image are looked for from where the shape is close, lest they explain
+        what the linearisation misses.
         How much more or less than the noise is left decides how far the image is trusted, but
         whether there is contact is decided by no less than the noise of the sensor. The first step
         to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
@@ -315,7 +366,7 @@ class GaussNewton:
         view, tangent, noise = start.view, start.tangent, start.noise
         noises: list[float] = []  # that the frame was solved with; inf: for a first guess
         selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
-        ahead: _Sight | None = None
+        ahead, close, clear = None, warm, True
         while steps < _STEPS:
             steps += 1
             sight = ahead or self._look(measured, state, view)
@@ -327,21 +378,23 @@ class GaussNewton:
                 return failure
             known = warm or bool(noises)  # how much more than the noise is left
             rounds = (_ROUNDS if known else 1) if selecting else 0
-            step = self._step(tangent, state, sight, measured_gas, noise, rounds)
+            free = close and clear
+            step = self._step(tangent, state, sight, measured_gas, noise, rounds, free)
             if step is None:
                 break
             state, view, tangent = step.state, sight.view, step.tangent
             solve_ms += step.solve_ms
             far = step.moved_m > self._far_m
             far_steps += selecting and far and step.moved_m < 0.9 * self._longest_m
-            stands = step.balanced and step.seen_m <= self._near_m
+            stands = close and step.balanced and step.seen_m <= self._near_m
+            close, clear = close or not far, clear and self._is_clear(sight, step)
             if follows and step.balanced and self._near_m < step.seen_m <= self._serves_m:
                 ahead = self._look(measured, state, view)
                 stands = self._was_linear(step, sight, ahead)
             done = stands and ((selecting and step.contact.complete) or chosen > _SELECTIONS)
             guessed = step.balanced and not known and not self._contradicts(state.gas, measured_gas)
             if done or guessed or (step.balanced and known and not far):
-                found = self._noise_left(step, sight, noise)
+                found = self._noise_left(step, sight, noise, clear)
                 if done and _settled(found, noise, noises):
                     last = (ahead or sight).view
                     return self._answer(step, sight, last, measured_gas, noise, solve_ms)
@@ -362,9 +415,18 @@ class GaussNewton:
         """The image beside the camera's model of a state, close to a shape seen before."""
         at_rest = state is self._rest
         view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
-        observation = self.observer.weigh(measured, view.model_m)
+        expected = view.model_m + self.observer.image_errors @ state.image_errors
+        observation = self.observer.weigh(measured, expected)
         error = observation.residual_m[view.block] - view.model_m[view.block]
-        return _Sight(view, observation, error)
+        errors_m = self.observer.image_errors[view.block]
+        image = Nuisances.of_image(errors_m, self._image_sigma, len(state.x))
+        return _Sight(view, observation, error, image)
+
+    def _is_clear(self, sight: _Sight, step: Step) -> bool:
+        """Whether the image shows enough of the membrane where nothing touches it."""
+        touched = _seen_blocks(sight, step.contact.pressure)
+        clear = np.count_nonzero(sight.weight) - touched
+        return bool(clear >= _FREE_SHARE * self.observer.blocks)
 
     def _unlike_a_membrane(self, sight: _Sight, state: State) -> FailedFrame | None:
         """Why an image is none of the membrane, if it is not."""
@@ -387,12 +449,13 @@ class GaussNewton:
                 return True
         return sight.is_nearer_at_rest(sight.error_m)
 
-    def _noise_left(self, step: Step, sight: _Sight, noise: float) -> float:
+    def _noise_left(self, step: Step, sight: _Sight, noise: float, clear: bool) -> float:
         """By how much more than the camera's noise a frame is missed, after one was assumed."""
         touching = bool(step.contact.pressure.any())
         if step.contact.pivots and not touching:
             return noise  # contact was looked for in vain, and what it would explain is left
-        found = self.observer.noise_left(sight.observation, sight.view.block, step.left_m)
+        left = sight.without_image_errors(step.left_m) if clear else step.left_m
+        found = self.observer.noise_left(sight.observation, sight.view.block, left)
         return _stepped(found) if touching else max(_stepped(found), 1.0)
 
     def _answer(
@@ -406,8 +469,11 @@ class GaussNewton:
     ) -> SolvedFrame | FailedFrame:
         if _seen_blocks(sight, step.contact.pressure) < np.count_nonzero(step.contact.pressure):
             return FailedFrame("no_data", step.state)
-        if step.contact.pressure.any() and sight.is_nearer_at_rest(step.left_m):
+        touching, left = step.contact.pressure.any(), step.left_m + step.image_error_m
+        if touching and sight.is_nearer_at_rest(left):
             return FailedFrame("implausible", step.state)  # contact makes it no better than none
+        if not touching and noise > IMPLAUSIBLE_MISFIT:
+            return FailedFrame("implausible", step.state)  # nor is it the membrane without contact
         misfit = self.observer.left(sight.observation, sight.view.block, step.left_m)
         contradicts = self._contradicts(step.state.gas, gas)
         contact = evident(self.mesh, step.contact)
@@ -424,10 +490,14 @@ class GaussNewton:
         gas: float | None,
         noise: float,
         rounds: int,
+        free: bool,
     ) -> Step | None:
-        """A step from a state, with its support found anew in so many rounds; None: no answer."""
+        """A step from a state, with its support found anew in so many rounds; None: no answer.
+
+        Errors of the whole image are `free` or taken for zero.
+        """
         tangent = self._tangent_at(state, gas, last)
-        ranges = self._ranges(tangent, state, sight, gas, noise)
+        ranges = self._ranges(tangent, state, sight, gas, noise, free)
         began = time.perf_counter()
         contact = self._contact(tangent, ranges, state, gas, rounds)
         solve_ms = 1e3 * (time.perf_counter() - began)
@@ -436,6 +506,7 @@ class GaussNewton:
         ahead, balanced = self._advanced(tangent, state, ranges, contact, gas)
         motion = ahead.x - state.x
         left = sight.error_m - sight.view.jacobian @ motion.ravel()
+        left -= ranges.nuisances.errors_m @ contact.amplitudes
         size = np.maximum(np.linalg.norm(tangent.area_vectors, axis=1), np.finfo(float).tiny)
         along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
         moved, seen = float(np.abs(motion).max()), float(np.abs(along).max())
@@ -448,30 +519,32 @@ class GaussNewton:
         sight: _Sight,
         gas: float | None,
         noise: float = 1.0,
+        free: bool = True,
     ) -> Ranges:
         """What an image says near a shape, where it has so many times the camera's noise."""
         weight = sight.weight / noise**2
-        return Ranges(
-            sight.view.jacobian, sight.error_m, weight, self._nuisances(tangent, state, gas)
-        )
+        known = self._nuisances(tangent, state, len(weight), gas, noise)
+        image = replace(sight.image, sigma=free * noise * sight.image.sigma)
+        nuisances = Nuisances.joined([*known, image])
+        return Ranges(sight.view.jacobian, sight.error_m, weight, nuisances)
 
-    def _nuisances(self, tangent: Tangent, state: State, gas: float | None) -> Nuisances:
+    def _nuisances(
+        self, tangent: Tangent, state: State, ranges: int, gas: float | None, noise: float
+    ) -> list[Nuisances]:
         """Error of a measured gas pressure, and friction of the contacts that a state has."""
-        forces, motions, sigma = [], [], []
+        parts = []
         if gas is not None:
-            forces.append(np.zeros((*state.x.shape, 1)))
-            motions.append(tangent.bulge[:, :, None])
-            sigma.append(gas_sigma(self.bubble.gas, gas))
+            sigma, nothing = (
+                np.array([noise * gas_sigma(self.bubble.gas, gas)]),
+                np.zeros_like(state.x),
+            )
+            bulge = tangent.bulge[:, :, None]
+            parts.append(Nuisances.of_motions(bulge, sigma, nothing[:, :, None], ranges))
         if self._friction > 0.0 and state.pressure.any():
             loads = friction_loads(tangent.x, tangent.area_vectors, state.pressure, self.mesh.rings)
-            forces.append(loads)
-            motions.append(tangent.motion(loads))
-            sigma += loads.shape[2] * [self._friction]
-        if not sigma:
-            return Nuisances.none(len(state.x))
-        return Nuisances(
-            np.concatenate(motions, axis=2), np.array(sigma), np.concatenate(forces, axis=2)
-        )
+            sigma = np.full(loads.shape[2], self._friction)
+            parts.append(Nuisances.of_motions(tangent.motion(loads), sigma, loads, ranges))
+        return parts
 
     def threshold(self, ranges: Ranges) -> np.ndarray:
         """τ of the L1 term (n,) for what an image says, 1/Pa."""
@@ -541,7 +614,8 @@ class GaussNewton:
             x = ahead
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
-        return State(x, pressure, contact.support, inside, friction), balanced
+        image_errors = contact.amplitudes[-len(IMAGE_ERRORS) :]
+        return State(x, pressure, contact.support, inside, friction, image_errors), balanced
 
     def _tangent_at(self, state: State, gas: float | None, last: Tangent | None) -> Tangent:
         """A tangent taken close to a state: the last one, where it still serves."""
@@ -570,7 +644,8 @@ class GaussNewton:
             return True
         predicted = np.full(self.observer.blocks, np.nan)
         predicted[ahead.view.block] = ahead.error_m
-        beyond = np.nan_to_num(predicted[sight.view.block] - step.left_m)
+        left = step.left_m + step.image_error_m
+        beyond = np.nan_to_num(predicted[sight.view.block] - left)
         nodes = step.contact.nodes
         force = self._unit_forces(step, touching, nodes)
         change = self._change(step, beyond) @ force

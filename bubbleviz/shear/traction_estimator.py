@@ -256,6 +256,7 @@ class _Frame(NamedTuple):
     """What was measured."""
 
     ranges: Measured
+    image_error_m: np.ndarray  # (B,), of the ranges of the blocks, by the estimate of the depth
     flow: MeasuredFlow
     gas: float | None
 
@@ -318,11 +319,18 @@ class TractionEstimator:
         if self.flow_observer.seen_share(measured, support) < _SEEN_SHARE:
             return self._alone(estimate, NO_TEXTURE), None
         gas = self._bubble.gas.measured_change(gas_pressure_pa)
-        frame = _Frame(reached.measured, measured, gas)
+        frame = _Frame(reached.measured, self._image_error_m(estimate), measured, gas)
         try:
             return self._solve(frame, begin, support, warm=start is not None)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             return report.nothing("not_converged", NOT_CONVERGED), None
+
+    def _image_error_m(self, estimate: Estimate) -> np.ndarray:
+        errors = self._estimator.observer.image_errors
+        if estimate.image_errors is None:
+            return np.zeros(len(errors))
+        total: np.ndarray = errors @ estimate.image_errors
+        return total
 
     def _alone(self, estimate: Estimate, reason: str) -> Traction:
         if estimate.trusted:
@@ -394,12 +402,13 @@ class TractionEstimator:
     def _look(self, frame: _Frame, x: np.ndarray, last: ShapeRanges | None) -> Look:
         observer = self._estimator.observer
         view = observer.around(x, last)
-        observation = observer.weigh(frame.ranges, view.model_m)
+        expected = view.model_m + frame.image_error_m
+        observation = observer.weigh(frame.ranges, expected)
         flow = self.flow_observer.around(x, frame.flow.point)
         return Look(
             view,
             observation,
-            observation.residual_m[view.block] - view.model_m[view.block],
+            observation.residual_m[view.block] - expected[view.block],
             flow,
             frame.flow.moved_px - flow.moved_px,
             frame.flow,

@@ -85,6 +85,14 @@ def test_type_information_is_shipped():
     assert (Path(bv.__file__).parent / "py.typed").is_file()
 
 
+def test_a_camera_that_drifted_is_told(frames, sensor, estimated):
+    drifted = [replace(frame, depth_m=frame.depth_m - 1e-3) for frame in frames]
+    run = bv.estimate(drifted, sensor)
+    told = re.match(r"depth is (\S+) mm off since the sensor was calibrated", run.warning)
+    assert float(told[1]) == pytest.approx(-1.0, abs=0.4)  # its noise hides some
+    assert estimated.warning is None
+
+
 def test_a_recording_is_like_a_list(recording):
     with bv.open(recording) as frames:
         assert len(frames) == len(HEIGHTS)

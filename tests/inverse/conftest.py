@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.camera import DepthCamera, MembraneView, RangeObserver
-from bubbleviz.inverse import ConstantTension, Estimator, PaperEstimator
+from bubbleviz.inverse import ConstantTension, Estimator, EstimatorOptions, PaperEstimator
 from bubbleviz.membrane import Contact, ForwardModel, Gas, MembraneMesh, build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
@@ -54,11 +54,12 @@ def untouched():
     return press("sphere", -0.01)
 
 
-def estimator(nodes=500, solver=None):
+def estimator(nodes=500, solver=None, **options):
     mesh = build_mesh(SENSOR, nodes)
     observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)
     film = ConstantTension(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
-    return (PaperEstimator if solver == "paper" else Estimator)(observer, film)
+    kind = PaperEstimator if solver == "paper" else Estimator
+    return kind(observer, film, EstimatorOptions(**options))
 
 
 def first(solver, depth_m, gas_pressure_pa=None):

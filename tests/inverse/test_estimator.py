@@ -42,7 +42,7 @@ def test_force_and_gas_pressure_of_a_known_press(sphere, noise):
     estimate = first(solver, sphere.depth(noise))
     assert estimate.status == "ok"
     assert np.all(estimate.contact_pressure_pa >= 0.0)
-    assert off(estimate, sphere) < 0.003
+    assert off(estimate, sphere) < 0.005
     assert np.linalg.norm(estimate.force_n - sphere.force) < np.linalg.norm(estimate.force_sigma_n)
     pushed = (solver.mesh.areas * estimate.contact_pressure_pa) @ solver.mesh.normals
     assert estimate.force_n == pytest.approx(-pushed)
@@ -51,7 +51,7 @@ def test_force_and_gas_pressure_of_a_known_press(sphere, noise):
     law = solver.bubble.gas.pressure_change(estimate.displacement_m)
     assert estimate.gas_pressure_change_pa == pytest.approx(law, rel=1e-6)
     assert estimate.kkt_residual < 1e-9
-    expected = noise * np.nanmedian(sphere.range_m) / 3 if noise else 5e-5  # blocks of 9 pixels
+    expected = noise * np.nanmedian(sphere.range_m) / 3 if noise else 2e-5  # blocks of 9 pixels
     assert estimate.residual_rms_m == pytest.approx(expected, rel=0.5)
 
 
@@ -76,7 +76,8 @@ def test_measured_gas_pressure(sphere):
 def test_both_solvers_find_the_same_contact_where_ranges_are_linear(measured):
     truth = press("sphere", 0.005)
     gas = REST_PA + truth.contact.gas_pressure_change_pa if measured else None
-    ours, paper = (first(estimator(1000, s), truth.depth(0.002), gas) for s in SOLVERS)
+    depth = truth.depth(0.002)
+    ours, paper = (first(estimator(1000, s, image_error=0.0), depth, gas) for s in SOLVERS)
     assert ours.status == paper.status == "ok"
     assert off(ours, truth) < 0.03 and off(paper, truth) < 0.03
     assert np.max(np.abs(ours.displacement_m - paper.displacement_m)) < 3e-4

@@ -73,7 +73,7 @@ def test_a_long_drag_is_followed_by_depth_alone():
         estimate = eyes.pipeline.process(eyes.see(truth), PRODUCTS).estimate
         assert estimate.status == "ok"
         error = np.linalg.norm(estimate.force_n - truth.force_n)
-        assert error < 0.04 * np.linalg.norm(truth.force_n)
+        assert error < 0.05 * np.linalg.norm(truth.force_n)
 
 
 @pytest.mark.parametrize("name", ["ball_drag1", "puck_twist"])
@@ -98,9 +98,9 @@ def test_of_another_solvers_rubber(name, tmp_path):
         presses = seen(truth["nodes_m"], gauges, noise_m, 2)
         run = bv.estimate(list(presses), tmp_path / "dome.toml")
         assert all(each.status == "ok" for each in run)
-        error = np.linalg.norm(run.force_n - true, axis=1) / np.linalg.norm(true, axis=1)
-        assert np.median(error) < 0.015
-        assert error.max() < 0.04
+        error, size = np.linalg.norm(run.force_n - true, axis=1), np.linalg.norm(true, axis=1)
+        assert np.median(error / size) < 0.015
+        assert (error < np.maximum(0.04 * size, 0.01)).all()  # 10 mN of the first 0.2 N
         sigma = np.array([each.result.estimate.force_sigma_n for each in run])
         inside = (np.abs(run.force_n - true) < 1.96 * sigma).all(axis=1)
         assert inside.mean() >= 0.9

@@ -139,7 +139,7 @@ def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
     assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
     for value, median, most in (
         (normal_of, 0.015, 0.08),
-        (force_of, 0.01, 0.15),
+        (force_of, 0.02, 0.15),
         (area_of, 0.06, 0.4),
     ):
         change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]

@@ -111,7 +111,7 @@ def problem_of(sphere):
     """A noisy press seen from rest, on a coarse mesh: problem, the same for the oracle, and τ."""
     solver, depth = estimator(300), sphere.depth(0.01)
     mesh, film, nothing = solver.mesh, solver.bubble, np.zeros(len(solver.mesh.nodes))
-    newton = GaussNewton(solver.observer, film, solver.smoothness, 0.1, 0.0)
+    newton = GaussNewton(solver.observer, film, solver.smoothness, 0.1, 0.0, 0.0)
     view, observation = solver.observer.around(mesh.nodes), solver.observer.observe(depth)
     error, weight = observation.residual_m[view.block], observation.weight[view.block]
     ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(nothing)))

@@ -37,7 +37,8 @@ class Strength:
 
 def strength(sensor, sightings, bank, factor):
     # λ is the inverse square of the pressure that the prior expects.
-    options = EstimatorOptions(LINEAR, pressure_scale=PRESSURE_SCALE / np.sqrt(factor))
+    scale = PRESSURE_SCALE / np.sqrt(factor)
+    options = EstimatorOptions(LINEAR, pressure_scale=scale, image_error=0.0)
     pipeline = Pipeline.of(sensor, options=options)
     L, rows = cotangent_laplacian(pipeline.mesh), []
     for sighting in sightings:

@@ -342,7 +342,7 @@ def test_the_patch_is_as_large_as_by_the_equations_of_the_meridian():
             image = seen(surface, np.zeros(len(surface.nodes)), noise_m)
             patch = finder.find(solver.estimate(image)[0])
             errors.append(patch.area_m2 / exact.contact_area_m2(R) - 1)
-        assert abs(np.mean(errors)) < 0.06
+        assert abs(np.mean(errors)) < 0.08
 
 
 def test_no_number_where_there_is_no_answer():

@@ -1,0 +1,64 @@
+"""Depth images that are off as a whole: warmed cameras, mountings that moved."""
+
+import numpy as np
+import pytest
+
+from bubbleviz.camera import IMAGE_ERRORS
+from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, estimator, pressed, seen
+
+ROWS, COLUMNS = np.indices((CAMERA.intrinsics.height, CAMERA.intrinsics.width))
+RIGHT = (COLUMNS - CAMERA.intrinsics.cx) / CAMERA.intrinsics.fx
+DOWN = (ROWS - CAMERA.intrinsics.cy) / CAMERA.intrinsics.fy
+ERRORS = {
+    "offset": lambda depth, size: depth + size,
+    "tilt to the right": lambda depth, size: depth + size * RIGHT,
+    "tilt downwards": lambda depth, size: depth + size * DOWN,
+    "scale": lambda depth, size: depth * (1.0 + size),
+}
+OFF = [
+    ("offset", -5e-4),
+    ("offset", 1e-3),
+    ("tilt to the right", 1e-3),
+    ("tilt downwards", -1e-3),
+    ("scale", -0.01),
+    ("scale", 0.01),
+]
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return estimator()
+
+
+@pytest.mark.parametrize(("kind", "size"), OFF)
+def test_an_image_that_is_off_shows_no_contact(solver, kind, size):
+    mesh, _ = pressed("sphere", 0.007, 0.0)
+    image = ERRORS[kind](seen(mesh, np.zeros_like(mesh.nodes), NOISE_M), size)
+    estimate, _ = solver.estimate(image)
+    assert estimate.status == "no_contact"
+    assert not estimate.force_n.any()
+    assert estimate.residual_rms_m < NOISE_M
+    if kind != "scale":  # which an offset resembles
+        found = estimate.image_errors[IMAGE_ERRORS.index(kind)]
+        assert found == pytest.approx(size, rel=0.3)
+
+
+@pytest.mark.parametrize(("kind", "size"), OFF)
+def test_force_of_a_press_under_an_image_that_is_off(solver, kind, size):
+    mesh, contact = pressed("sphere", 0.007, 0.0)
+    truth = contact.nodal_force_n.sum(axis=0)
+    image = ERRORS[kind](seen(mesh, contact.displacement_3d_m, NOISE_M), size)
+    estimate, _ = solver.estimate(image)
+    assert estimate.status == "ok"
+    assert np.linalg.norm(estimate.force_n - truth) < 0.06 * np.linalg.norm(truth)
+    assert (np.abs(estimate.force_n - truth) < 1.96 * estimate.force_sigma_n).all()
+
+
+def test_half_an_image_does_not_tell_what_it_is_off_by(solver):
+    """Its shape where it is not seen could be anything."""
+    mesh, contact = pressed("sphere", 0.007, 0.0)
+    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    image[CAMERA.intrinsics.cx < COLUMNS] = np.nan
+    estimate, _ = solver.estimate(image)
+    assert estimate.status == "ok"
+    assert not estimate.image_errors.any()
