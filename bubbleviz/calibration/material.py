@@ -233,9 +233,11 @@ def _judged(
 ) -> RubberEstimate:
     """What was found with its λ, or what was known before and why nothing was found.
 
-    Gauge pressures by the shapes and by the file that differ by more than both deviations leave
-    widen that of the fit by as much, as the Particle Data Group does. Where they differ by more
-    than their 95 % intervals explain one of them is wrong, and the interval holds both of theirs.
+    What the shapes' model gets wrong is the same in every recording and may point the way the file
+    is wrong, too: the two errors add up in the weighted mean, not their squares. Gauge pressures
+    by the shapes and by the file that differ by more than both deviations leave widen that of the
+    fit by as much, as the Particle Data Group does. Where they differ by more than their 95 %
+    intervals explain one of them is wrong, and the interval holds both of theirs.
     Whether λ is determined is asked at the gauge pressure that was found.
     """
     known = replace(
@@ -257,7 +259,8 @@ def _judged(
         spread = np.hypot(by_shapes.sigma, by_file.sigma)
         apart = abs(by_shapes.value - by_file.value) / spread
         mean_sigma = by_shapes.sigma * by_file.sigma / spread
-        sigma = max(fit.gauge_sigma_pa, float(mean_sigma * max(1.0, apart)))
+        together = (by_shapes.sigma + by_file.sigma) / spread  # over the root of summed squares
+        sigma = max(fit.gauge_sigma_pa, float(mean_sigma * max(together, apart)))
         if found.contradicts_file:
             ends = (by_shapes.low, by_shapes.high, by_file.low, by_file.high)
             sigma = max(sigma, *(abs(end - fit.gauge_pa) / HALF_95 for end in ends))
