@@ -25,7 +25,6 @@ from .material import (
     Vented as Vented,
 )
 from .pixel_images import (
-    BeforeAfter as BeforeAfter,
     before_after as before_after,
     local_tension_image as local_tension_image,
 )

@@ -198,7 +198,7 @@ def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
     known = known[:: max(1, len(known) // _PIXELS)]
     ranges = statistics.range_m.ravel()[known]
     points = camera.center + ranges[:, None] * camera.directions[known]
-    sphere = fit_sphere(points).ellipsoid
+    sphere = fit_sphere(points)
     near = np.abs(sphere.distance(points)) < 0.1 * sphere.semi_axes_m[0]
     known, points, ranges = known[near], points[near], ranges[near]
     J = sphere.derivatives(points, "sphere")[:, :3]  # of one size, wherever it is

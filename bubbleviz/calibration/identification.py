@@ -274,7 +274,7 @@ def rest_gauge_sigma(samples: Samples, sensor: Sensor) -> float | None:
 
 def check_dome(samples: Samples, surfaces: Surfaces) -> float:
     """Refuse a dome pressed in or half unseen; share of it that is seen."""
-    name, cap, camera = samples.source_name, surfaces.fits.cap.ellipsoid, surfaces.camera
+    name, cap, camera = samples.source_name, surfaces.fits.cap, surfaces.camera
     seen = seen_share(mesh_ellipsoid(cap, _SEEN_NODES), camera, surfaces.membrane)
     check_seen(name, seen)
     ranges = samples.statistics.range_m
@@ -376,7 +376,7 @@ def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
         nodes = len(surfaces.mesh.nodes)
         file = "membrane.ply"
         return Membrane(shape="mesh", mesh_file=file, nodes=nodes, prestretch=prestretch)
-    cap = cap_over_rim(surfaces.fits.sphere.ellipsoid)
+    cap = cap_over_rim(surfaces.fits.sphere)
     return Membrane(
         shape="spherical_cap",
         rim_radius_m=round(cap.rim_semi_axes_m[0], 7),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
@@ -13,24 +11,18 @@ from bubbleviz.camera import RayCaster
 _BLUR = 0.1  # of the dome's size: below it the spread is the facets'
 
 
-@dataclass(frozen=True)
-class BeforeAfter:
-    """Range of one frame less that of the surface, (H, W), m; NaN outside the pixels in use."""
+def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
+    """The last contact-free frame less the surface, before rectification and after it.
 
-    # before_m, after_m: (H, W), as measured; less what rectification takes away
-    before_m: np.ndarray
-    after_m: np.ndarray
-
-
-def before_after(found: Identification) -> BeforeAfter:
-    """The last contact-free frame, before rectification and after it."""
+    Ranges (H, W), m; NaN outside the pixels in use.
+    """
     frame = found.camera.range_image(found.samples.depth_m[-1])
     pixels, line = found.pixels, found.pixels.line
     straight = frame if line is None else line.straighten(frame)
     before, after = (
         np.where(pixels.mask, image - found.modelled_range_m, np.nan) for image in (frame, straight)
     )
-    return BeforeAfter(before, after - pixels.bias_m)
+    return before, after - pixels.bias_m
 
 
 def local_tension_image(found: Identification) -> np.ndarray:

@@ -53,9 +53,9 @@ def summary(
         "left_out_rms_m": surfaces.left_out_rms_m,
         "residual_rms_m": float(np.sqrt(np.mean(surfaces.residual_m[found.pixels.mask] ** 2))),
         "ellipsoid": {
-            "semi_axes_m": fits.ellipsoid.ellipsoid.semi_axes_m.tolist(),
-            "centre_m": fits.ellipsoid.ellipsoid.centre_m.tolist(),
-            "tilt_rad": fits.ellipsoid.ellipsoid.tilt_rad,
+            "semi_axes_m": fits.ellipsoid.semi_axes_m.tolist(),
+            "centre_m": fits.ellipsoid.centre_m.tolist(),
+            "tilt_rad": fits.ellipsoid.tilt_rad,
             "rms_m": fits.ellipsoid.rms_m,
         },
         "rim_height_m": fits.rim_height_m,

@@ -33,7 +33,7 @@ def pictures(found: Identification, validation: Validation | None) -> list[Repor
     statistics, residual, mask = found.statistics, found.surfaces.residual_m, found.pixels.mask
     limit = 3.0 * float(np.std(residual[mask]))
     top = float(np.nanpercentile(statistics.noise_m[mask], 99.0))
-    last, tension = before_after(found), found.tension_n_per_m
+    (before, after), tension = before_after(found), found.tension_n_per_m
     around = (-1e3 * limit, 1e3 * limit)
     return [
         _picture(
@@ -43,10 +43,10 @@ def pictures(found: Identification, validation: Validation | None) -> list[Repor
         _picture("Pixels used", "bright: used", mask.astype(float), "", (0.0, 1.0)),
         _picture("Residual of the surface", "mean range minus surface", 1e3 * residual, "mm",
                  around, _DIVERGING),
-        _picture("Last frame before rectification", "range minus surface", 1e3 * last.before_m,
+        _picture("Last frame before rectification", "range minus surface", 1e3 * before,
                  "mm", around, _DIVERGING),
         _picture("Last frame after rectification", "the same less each pixel's offset",
-                 1e3 * last.after_m, "mm", around, _DIVERGING),
+                 1e3 * after, "mm", around, _DIVERGING),
         _picture("Local γ0", "balance of each neighbourhood", local_tension_image(found), "N/m",
                  (0.8 * tension, 1.2 * tension), _DIVERGING),
         *([] if validation is None else _of_validation(validation)),

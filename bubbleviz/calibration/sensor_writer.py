@@ -125,7 +125,7 @@ def _comment(identification: Identification) -> str:
         identification.tension,
     )
     free = identification.samples.frames
-    axes = "/".join(f"{1e3 * x:.1f}" for x in fits.cap.ellipsoid.semi_axes_m)
+    axes = "/".join(f"{1e3 * x:.1f}" for x in fits.cap.semi_axes_m)
     misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
     lines = [
         f"Identified from {identification.source_name}, contact-free frames {free[0]}–{free[-1]}.",

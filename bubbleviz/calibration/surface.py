@@ -53,6 +53,8 @@ class Ellipsoid:
     centre_m: np.ndarray  # (3,), m, in the frame of the points
     semi_axes_m: np.ndarray  # (3,), m, along the columns of `axes`
     axes: np.ndarray  # (3, 3), rotation whose columns are the directions of the semi-axes
+    # root mean square orthogonal distance of the points that its fit kept, m
+    rms_m: float = np.nan
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed orthogonal distance of points (k, 3), positive outside, m; shape (k,).
@@ -110,16 +112,7 @@ class Ellipsoid:
         return float(np.arccos(min(1.0, np.abs(self.axes[2]).max())))
 
 
-@dataclass(frozen=True)
-class SurfaceFit:
-    """A fitted surface and how well it explains the points."""
-
-    ellipsoid: Ellipsoid
-    rms_m: float  # root mean square orthogonal distance of the points the fit kept, m
-    sigma_m: float  # the same from the median absolute distance of all points, m
-
-
-def fit_sphere(points: np.ndarray) -> SurfaceFit:
+def fit_sphere(points: np.ndarray) -> Ellipsoid:
     """Sphere through points (k, 3) in m, with outliers down-weighted to nothing."""
     points = _known(points)
     centre, radius = _algebraic_sphere(_thinned(points))
@@ -131,20 +124,20 @@ def fit_ellipsoid(
     # (3, 3), rotation whose columns the semi-axes shall follow. Where it is not given the tilt is
     # fitted too; a cap that shows less than half of the ellipsoid leaves it loose by degrees.
     axes: np.ndarray | None = None,
-) -> SurfaceFit:
+) -> Ellipsoid:
     """Ellipsoid through points (k, 3) in m, with outliers down-weighted to nothing.
 
     Raises InputError: too few points, or no ellipsoid explains them (a flat membrane, depth in a
     wrong unit).
     """
     points = _known(points)
-    sphere = fit_sphere(_thinned(points)).ellipsoid
+    sphere = fit_sphere(_thinned(points))
     frame = np.eye(3) if axes is None else axes
     aligned = _fit(points, Ellipsoid(sphere.centre_m, sphere.semi_axes_m, frame), "aligned")
-    return aligned if axes is not None else _fit(points, aligned.ellipsoid, "tilted")
+    return aligned if axes is not None else _fit(points, aligned, "tilted")
 
 
-def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
+def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> Ellipsoid:
     """Robust least squares: Cauchy's loss to get near, Tukey's to finish, at its own scale."""
     few = _thinned(points)
     surface = start
@@ -159,13 +152,8 @@ def _fit(points: np.ndarray, start: Ellipsoid, freedom: Freedom) -> SurfaceFit:
     if len(points) > len(few):
         surface = _descend(points, surface, freedom, tukey_loss)
     now = surface.distance(points)
-    sigma = robust_sigma(now, center=0.0)
-    kept = tukey_weights(now, sigma) > 0.0
-    return SurfaceFit(
-        ellipsoid=surface,
-        rms_m=float(np.sqrt(np.mean(now[kept] ** 2))) if kept.any() else 0.0,
-        sigma_m=sigma,
-    )
+    kept = tukey_weights(now, robust_sigma(now, center=0.0)) > 0.0
+    return replace(surface, rms_m=float(np.sqrt(np.mean(now[kept] ** 2))) if kept.any() else 0.0)
 
 
 def _descend(
@@ -232,9 +220,9 @@ class Fits:
     """The analytic surfaces, in the frame B of the identified sensor."""
 
     # sphere, cap, ellipsoid: sphere; ellipsoid with semi-axes along B; ellipsoid with its tilt free
-    sphere: SurfaceFit
-    cap: SurfaceFit
-    ellipsoid: SurfaceFit
+    sphere: Ellipsoid
+    cap: Ellipsoid
+    ellipsoid: Ellipsoid
     # rim_height_m, rim_height_sigma_m: height of the rim above z = 0 by the cloud's edge, and its
     # uncertainty, m
     rim_height_m: float
@@ -269,7 +257,7 @@ class Surfaces:
         """The mesh moved onto another surface, in B: what differs on it is as uncertain as that."""
         if self.chosen == "ellipsoid":
             return self.free_form.mesh
-        cap, arms = self.fits.cap.ellipsoid, self.mesh.nodes
+        cap, arms = self.fits.cap, self.mesh.nodes
         a, b = arms @ cap.axes / cap.semi_axes_m, -cap.centre_m @ cap.axes / cap.semi_axes_m
         square, half, rest = np.sum(a * a, axis=1), a @ b, b @ b - 1.0
         length = (-half + np.sqrt(half**2 - square * rest)) / square  # |a t + b| = 1
@@ -290,7 +278,7 @@ def fit_surfaces(
     statistics = samples.statistics
     membrane, usable = segment_membrane(samples)
     fits, camera = _fit_caps(samples, membrane, usable)
-    start = mesh_cap(cap_over_rim(fits.cap.ellipsoid), nodes)
+    start = mesh_cap(cap_over_rim(fits.cap), nodes)
     side = tile_side(int(usable.sum()), statistics.correlation_length_px)
     free_form = fit_free_form(
         start,
@@ -306,9 +294,9 @@ def fit_surfaces(
     mesh, residual = free_form.mesh, free_form.residual_m
     if chosen != "free-form":
         centred = fits.sphere if chosen == "sphere" else fits.cap
-        fits, camera = _centred(fits, camera, centred.ellipsoid)
+        fits, camera = _centred(fits, camera, centred)
         own = fits.sphere if chosen == "sphere" else fits.cap
-        mesh = mesh_cap(cap_over_rim(own.ellipsoid), nodes)
+        mesh = mesh_cap(cap_over_rim(own), nodes)
         residual = range_residual(mesh, camera, statistics.range_m)
     return Surfaces(
         fits=fits,
@@ -334,7 +322,7 @@ def segment_membrane(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     known = samples.statistics.validity >= samples.statistics.regular_validity
     pixels = np.flatnonzero(known)
     points = mean_points(samples, samples.camera, pixels)
-    rough = fit_ellipsoid(points[:: max(1, len(points) // 20_000)], np.eye(3)).ellipsoid
+    rough = fit_ellipsoid(points[:: max(1, len(points) // 20_000)], np.eye(3))
     distance = np.full(known.shape, np.nan)
     distance[known] = rough.distance(points)
     membrane = membrane_pixels(distance, known)
@@ -375,7 +363,7 @@ def _fit_caps(
         rim_height_m=height,
         rim_height_sigma_m=sigma,
     )
-    return _centred(fits, given, fits.cap.ellipsoid)
+    return _centred(fits, given, fits.cap)
 
 
 def _centred(fits: Fits, camera: DepthCamera, on: Ellipsoid) -> tuple[Fits, DepthCamera]:
@@ -384,9 +372,8 @@ def _centred(fits: Fits, camera: DepthCamera, on: Ellipsoid) -> tuple[Fits, Dept
     T_B_C = camera.T_B_C.copy()
     T_B_C[:3, 3] -= shift
 
-    def moved(fit: SurfaceFit) -> SurfaceFit:
-        centre = fit.ellipsoid.centre_m - shift
-        return replace(fit, ellipsoid=replace(fit.ellipsoid, centre_m=centre))
+    def moved(fit: Ellipsoid) -> Ellipsoid:
+        return replace(fit, centre_m=fit.centre_m - shift)
 
     fits = replace(
         fits, sphere=moved(fits.sphere), cap=moved(fits.cap), ellipsoid=moved(fits.ellipsoid)
@@ -405,12 +392,12 @@ def _left_out_squares(
     points = mean_points(samples, camera, pixels)
     width = samples.camera.intrinsics.width
     tile, fold = tile_numbers(pixels, width, side), fold_of(pixels, width, side)
-    facing = np.einsum("ij,ij->i", fits.cap.ellipsoid.normals(points), camera.directions[pixels])
+    facing = np.einsum("ij,ij->i", fits.cap.normals(points), camera.directions[pixels])
     missed = free_form.left_out_m.ravel()[pixels] * np.abs(facing)
     weights = tukey_weights(missed - np.median(missed), robust_sigma(missed))
     errors = {
-        "sphere": _left_out_cap(fits.sphere.ellipsoid, "sphere", points, weights, fold),
-        "ellipsoid": _left_out_cap(fits.cap.ellipsoid, "aligned", points, weights, fold),
+        "sphere": _left_out_cap(fits.sphere, "sphere", points, weights, fold),
+        "ellipsoid": _left_out_cap(fits.cap, "aligned", points, weights, fold),
         "free-form": missed,
     }
     total = np.maximum(np.bincount(tile, weights), 1e-9)

@@ -303,10 +303,8 @@ def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Nam
     """γ0 of every surface, N/m."""
     fits = surfaces.fits
     return {
-        "sphere": 0.5 * gauge_pressure_pa * float(fits.sphere.ellipsoid.semi_axes_m[0]),
-        "ellipsoid": _cap_numbers(fits.cap.ellipsoid, gauge_pressure_pa)(fits.cap.ellipsoid)[
-            "tension_n_per_m"
-        ],
+        "sphere": 0.5 * gauge_pressure_pa * float(fits.sphere.semi_axes_m[0]),
+        "ellipsoid": _cap_numbers(fits.cap, gauge_pressure_pa)(fits.cap)["tension_n_per_m"],
         "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
     }
 
@@ -320,7 +318,7 @@ def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> L
     if surfaces.chosen == "free-form":
         return _linear_free_form(surfaces, gauge_pressure_pa)
     freedom: Freedom = "sphere" if surfaces.chosen == "sphere" else "aligned"
-    own = (surfaces.fits.sphere if freedom == "sphere" else surfaces.fits.cap).ellipsoid
+    own = surfaces.fits.sphere if freedom == "sphere" else surfaces.fits.cap
     numbers = _cap_numbers(own, gauge_pressure_pa, freedom)
     pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
     points = mean_points(samples, surfaces.camera, pixels)
@@ -376,7 +374,7 @@ def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) 
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
     chosen = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper, np.eye(3))
     at = surfaces.fits.sphere if surfaces.chosen == "sphere" else surfaces.fits.cap
-    return _cap_numbers(at.ellipsoid, gauge_pressure_pa)(chosen.ellipsoid)["tension_n_per_m"]
+    return _cap_numbers(at, gauge_pressure_pa)(chosen)["tension_n_per_m"]
 
 
 Numbers = Callable[[Ellipsoid], dict[str, float]]

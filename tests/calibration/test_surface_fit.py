@@ -32,16 +32,16 @@ def cap(axes, rotation=None, outliers=0.0, noise=1e-4, count=6000, seed=1):
 )
 def test_fits_survive_outliers(fit, axes, within):
     found = fit(cap(axes, outliers=0.1))
-    np.testing.assert_allclose(found.ellipsoid.semi_axes_m, axes, atol=within)
-    np.testing.assert_allclose(found.ellipsoid.centre_m, (0.01, -0.02, 0.03), atol=within)
-    assert found.sigma_m == pytest.approx(1e-4, rel=0.2)
+    np.testing.assert_allclose(found.semi_axes_m, axes, atol=within)
+    np.testing.assert_allclose(found.centre_m, (0.01, -0.02, 0.03), atol=within)
+    assert found.rms_m == pytest.approx(1e-4, rel=0.2)
 
 
 def test_tilted_ellipsoid_finds_its_tilt():
     rotation = Rotation.from_euler("y", 6.0, degrees=True).as_matrix()
     fit = fit_ellipsoid(cap(AXES, rotation, outliers=0.05))
-    assert np.degrees(fit.ellipsoid.tilt_rad) == pytest.approx(6.0, abs=0.5)
-    np.testing.assert_allclose(np.sort(fit.ellipsoid.semi_axes_m), np.sort(AXES), atol=5e-4)
+    assert np.degrees(fit.tilt_rad) == pytest.approx(6.0, abs=0.5)
+    np.testing.assert_allclose(np.sort(fit.semi_axes_m), np.sort(AXES), atol=5e-4)
 
 
 def test_distance_is_orthogonal_to_first_order():

@@ -26,7 +26,7 @@ from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import BeforeAfter, Comparison, Verdict, Workbench
+    from bubbleviz.calibration import Comparison, Verdict, Workbench
 
 
 # What the calibration thread hands to the window: a draft and the pictures it needs.
@@ -61,7 +61,8 @@ class Answer:
     draft : Draft
     axis : TimeAxis
         Where the frames of the source lie on the timeline.
-    last : BeforeAfter or None
+    last : pair of (H, W) arrays or None
+        The last frame less the surface before and after rectification, m.
     local_tension : (H, W) array or None
         N/m.
     comparison : Comparison or None
@@ -72,7 +73,7 @@ class Answer:
     work: Work
     draft: Draft
     axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))
-    last: BeforeAfter | None = None
+    last: tuple[np.ndarray, np.ndarray] | None = None
     local_tension: np.ndarray | None = None
     comparison: Comparison | None = None
     compared_with: Sensor | None = None

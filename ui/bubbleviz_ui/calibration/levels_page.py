@@ -59,8 +59,7 @@ class RectificationPage(Page):
     def show_answer(self, answer: Answer) -> None:
         """Show both images, their rms and the levels."""
         unit, last = self.units.fine_length, answer.last
-        before = last.before_m if last is not None else None
-        after = last.after_m if last is not None else None
+        before, after = (None, None) if last is None else last
         limit = 3.0 * float(np.nanstd(before)) if before is not None else 1.0
         for view, title, image in (
             (self.before, "Last frame before", before),

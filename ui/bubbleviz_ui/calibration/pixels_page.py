@@ -237,10 +237,10 @@ class SurfacePage(Page):
             self.numbers.set(f"{name} misses by", f"{length.text(rms)} rms")
         axes = " · ".join(
             f"{units.length.of(a):.{units.length.digits}f}"
-            for a in surfaces.fits.ellipsoid.ellipsoid.semi_axes_m
+            for a in surfaces.fits.ellipsoid.semi_axes_m
         )
         self.numbers.set("ellipsoid's semi-axes", f"{axes} {units.length.symbol}")
-        radius = float(surfaces.fits.sphere.ellipsoid.semi_axes_m[0])
+        radius = float(surfaces.fits.sphere.semi_axes_m[0])
         self.numbers.set("sphere's radius", units.length.text(radius))
         fits = surfaces.fits
         self.numbers.set(
