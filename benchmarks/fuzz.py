@@ -549,6 +549,8 @@ def fuzz(numbers: range, seed: int, folder: Path) -> Iterator[Outcome]:
     """Outcomes of inputs by number; a process that dies or hangs costs one of them."""
     (folder / "corpus").mkdir()
     corpus = make_corpus(folder / "corpus")
+    for verb in ("info", "convert", "estimate", "check", "export"):  # imported once, before forks
+        getattr(bv, verb)
     todo = numbers
     while todo:
         batch = todo[:BATCH]

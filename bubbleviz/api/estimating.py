@@ -24,6 +24,7 @@ from bubbleviz.pipeline import OF_OBJECT, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     AUTO,
+    EqualImages,
     Frame,
     Recording,
     fitting_sensor,
@@ -190,7 +191,7 @@ def estimate(
             "gas_zero": None if zero is None else zero.words,
         }
         run = Run(pipeline.model, said, made_by)
-        seen, image_errors = False, list[np.ndarray]()
+        seen, image_errors, equal = False, list[np.ndarray](), EqualImages()
         with ExitStack() as stack:
             write: Callable[[Result], object] = lambda _: None  # noqa: E731
             if out is not None:
@@ -199,6 +200,7 @@ def estimate(
                 write = stack.enter_context(files)
             frame_solver = FrameSolver(pipeline, products, options, zero)
             for result in solved(chosen, frame_solver, progress):
+                equal.take(result.frame.depth_m)
                 seen = seen or has_returns(result.frame.depth_m)
                 if result.estimate is not None and result.estimate.image_errors is not None:
                     image_errors.append(result.estimate.image_errors)
@@ -210,6 +212,7 @@ def estimate(
             frame_solver.gas_warning("recording"),
             _camera_warning(pipeline),
             _drift_warning(pipeline, image_errors),
+            equal.warning,
         )
         said["warning"] = "; ".join(filter(None, warnings)) or None
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run

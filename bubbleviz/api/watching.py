@@ -268,7 +268,8 @@ def _watch(
         pressure_offset_pa=None if zero is None else zero.offset_pa,
         shear=shear,
         counters=stream.counters().as_dict(),
-        warning=watcher.solver.gas_warning("source") or None,
+        warning="; ".join(filter(None, (watcher.solver.gas_warning("source"), stream.frozen)))
+        or None,
     )
 
 

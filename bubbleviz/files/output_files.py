@@ -135,7 +135,7 @@ def sweep(path: Path, *, of_others: bool = False) -> None:
     Those of other computers may still run, unless the caller knows better.
     """
     for each in path.parent.glob(".*"):
-        mark = _MARK.fullmatch(each.stem.rpartition(".")[2])
+        mark = _MARK.fullmatch(each.name.removesuffix(path.suffix).rpartition(".")[2])
         if mark and each == _beside(path, mark[0]) and (of_others or _is_dead(mark[1], mark[2])):
             _discard(each)
 

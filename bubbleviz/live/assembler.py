@@ -22,6 +22,7 @@ from bubbleviz.recordings import (
     POINT_CLOUD,
     VALUES,
     ColourAround,
+    EqualImages,
     Frame,
     GrowingSeries,
     Message,
@@ -92,6 +93,7 @@ class Counters:
     # stamps that are unset, far in the past or far in the future. A depth image with one is a frame
     # all the same, timed by its arrival.
     bad_stamps: int = 0
+    equal_in_a_row: int = 0  # depth images in a row equal to the last bit, where a camera hung
     clock_jumps: int = 0  # how often the publisher's clock was set, or the publisher replaced
     missed: int = 0  # messages the publisher counted that never arrived, where the transport counts
     skipped: int = 0  # frames that gave way to a newer one before anybody took them
@@ -140,6 +142,7 @@ class FrameAssembler:
         colour_delay_s: float = 0.0,
     ) -> None:
         self.counters = Counters()
+        self.equal = EqualImages()
         self._lag_s, self._colour_delay_s = lag_s, colour_delay_s
         self._names = names or TopicNames()
         # size: width and height that images must have; None until the first where any will do
@@ -300,6 +303,8 @@ class FrameAssembler:
         if verdict == "jump":
             self.counters.clock_jumps += 1
             self._first_ns = None
+        self.equal.take(depth)
+        self.counters.equal_in_a_row = self.equal.most if self.equal.warning else 0
         released = self.flush()  # a newer one is there: the older waits no more
         if self._first_ns is None:
             self._first_ns = time_ns

@@ -226,6 +226,11 @@ class LiveStream:
         """Why none comes, where that is known."""
         return self.source.problem or self._size_refused()
 
+    @property
+    def frozen(self) -> str:
+        """What to say of a camera that sends one image on and on; empty where none does."""
+        return self._assembler.equal.warning
+
     def counters(self) -> Counters:
         """The counts so far; the window asks for them and waits for no image to be decoded."""
         return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed)

@@ -40,6 +40,7 @@ from .depth_topics import (
 )
 from .frame import (
     NO_COLOUR as NO_COLOUR,
+    EqualImages as EqualImages,
     Frame as Frame,
     FrameSource as FrameSource,
     Gap as Gap,

@@ -121,6 +121,40 @@ def shown_name(source: FrameSource) -> str:
     return str(getattr(source, "path", None) or source.name)
 
 
+FROZEN_AFTER = 30  # equal images in a row, a second of most cameras; chosen
+
+
+class EqualImages:
+    """Counts depth images in a row that are equal to the last bit, though they have other stamps.
+
+    The noise of a camera that works never repeats; one that hangs sends its last image on and on.
+    """
+
+    def __init__(self) -> None:
+        self._last: np.ndarray | None = None
+        self._row = 1
+        self.most = 1  # images in the longest row
+
+    def take(self, depth_m: np.ndarray) -> None:
+        """Compare an image (H, W) with the one before; one without any return counts for none."""
+        last, self._last = self._last, depth_m
+        some = depth_m[::16, ::16]  # tells nearly all that differ
+        same = last is not None and np.array_equal(last[::16, ::16], some, equal_nan=True)
+        same = same and np.array_equal(last, depth_m, equal_nan=True)  # type: ignore[arg-type]
+        self._row = self._row + 1 if same and np.isfinite(depth_m).any() else 1
+        self.most = max(self.most, self._row)
+
+    @property
+    def warning(self) -> str:
+        """What to say of a camera that hangs, or hung; empty where none did."""
+        if self.most < FROZEN_AFTER:
+            return ""
+        return (
+            f"{self.most} depth images in a row are the same to the last bit: the camera hung, or "
+            "they are of a simulation without noise; restart the camera"
+        )
+
+
 # A source that is gone over several times, read once.
 
 

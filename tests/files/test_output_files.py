@@ -109,12 +109,14 @@ def test_what_a_killed_process_left_goes_with_the_next_run(tmp_path):
         "import os, sys; from bubbleviz.files import whole_file\n"
         "with whole_file(sys.argv[1]) as path: path.write_text('half'); os.kill(os.getpid(), 9)"
     )
-    for name in ("a.csv", "b.csv"):
+    for name in ("a.csv", "b.csv", "folder"):
         killed = subprocess.run([sys.executable, "-c", script, str(tmp_path / name)], check=False)
         assert killed.returncode == -signal.SIGKILL
     (tmp_path / ".a.notes.csv").write_text("mine")
     left = {path.name for path in tmp_path.iterdir()}
-    assert len(left) == 3
+    assert len(left) == 4
+    with pytest.raises(RuntimeError), whole_file(tmp_path / "folder"):
+        raise RuntimeError
     with pytest.raises(InputError, match="exists"), whole_file(tmp_path / "a.csv") as outer:
         outer.write_text("1")
         with whole_file(tmp_path / "a.csv") as inner:

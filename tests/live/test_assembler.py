@@ -257,3 +257,20 @@ def test_whatever_stamps_come_times_of_frames_never_fall_between_jumps(stamps):
     assert len(found) + counters.duplicate + counters.out_of_order == len(stamps)
     falls = sum(b.time_s < a.time_s for a, b in pairwise(found))
     assert falls <= 2 * counters.clock_jumps + counters.bad_stamps
+
+
+@pytest.mark.parametrize(("equal", "told"), [(29, False), (30, True)])
+def test_a_camera_that_sends_its_last_image_on_and_on_is_told(equal, told):
+    """Its stamps are new each time; a covered camera, which sees nothing, is another matter."""
+    assembler = FrameAssembler()
+    for k in range(equal + 40):
+        number = 10 if 10 <= k < 10 + equal else k
+        assembler.push(depth(NOW + k * PERIOD, number))
+    assert bool(assembler.equal.warning) == told
+    assert assembler.counters.equal_in_a_row == (equal if told else 0)
+    covered = FrameAssembler()
+    for k in range(60):
+        nothing = np.zeros(2 * WIDTH * HEIGHT, np.uint8)
+        stamp = NOW + k * PERIOD
+        covered.push(arrived("/cam/depth", IMAGE, image(stamp, data=nothing), stamp))
+    assert not covered.equal.warning
