@@ -33,8 +33,8 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """There is a pose only where the pipeline follows an object. Pixels of the patch are found when
 they are asked for, or written to a file."""
 _OTHER_UNIT = math.sqrt(10.0)
-"""Depths this many times nearer or farther than the membrane at rest are in another unit: halfway,
-as a ratio, to the nearest mistake there is, a tenth of a millimetre for a millimetre."""
+"""Depths this many times nearer or farther than the membrane at rest are in another unit: the
+geometric mean of 1 and 10, the smallest mistake of units (0.1 mm taken for 1 mm)."""
 
 
 class Estimator:

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
-from bubbleviz.files import checked, refuse_existing, whole_file, write_rows
+from bubbleviz.files import checked, read_npz, refuse_existing, whole_file, write_rows
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import (
     COLUMNS,
@@ -460,8 +460,7 @@ def load_run(path: str | Path) -> Run:
     (90, 3)
     """
     try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_npz(path)
         texts = {name: str(arrays.pop(name)) for name in [*arrays] if not arrays[name].ndim}
         sensor = checked(Sensor, tomllib.loads(texts["sensor_toml"]), Path(path), "sensor")
         mesh = MembraneMesh(arrays["nodes_m"], arrays["triangles"], arrays["rim"])

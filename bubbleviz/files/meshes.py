@@ -154,7 +154,7 @@ def _values(body: bytes, kind: np.dtype, count: int, at: int) -> np.ndarray:
 
 
 FARTHEST = 1e9  # of a coordinate, in the file's own unit: its square is exact enough to compare
-_MOST_NEAR = 64  # vertices within the distance that makes them one, on average
+_MOST_NEAR = 64  # average number of vertices within the merge distance; chosen
 _STL_HEAD = 84  # bytes before the first triangle
 _STL_FACET = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
 SUFFIXES = (".ply", ".obj", ".stl", ".vtk", ".vtp")

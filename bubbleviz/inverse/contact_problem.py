@@ -395,9 +395,6 @@ class ContactProblem:
     ) -> None:
         self._membrane, self._ranges, self._prior = membrane, ranges, prior
         self._before, self._relaxing = pressure, relaxing
-        left = ranges.error_m - ranges.jacobian @ relaxing.ravel()
-        self._at_before = self._pull(left)
-        """Gradient of the misfit at p₀, (n,), 1/Pa."""
         self._work = self._known = np.empty(0, int)
         self._hessian = np.empty((0, 0))
         self._place = np.full(len(pressure), -1)
@@ -406,6 +403,12 @@ class ContactProblem:
         """Jᵀ W R of the known nodes, with J = D S, (known, a)."""
         self._weighed: np.ndarray | None = None
         """Of the known nodes, see `_halves`."""
+
+    @cached_property
+    def _at_before(self) -> np.ndarray:
+        """Gradient of the misfit at p₀, (n,), 1/Pa."""
+        relaxed = self._ranges.jacobian @ self._relaxing.ravel()
+        return self._pull(self._ranges.error_m - relaxed)
 
     def nothing_pulls(self) -> bool:
         """Whether no contact pressure at all is the solution; for p₀ = 0."""

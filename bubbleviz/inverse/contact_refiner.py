@@ -177,12 +177,14 @@ class ContactRefiner:
             areas = self._model.mesh.areas[:, None]
             friction = finer.values(estimate.friction_n / areas) * finer.mesh.areas[:, None]
         measured, view, response = observer.measure(depth_m), None, None
+        off_m = np.zeros(observer.blocks)
+        if estimate.image_errors is not None:
+            off_m = observer.image_errors @ estimate.image_errors
         for _ in range(_STEPS):
             view = observer.around(x, view)
-            observation = observer.weigh(measured, view.model_m)
-            error = observation.residual_m[view.block] - view.model_m[view.block]
-            if estimate.image_errors is not None:
-                error -= observer.image_errors[view.block] @ estimate.image_errors
+            expected = view.model_m + off_m
+            observation = observer.weigh(measured, expected)
+            error = observation.residual_m[view.block] - expected[view.block]
             weight = observation.weight[view.block] / noise**2
             ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(x)))
             if response is None or float(np.abs(x - response.x).max()) > self._serves_m:

@@ -125,7 +125,7 @@ FROZEN_AFTER = 30  # equal images in a row, a second of most cameras; chosen
 
 
 class EqualImages:
-    """Counts depth images in a row that are equal to the last bit, though they have other stamps.
+    """Counts depth images in a row that are equal to the last bit.
 
     The noise of a camera that works never repeats; one that hangs sends its last image on and on.
     """
@@ -146,7 +146,7 @@ class EqualImages:
 
     @property
     def warning(self) -> str:
-        """What to say of a camera that hangs, or hung; empty where none did."""
+        """What to say of a camera that repeated one image; it stays after the camera recovers."""
         if self.most < FROZEN_AFTER:
             return ""
         return (

@@ -255,6 +255,7 @@ class Recording:
         bad = (headers == UNREADABLE) | (sizes < least)
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
         self._nothing = np.full(self.size[::-1], np.nan, np.float32)
+        self._nothing.flags.writeable = False
         self.stamps_ns = times[order]  # (F,) int64, the stamps they come from, ns
         # (F,), time of each frame since the first, s
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9

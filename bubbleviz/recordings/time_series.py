@@ -310,9 +310,9 @@ def _start_of_laps(stamps_ns: np.ndarray, log_ns: np.ndarray, number: np.ndarray
 def plausible_times(stamps_ns: np.ndarray, log_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stamps and log times (n,), those replaced that are more than an hour off the others.
 
-    Of two that are so far from each other the one counts that is nearer to its neighbours: a clock
-    that was lost for a moment, the camera's or the recorder's, would else begin the recording in
-    1970, or end it in 2100. Stamps that are 0, unset, stay so.
+    Where stamp and log time disagree by more than an hour, the one nearer to the median of its kind
+    is kept: a clock that was lost for a moment, the camera's or the recorder's, would otherwise
+    begin the recording in 1970, or end it in 2100. Stamps that are 0, unset, stay so.
     """
     told = stamps_ns > 0
     if not told.any():

@@ -75,7 +75,7 @@ def test_an_offset_of_depth(sensor, rest, offset_m):
     assert found.reason.startswith(f"drifted by {1e3 * found.bias_m:+.2f} mm")
     assert size_of(found, "depth offset") == pytest.approx(offset_m, abs=2e-5)
     assert [row.quantity for row in found.rows if row.todo] == ["depth offset"]
-    assert 0.02 < found.force_error_n < found.press_n
+    assert found.force_error_n < 0.05 * found.press_n  # the estimator allows for an offset
 
 
 def test_a_scale_of_depth(sensor, rest):
@@ -119,7 +119,8 @@ def test_another_camera(sensor, rest):
     wider = [replace(f, intrinsics=replace(f.intrinsics, fx=1.02 * f.intrinsics.fx)) for f in rest]
     found = bv.check(wider, sensor)
     assert found.verdict == "another" and "fx 109.5" in found.reason and "107.4" in found.reason
-    assert "fx 109.5, the sensor file 107.4" in bv.estimate(wider[:3], sensor).warning
+    with pytest.raises(InputError, match="choose its own sensor file"):
+        bv.estimate(wider[:3], sensor)
     assert bv.estimate(rest[:3], sensor).warning is None
     found = bv.check(with_depth(rest, lambda depth: depth[::-1, ::-1]), sensor)
     assert found.verdict == "another" and "turned by 180°" in found.reason
@@ -150,6 +151,6 @@ def test_the_real_press():
     rest = [frames[k] for k in range(0, 60, 3)]
     assert bv.check(rest, "punyo_oval_d405").verdict == "fits"
     found = bv.check(with_depth(rest, lambda depth: depth + 1.8e-4), "punyo_oval_d405")
-    assert found.verdict == "drifted" and 0.1 < found.force_error_n < 0.4
+    assert found.verdict == "drifted" and found.force_error_n < 0.1
     with pytest.raises(InputError, match="no contact-free stretch"):
         bv.check(frames[72:90], "punyo_oval_d405", contact_free=range(18))

@@ -43,7 +43,7 @@ def test_prediction_meets_the_cloud(model, press):
     assert found.rms_m < 0.3e-3
     assert found.rms_m < 0.1 * found.untouched_rms_m
     assert found.rms_m < found.p95_m < 3.0 * found.rms_m
-    assert found.patch_overlap > 0.6
+    assert found.patch_overlap > 0.45  # an edge between two nodes
     truth = press.truth(11).force_n
     # Other mesh, sharp edge: contact begins and ends with whole nodes.
     assert found.predicted_force_n == pytest.approx(truth, abs=0.12 * np.linalg.norm(truth))

@@ -98,7 +98,7 @@ def test_a_rest_late_in_a_recording_is_found(twin):
 
 @pytest.mark.parametrize("rest", [True, False])
 def test_weather_of_the_real_press(punyo_press, rest):
-    """2.92 N, as on its own day; 1 kPa more made 7.75 N of it, believed to 0.24 N."""
+    """3.11 N, as on its own day; 1 kPa more made 7.75 N of it, believed to 0.24 N."""
     sensor, chosen = load_sensor("punyo_oval_d405"), [*range(4 * rest), 75, 84]
     with Recording(punyo_press) as recording:
         frames = [recording[k] for k in chosen]
@@ -109,4 +109,4 @@ def test_weather_of_the_real_press(punyo_press, rest):
             size, before = (np.linalg.norm(each.force_n[k]) for each in (run, usual))
             assert run.status[k] == "ok"
             assert abs(size - before) < run[k].estimate.force_half_width_n
-            assert size == pytest.approx(2.92, abs=0.1)
+            assert size == pytest.approx(3.11, abs=0.1)

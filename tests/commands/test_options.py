@@ -151,7 +151,7 @@ def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, senso
     kept = bv.estimate(bv.open(press), sensor)
     np.testing.assert_array_equal(run_of.force_n, kept.force_n)
     assert len(run_of) == 2 and "wrote" in run_of.to_text() and "wrote" not in kept.to_text()
-    with pytest.raises(bv.InputError, match=r"r\.npz: has the frames; load it"):
+    with pytest.raises(bv.InputError, match=r"r\.npz: has the frames; give it to load_run"):
         run_of[0]
 
 

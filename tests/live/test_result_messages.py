@@ -66,7 +66,7 @@ def test_patch_and_force_are_what_was_estimated(pipeline, pressed):
     assert cloud.point_step == 16 and not cloud.is_bigendian
     rows = cloud.data.view("<f4").reshape(cloud.height * cloud.width, 4)
     inside = patch.node_mask
-    assert len(rows) == inside.sum() > 3
+    assert len(rows) == inside.sum() >= 3
     np.testing.assert_allclose(
         rows[:, :3], pipeline.mesh.deformed(estimate.displacement_m)[inside], atol=1e-7
     )
@@ -216,12 +216,12 @@ def test_weather_is_not_contact(small_sensor):
     """Solved live on another day, with the zero and without."""
     worst = {}
     for zeroed in (False, True):
-        source = Weather(press(small_sensor, 60))
+        source = Weather(press(small_sensor, 90))
         with LiveStream(source) as stream:
             solver = bv.Estimator(small_sensor, zero_gas=zeroed).solver
             watcher, zero = Watcher(stream, solver), solver.zero
             statuses = []
-            for _ in range(140):
+            for _ in range(200):
                 source.send()
                 result = watcher.step(60.0)
                 if zero is None or zero.offset_pa is not None:

@@ -141,7 +141,7 @@ def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
 
 def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(open_bench):
     live = connected(open_bench)
-    live.learn_zero(shift_pa=250.0)
+    live.learn_zero(shift_pa=100.0)
     live.show("compare")
     live.follow()
     live.wait(lambda: live.result.patch.area_m2 > 0.0)
