@@ -44,7 +44,9 @@ def command(name):
 )
 def test_a_former_name_does_the_same_and_is_not_shown(name, needed, former, present):
     def params(option):
-        return command(name).make_context(name, [*needed.split(), *option.split()]).params
+        parent = click.Context(main, **main.context_settings)
+        words = [*needed.split(), *option.split()]
+        return command(name).make_context(name, words, parent=parent).params
 
     assert params(former) == params(present)
     assert "zero" in former or params(former) != params("")

@@ -31,4 +31,4 @@ def test_gas_law_in_a_press_is_what_the_gas_does(tmp_path):
     numbers = numbers_of(result, pipeline.model.gas)
     assert numbers.status == "ok"
     # a mesh of 200 nodes seen by 56×43 pixels misses some of the volume
-    assert 0.4 < numbers.gas_law_pa / numbers.gas_measured_pa < 1.2
+    assert 0.4 < numbers.gas_law_pa / numbers.gas_measured_pa < 1.3

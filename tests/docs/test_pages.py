@@ -189,7 +189,9 @@ def test_every_command_exists_with_its_options(page):
 def parse(command, words, parent=None):
     """Parse a command line without running it; UsageError where it is wrong."""
     if isinstance(command, click.Group) and words and not words[0].startswith("-"):
-        context = click.Context(command, parent=parent, info_name=command.name)
+        # click keeps the help option of the first context a command sees: with -h, as on a terminal
+        settings = command.context_settings
+        context = click.Context(command, parent=parent, info_name=command.name, **settings)
         _, sub, rest = command.resolve_command(context, words)
         assert sub is not None  # else a UsageError
         parse(sub, rest, context)
