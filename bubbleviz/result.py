@@ -106,7 +106,7 @@ class Estimate:
         The contact on a finer mesh; None where the mesh resolves what noise leaves of it.
     image_errors : (4,) array or None
         What the whole depth image is off by since calibration, see `bubbleviz.camera.IMAGE_ERRORS`;
-        None of the paper's solver.
+        None where they were not looked for, and of the paper's solver.
     """
 
     status: Status

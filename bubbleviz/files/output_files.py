@@ -125,8 +125,10 @@ def _beside(path: Path, mark: str) -> Path:
 def _where() -> str:
     """Name of the computer, or container: others write to the same folder over a network."""
     space = Path("/proc/self/ns/pid")  # in which processes are numbered
-    name = f"{socket.gethostname()} {space.readlink() if space.is_symlink() else ''}"
-    return f"{zlib.crc32(name.encode()):08x}"
+    numbered_in = f"{space.readlink()}" if space.is_symlink() else ""
+    machine = Path("/etc/machine-id")  # robots of one image have one host name
+    same_name = machine.read_text() if os.access(machine, os.R_OK) else ""
+    return f"{zlib.crc32(f'{socket.gethostname()} {same_name} {numbered_in}'.encode()):08x}"
 
 
 def sweep(path: Path, *, of_others: bool = False) -> None:
@@ -162,8 +164,16 @@ def _sync(path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have a file's content, or a folder's names, on the disk; some file systems cannot."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Have a file's content, or a folder's names, on the disk; some file systems cannot.
+
+    A folder that may be written but not read is left to the disk: its files have their names.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except PermissionError:
+        if path.is_dir():
+            return
+        raise
     try:
         os.fsync(descriptor)
     except OSError as error:

@@ -227,7 +227,7 @@ class Step:
 
     @property
     def image_error_m(self) -> np.ndarray:
-        """Errors of the ranges (k,) by those of the whole image."""
+        """Errors of the ranges (k,) by those of the whole image; 0 where they were not free."""
         errors: np.ndarray = self.ranges.nuisances.errors_m @ self.contact.amplitudes
         return errors
 

@@ -61,4 +61,17 @@ def test_half_an_image_does_not_tell_what_it_is_off_by(solver):
     image[CAMERA.intrinsics.cx < COLUMNS] = np.nan
     estimate, _ = solver.estimate(image)
     assert estimate.status == "ok"
-    assert not estimate.image_errors.any()
+    assert estimate.image_errors is None
+
+
+def test_a_contact_that_hides_most_of_the_image_is_solved_alike_alone_and_after_another(solver):
+    mesh, contact = pressed("sphere", 0.007, 0.0)
+    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    half = np.where(CAMERA.intrinsics.cx < COLUMNS, np.nan, image)
+    _, start = solver.estimate(image)
+    followed, _ = solver.estimate(half, start=start)
+    alone, _ = solver.estimate(half)
+    assert followed.image_errors is None
+    assert followed.force_n == pytest.approx(
+        alone.force_n, abs=0.01 * np.linalg.norm(alone.force_n)
+    )
