@@ -78,8 +78,11 @@ class OneLineErrors(click.Group):
 @contextmanager
 def _cleaning_up_when_terminated() -> Iterator[None]:
     """Have SIGTERM end a command as ^C does, so that it leaves no unfinished file."""
+    ended = False
 
     def end(*_: object) -> NoReturn:
+        nonlocal ended
+        ended = True
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough, for `timeout` and systemd
         sys.exit(128 + signal.SIGTERM)
 
@@ -89,6 +92,11 @@ def _cleaning_up_when_terminated() -> Iterator[None]:
     before = signal.signal(signal.SIGTERM, end)
     try:
         yield
+    except BaseException:
+        if ended:  # at once: a library that was half loaded may make another exit code of it
+            sys.stdout.flush()
+            os._exit(128 + signal.SIGTERM)
+        raise
     finally:
         signal.signal(signal.SIGTERM, before)
 
