@@ -48,6 +48,7 @@ class Collector(QObject):
         self.active = False
         self.message = ""
         self._count, self._target, self._only_untouched = 0, 0.0, True
+        self._fits = False  # the sensor in use has explained a frame without contact
         self.name, self._sensor = "", None  # type: tuple[str, Sensor | None]
         self._looked_at = 0
         self._jobs = Jobs("calibration")
@@ -72,6 +73,7 @@ class Collector(QObject):
         """
         self.name, self._sensor = name, sensor
         self._count, self._target, self._only_untouched = count, target or 0.0, only_untouched
+        self._fits = False
         self.frames, self.tension, self._looked_at, self.message = [], None, 0, ""
         self.active = True
         self.changed.emit()
@@ -81,7 +83,9 @@ class Collector(QObject):
         if not self.active:
             return
         status = result.estimate.status if result.estimate is not None else None
-        if status == "no_data" or (self._only_untouched and status == "ok"):
+        self._fits = self._fits or status == "no_contact"
+        doubtful = self._fits and status in ("implausible", "not_converged")
+        if status == "no_data" or (self._only_untouched and (status == "ok" or doubtful)):
             return
         frame = result.frame
         if any(frame.depth_m is kept.depth_m for kept in self.frames):
