@@ -182,6 +182,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     opened(driver, "depth", "change")
     controller = driver.window.controller
     monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
+    driver.settle()  # what was asked for before counts, too
     before = counts["look change"], counts["total"]
     driver.state.choose(every_frame=True)
     driver.state.set_playing(True)
