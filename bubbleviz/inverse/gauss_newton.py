@@ -366,8 +366,8 @@ class GaussNewton:
         view, tangent, noise = start.view, start.tangent, start.noise
         noises: list[float] = []  # that the frame was solved with; inf: for a first guess
         selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
-        ahead, close = None, warm
-        clear = not warm or self._is_clear(self._look(measured, state, view), state.pressure)
+        ahead = self._look(measured, state, view) if warm else None
+        close, clear = warm, ahead is None or self._is_clear(ahead, state.pressure)
         while steps < _STEPS:
             steps += 1
             sight = ahead or self._look(measured, state, view)
