@@ -114,8 +114,11 @@ class SupportProblem:
         """By how much the evidence rises where a node (c,) is taken out of the support or in."""
         slope = posterior[:-1, -1]  # −p of the support, the gradient of the others
         precision, prior_precision = np.diag(posterior)[:-1], np.diag(prior)
-        gain = 0.5 * np.log(prior_precision / precision) + 0.5 * slope**2 / precision
-        gain[~support & (slope >= 0.0)] = -np.inf
+        # Both are negative on the support; of different signs only where rounding lost them.
+        sound = (prior_precision > 0.0) == (precision > 0.0)
+        shrink = np.where(sound, prior_precision / precision, 1.0)
+        gain = 0.5 * np.log(shrink) + 0.5 * slope**2 / precision
+        gain[~sound | (~support & (slope >= 0.0))] = -np.inf
         added_cuts = self.degree - 2.0 * self.neighbours[:, support].sum(axis=1)
         return gain + np.where(support, _CUT, -_CUT) * added_cuts
 

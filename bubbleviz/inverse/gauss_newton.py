@@ -48,6 +48,10 @@ puts the rest right."""
 _STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
 by then the shape stands, or model and data contradict each other."""
+_ASTRAY = 3
+"""Steps in a row that end no nearer to the image than the nearest shape so far, after which a frame
+counts as failed. Frames that were solved had one at most: on the real press, and on rubber dragged
+and twisted by another solver."""
 _SELECTIONS, _ROUNDS = 2, 6
 """Times that the support is looked for anew where the shape stands, and how often nodes that pull
 are added to it each time."""
@@ -176,13 +180,14 @@ class _Sight:
         """Of the blocks in `view`, (k,), 1/m²."""
         return self.observation.weight[self.view.block]
 
-    def is_nearer_at_rest(self, error_m: np.ndarray) -> bool:
-        """Whether the image is more like the membrane at rest than what leaves errors (k,).
+    def misfit(self, error_m: np.ndarray) -> float:
+        """χ² of errors (k,), with the errors of the whole image that suit them best."""
+        return float(error_m @ self._by_image.weighed(error_m))
 
-        Each with the errors of the whole image that suit it best.
-        """
-        at_rest, by_image = self.observation.residual_m[self.view.block], self._by_image
-        return bool(error_m @ by_image.weighed(error_m) > at_rest @ by_image.weighed(at_rest))
+    def is_nearer_at_rest(self, error_m: np.ndarray) -> bool:
+        """Whether the image is more like the membrane at rest than what leaves errors (k,)."""
+        at_rest = self.observation.residual_m[self.view.block]
+        return self.misfit(error_m) > self.misfit(at_rest)
 
     def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
         """Errors (k,) less what those of the whole image explain of them."""
@@ -340,7 +345,8 @@ class GaussNewton:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
-        A start that the image is less like than the membrane at rest is left for that.
+        A start that the image is less like than the membrane at rest is left for that. A shape
+        that has gone farther than the size of the membrane, or astray, is given up.
         Errors of the whole image are looked for from where the shape is close, lest they explain
         what the linearisation misses.
         How much more or less than the noise is left decides how far the image is trusted, but
@@ -368,10 +374,13 @@ class GaussNewton:
         selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
         ahead = self._look(measured, state, view) if warm else None
         close, clear = warm, ahead is None or self._is_clear(ahead, state.pressure)
-        while steps < _STEPS:
+        nearest, astray, walked_m = np.inf, 0, 0.0
+        while steps < _STEPS and astray < _ASTRAY and walked_m < self._length_m:
             steps += 1
             sight = ahead or self._look(measured, state, view)
             ahead = None
+            misfit = sight.misfit(sight.error_m)
+            nearest, astray = min(nearest, misfit), 0 if misfit < nearest else astray + 1
             follows = warm and steps == 1 and not noises
             if follows and self._is_better_from_rest(measured, measured_gas, sight, noise):
                 return self.solve(measured, measured_gas, Start())
@@ -387,6 +396,7 @@ class GaussNewton:
                 break
             state, view, tangent = step.state, sight.view, step.tangent
             solve_ms += step.solve_ms
+            walked_m += step.moved_m
             far = step.moved_m > self._far_m
             far_steps += selecting and far and step.moved_m < 0.9 * self._longest_m
             stands = close and step.balanced and step.seen_m <= self._near_m
@@ -406,7 +416,7 @@ class GaussNewton:
                     return self._answer(step, sight, last, measured_gas, noise, solve_ms)
                 if done or guessed:
                     noises.append(noise if done else np.inf)
-                    chosen, steps = 0, 0
+                    chosen, steps, astray, walked_m = 0, 0, 0, 0.0
                 noise = found
             if stands:
                 selecting, chosen = True, chosen + 1
