@@ -118,6 +118,14 @@ def stages(sensor: Sensor, quick: bool) -> list[Study]:
     return [stages_study(sensor, quick_sizes if quick else StageSizes())]
 
 
+@_command
+def faults(quick: bool, seed: int, parts: Path | None) -> list[Study]:
+    """Random errors of pressure, depth and camera: forces that are wrong without a word."""
+    from benchmarks.faults import faults_study
+
+    return [faults_study(24 if quick else 1_000, seed, parts)]
+
+
 @benchmarks.command()
 @click.option("--count", type=click.IntRange(1), default=10_000, help="Of inputs.")
 @click.option("--first", type=click.IntRange(0), default=0, help="Number of the first one.")
