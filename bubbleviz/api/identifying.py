@@ -158,6 +158,7 @@ def identify(
     surface: Name | None = None,
     nodes: int = 1000,
     levels: Iterable[FrameSource | str | Path] = (),
+    level_sigma: float | None = None,
     vented: FrameSource | str | Path | None = None,
     held_press: bool = True,
     object: str | None = None,
@@ -185,6 +186,10 @@ def identify(
     levels : iterable of Frames or path
         The untouched sensor at other inflation levels: better pixels and, where gas pressures were
         recorded, pre-stretch λ and gauge pressure.
+    level_sigma : float, optional
+        Standard deviation of the error of a recording's gas pressure beside another one's, Pa:
+        drift of the sensor's zero and the weather between them. Not given, 1 % of the largest gauge
+        pressure, as of silicon sensors whose total error band is ±1 to ±2 % of full scale.
     vented : Frames or path, optional
         The chamber open: its gas pressure is the atmospheric one.
     held_press : bool
@@ -228,6 +233,7 @@ def identify(
         nodes=nodes,
         levels=tuple(_source(each) for each in levels),
         vented=None if vented is None else _source(vented),
+        level_sigma_pa=level_sigma,
         press=_known_press(source, object, pose, pressed),
         held_press=held_press,
         scored=False,

@@ -346,6 +346,8 @@ def with_rubber(
     levels: Sequence[Samples],  # of the untouched sensor at other pressures
     vented: Vented | None = None,
     held: Samples | None = None,  # of a press, which is asked where there are no levels
+    # standard deviation of a gas pressure beside that of another recording, Pa; a usual sensor's
+    level_sigma_pa: float | None = None,
 ) -> Identification:
     """Identification with λ, and the gauge pressure, as levels, a press and open chamber tell.
 
@@ -355,7 +357,10 @@ def with_rubber(
     known = rest_gauge_sigma(found.samples, found.given)
     other = found.surfaces.other_mesh
     where = found.model, found.samples, found.tension
-    rubber = estimate_rubber(*where, levels, vented, held, gauge_sigma_pa=known, other_mesh=other)
+    rubber = estimate_rubber(
+        *where, levels, vented, held,
+        gauge_sigma_pa=known, level_sigma_pa=level_sigma_pa, other_mesh=other,
+    )  # fmt: skip
     if rubber is None:
         return found
     tension, sensor, section = found.tension, found.sensor, {}

@@ -4,8 +4,9 @@ The rest surface S0 and its gauge pressure G give the stress at rest by statics,
 1 − γ0/μh the rubber. Under another gas pressure, which differs by a measured Δp, the shape depends
 on q, on (G + Δp)/G, and, where something presses, on the contact pressures. Unknown are q, G and
 the contact pressures of the nodes that may be touched; an inflation level is a press without any.
-Rows are the changes of range from rest, in which fixed errors of camera and mesh cancel, and G as
-the sensor file or the open chamber tells it, with its standard deviation.
+Rows are the changes of range from rest, in which fixed errors of camera and mesh cancel, G as the
+sensor file or the open chamber tells it, and the gas pressure of every recording, each with its
+standard deviation; the errors of these pressures are unknowns, too.
 
 White noise of a hundred thousand pixels would outweigh that row, though what the model gets wrong
 does not average out. So the rows of ranges are tempered: they count as much less as the covariance
@@ -70,6 +71,12 @@ constant tension, as it may from a gauge pressure that is far too low."""
 _LEAST_GAUGE = 0.1  # of the gauge pressure to begin with
 _STEP_OF_Q = 1e-3  # relative step of q for the derivative of the forces
 _LEAST_RISE = 0.01  # change of the gauge pressure, over itself, below which a shape says nothing
+_PRESSURE_ERROR = 0.01
+"""Standard deviation of the gas pressure of a recording beside that of another one, over the
+largest gauge pressure of them. Data sheets of silicon pressure sensors give a total error band of
+±1 to ±2 % of full scale, by zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and
+full scale is that pressure at least: ±2 % is taken for 95 %. Frames of one recording share the zero
+and the temperature: a press in it has none of this."""
 _EDGE_OF_DENT = 0.25
 """Share of a dent's depth beyond which something may touch. The membrane leaves a flat plate that
 covers a dome to 0.85 of its radius there; anything smaller or rounder it leaves deeper."""
@@ -187,6 +194,8 @@ def estimate_rubber(
     *,
     # standard deviation of the gauge pressure by the sensor file, Pa; the weather's where None
     gauge_sigma_pa: float | None,
+    # that of the gas pressure from one recording to another, Pa; of a usual sensor where None
+    level_sigma_pa: float | None = None,
     other_mesh: MembraneMesh,  # of another surface: what differs on it is an error, too
 ) -> RubberEstimate | None:
     """λ and gauge pressure; None where there are no levels, no press and no open chamber."""
@@ -216,7 +225,7 @@ def estimate_rubber(
         seen = levels or [held for held in (held,) if held is not None]
         relative = tension.of_shape.sigma / tension.of_shape.value
         told = model, samples, seen, other_mesh, gauge, relative
-        problem = _Problem(*told, pressed=not levels)
+        problem = _Problem(*told, level_sigma_pa, pressed=not levels)
         alone = problem.fit()
         fit = problem.fit(sigma / gauge, alone)
     except InputError as error:
@@ -320,7 +329,7 @@ class _SeenShape:
                 f"{seen.source_name}: images of another size than {rest.source_name}'s;"
                 " record all levels with one camera mode"
             )
-        now, self.rise_sigma_pa = _mean_pressure(seen)
+        now, self.pressure_sigma_pa = _mean_pressure(seen)
         self.rise_pa = now - _mean_pressure(rest)[0]
         steady = seen.statistics.validity >= seen.statistics.regular_validity
         ranges = np.where(steady, seen.statistics.range_m, np.nan)
@@ -403,7 +412,10 @@ class _Fit:
 
 
 class _Problem:
-    """The least squares in q, G over the one to begin with, and contact pressures over G."""
+    """The least squares in q, G over the one to begin with, contact pressures over G, and errors.
+
+    The errors are those of the gas pressures of rest and shapes over their standard deviations.
+    """
 
     def __init__(
         self,
@@ -413,6 +425,7 @@ class _Problem:
         other_mesh: MembraneMesh,
         gauge_pa: float,
         stress_sigma: float,  # relative, of the stress that shape and gauge pressure give
+        level_sigma_pa: float | None,  # of the gas pressure beside that of another recording
         *,
         pressed: bool,
     ) -> None:
@@ -428,8 +441,15 @@ class _Problem:
             _check_rise(shape, gauge_pa, pressed=pressed)
         ends = 2 + np.cumsum([0, *(len(shape.zone) for shape in self._shapes)])
         self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
-        self._size = int(ends[-1])
-        self._smooth = np.zeros((self._size - 2, self._size))  # rows of the pressures' roughness
+        self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(seen))
+        self._size = self._errors.stop
+        if level_sigma_pa is None:
+            highest = max(gauge_pa + max(shape.rise_pa, 0.0) for shape in self._shapes)
+            level_sigma_pa = _PRESSURE_ERROR * highest
+        noise = [_mean_pressure(rest)[1], *(shape.pressure_sigma_pa for shape in self._shapes)]
+        self._pressure_sigma_pa = np.hypot(noise, 0.0 if pressed else level_sigma_pa)
+        # rows of the contact pressures' roughness
+        self._smooth = np.zeros((self._errors.start - 2, self._size))
         laplacian = cotangent_laplacian(model.mesh).tocsr()
         for shape, place in zip(self._shapes, self._places, strict=True):
             if len(shape.zone):
@@ -457,10 +477,13 @@ class _Problem:
 
     def _predicted(self, vector: np.ndarray, rubber: _RestRubber) -> list[_Predicted] | None:
         membrane, out = rubber.with_q(float(vector[0])), []
+        gauge_pa, rises_pa = self._gauge_pa * float(vector[1]), self._rises_pa(vector)
         at_rest = self._observer.around(rubber.mesh.nodes).model_m
         moved = rubber.mesh.nodes - self._observer.mesh.nodes
-        for shape, place, x in zip(self._shapes, self._places, self._near, strict=True):
-            inside: float | np.ndarray = 1.0 + shape.rise_pa / (self._gauge_pa * float(vector[1]))
+        for shape, place, rise_pa, x in zip(
+            self._shapes, self._places, rises_pa, self._near, strict=True
+        ):
+            inside: float | np.ndarray = 1.0 + rise_pa / gauge_pa
             if len(shape.zone):
                 inside = np.full(len(x), inside)
                 inside[shape.zone] -= vector[place]
@@ -472,6 +495,11 @@ class _Problem:
             change[view.block] = (view.model_m - at_rest)[view.block]
             out.append(_Predicted(balanced[0], inside, balanced[1], change, view))
         return out
+
+    def _rises_pa(self, vector: np.ndarray) -> list[float]:
+        """Gas pressures of the shapes over that of the rest, less their errors."""
+        off = self._pressure_sigma_pa * vector[self._errors]
+        return [shape.rise_pa + e - off[0] for shape, e in zip(self._shapes, off[1:], strict=True)]
 
     def _balanced(
         self, membrane: RubberMembrane, inside: float | np.ndarray, x: np.ndarray
@@ -501,13 +529,20 @@ class _Problem:
         assert found is not None
         here, ahead = (self._rubber.with_q(each) for each in (q, (1.0 + _STEP_OF_Q) * q))
         pull, slopes, by_stress = here.force(here.mesh.nodes), [], []
-        for shape, place, each in zip(self._shapes, self._places, found, strict=True):
+        gauge_pa, rises_pa, first = (
+            self._gauge_pa * vector[1],
+            self._rises_pa(vector),
+            self._errors.start,
+        )
+        for k, (shape, place, each) in enumerate(
+            zip(self._shapes, self._places, found, strict=True)
+        ):
             moving, area = here.moving, here.volume_gradient(each.x)
             by_q = here.residual(each.x, each.inside) - ahead.residual(each.x, each.inside)
             forces = np.zeros((*each.x.shape, 3 + len(shape.zone)))
             forces[..., 0] = pull - here.force(each.x)
             forces[..., 1] = by_q / (_STEP_OF_Q * q)
-            forces[..., 2] = -shape.rise_pa / (self._gauge_pa * vector[1] ** 2) * area
+            forces[..., 2] = area / gauge_pa
             forces[shape.zone, :, 3 + np.arange(len(shape.zone))] = -area[shape.zone]
             motions = np.zeros_like(forces)
             right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
@@ -515,7 +550,11 @@ class _Problem:
             rows = np.zeros((len(shape.change_m), motions.shape[2]))
             rows[each.view.block] = each.view.jacobian @ motions.reshape(3 * len(each.x), -1)
             own = np.zeros((len(rows), self._size))
-            own[:, :2], own[:, place] = rows[:, 1:3], rows[:, 3:]
+            by_rise = rows[:, 2]  # by a pascal
+            own[:, 0], own[:, 1] = rows[:, 1], -rises_pa[k] / vector[1] * by_rise
+            own[:, place] = rows[:, 3:]
+            own[:, first] = -self._pressure_sigma_pa[0] * by_rise
+            own[:, first + 1 + k] = self._pressure_sigma_pa[1 + k] * by_rise
             slopes.append(own)
             by_stress.append(rows[:, 0])
         return np.concatenate(slopes), np.concatenate(by_stress)
@@ -558,6 +597,13 @@ class _Problem:
             " gas pressures and the atmospheric pressure"
         )
 
+    def _known(self, prior_sigma: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of what is known otherwise, G and the gas pressures, and their right sides."""
+        rows = np.zeros((1 + len(self._pressure_sigma_pa), self._size))
+        rows[0, 1] = 1.0 / prior_sigma
+        rows[1:, self._errors] = np.eye(len(rows) - 1)
+        return rows, rows[:, 1]
+
     def _scale(self, vector: np.ndarray) -> float:
         return max(robust_sigma(self._missed(vector) * self._root, center=0.0), 1e-9)
 
@@ -566,25 +612,24 @@ class _Problem:
         vector: np.ndarray,
         scale: float | None,  # of residuals, for Tukey's loss; None: least squares, to get near
         prior_sigma: float,
-        temper: float,  # by which all rows but that of G count less
+        temper: float,  # by which all rows count less but those of what is known otherwise
     ) -> np.ndarray:
         root, data = self._root / (scale or self._scale(vector)), len(self._root)
+        known, told = self._known(prior_sigma)
 
         def residuals(v: np.ndarray) -> np.ndarray:
             z = np.nan_to_num(self._missed(v) * root, nan=_OUTLIER, posinf=np.inf)
-            return np.concatenate([z, self._smooth @ v, [(v[1] - 1.0) / prior_sigma]])
+            return np.concatenate([z, self._smooth @ v, known @ v - told])
 
         def jacobian(v: np.ndarray) -> np.ndarray:
-            prior = np.zeros((1, self._size))
-            prior[0, 1] = 1.0 / prior_sigma
             rows = -np.nan_to_num(root)[:, None] * self._slopes(v)[0]
-            return np.concatenate([rows, self._smooth, prior])
+            return np.concatenate([rows, self._smooth, known])
 
         def loss(squares: np.ndarray) -> np.ndarray:
             rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
             if scale is not None:
                 rho[:, :data] = tukey_loss(squares[:data])
-            rho[:, :-1] /= temper
+            rho[:, : -len(known)] /= temper
             return rho
 
         low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
@@ -607,22 +652,21 @@ class _Problem:
         rows, z_known = slopes * root[:, None], np.nan_to_num(z)
         weight = tukey_weights(z, 1.0) / temper
         efficiency = float(np.nan_to_num(tukey_slopes(z, 1.0)).sum() / weight.sum() / temper)
-        prior = np.zeros((self._size, self._size))
-        prior[1, 1] = prior_sigma**-2
-        smooth = self._smooth.T @ self._smooth / temper + prior
+        otherwise, told = self._known(prior_sigma)
+        smooth = self._smooth.T @ self._smooth / temper
+        prior = smooth + otherwise.T @ otherwise
 
         def step(weight: np.ndarray) -> np.ndarray:
             """Step of q and G under other weights of the rows of ranges."""
-            right = rows.T @ (weight * z_known) - smooth @ vector + prior[1]
-            normal = rows.T @ (weight[:, None] * rows) + smooth
+            right = rows.T @ (weight * z_known) - prior @ vector + otherwise.T @ told
+            normal = rows.T @ (weight[:, None] * rows) + prior
             return np.linalg.solve(normal, right)[:2]
 
-        normal = rows.T @ (efficiency * weight[:, None] * rows) + smooth
-        inverse = np.linalg.inv(normal)[:2]
+        by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
+        inverse = np.linalg.inv(by_data + otherwise.T @ otherwise)[:2]
         influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 2)
         known = np.nan_to_num(missed)
         ways = [
-            inverse[:, 1] * prior_sigma**-1,
             (self._observer.mesh.edge_length * 0.5 * mean_curvature(self._observer.mesh)) ** 2
             * (influence.T @ (self._change_m - known)),
             -self._stress_sigma * (influence.T @ by_stress),
@@ -646,14 +690,17 @@ class _Problem:
             steps = np.stack([step(weight * (part != k)) for k in range(count)])
             share = np.sqrt((count - 1) / count / len(sets)) * student(count - 1)
             ways += list(share * (steps - steps.mean(axis=0)))
-        covariance = self._noise(influence, known, -vector[1] * slopes[:, 1])
-        covariance = covariance + sum(np.outer(way, way) for way in ways)
+        # of the data with what their model gets wrong, which the tempering is for; and of all
+        covariance = self._noise(influence, known) + sum(np.outer(way, way) for way in ways)
+        white = inverse[1] @ by_data @ inverse[1]
+        temper = float(covariance[1, 1] / white)
+        covariance = covariance + inverse @ otherwise.T @ otherwise @ inverse.T
         return _Fit(
             vector=vector,
             gauge_pa=self._gauge_pa * float(vector[1]),
             gauge_sigma_pa=self._gauge_pa * float(np.sqrt(covariance[1, 1])),
             covariance=covariance,
-            temper=float(covariance[1, 1] / inverse[1, 1]),
+            temper=temper,
             scale=scale,
             rises_pa=tuple(shape.rise_pa for shape in self._shapes),
             change_rms_m=robust_sigma(self._change_m[np.isfinite(self._root)], center=0.0),
@@ -664,19 +711,14 @@ class _Problem:
         self,
         influence: np.ndarray,  # (D, 2), of every change of range
         missed_m: np.ndarray,  # (D,)
-        by_rise_m: np.ndarray,  # (D,), change of range per relative change of its rise
     ) -> np.ndarray:
-        """Covariance (2, 2) by noise of all frames and pressures, and what the model leaves."""
+        """Covariance (2, 2) by noise of all frames, and what the model leaves."""
         ends = np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1]
-        own, left, rises = (np.split(each, ends) for each in (influence, missed_m, by_rise_m))
+        own, left = np.split(influence, ends), np.split(missed_m, ends)
         total = self._scored(self._rest, -np.sum(own, axis=0), np.zeros(len(own[0])))
-        shared = np.zeros(2)
-        for shape, of, missed, rise in zip(self._shapes, own, left, rises, strict=True):
-            way = of.T @ rise / shape.rise_pa
-            shared = shared + _mean_pressure(self._rest)[1] * way
+        for shape, of, missed in zip(self._shapes, own, left, strict=True):
             total = total + self._scored(shape.samples, of, missed)
-            total = total + shape.rise_sigma_pa**2 * np.outer(way, way)
-        return total + np.outer(shared, shared)
+        return total
 
     def _scored(self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray) -> np.ndarray:
         observer, statistics = self._observer, samples.statistics

@@ -83,6 +83,7 @@ class Settings:
     # pressure
     levels: tuple[FrameSource | Path, ...] = ()
     vented: FrameSource | Path | None = None
+    level_sigma_pa: float | None = None  # of a gas pressure beside that of another recording, Pa
     press: KnownPress | None = None  # what to validate by, in the same source
     # whether a press that is held is asked for λ and gauge pressure where there are no levels
     held_press: bool = True
@@ -228,7 +229,8 @@ class Workbench:
         asked = settings.held_press and not levels
         held = collect_press(self.source, found, progress) if asked else None
         progress("stretching rubber", 0.0)
-        return with_rubber(found, [each.samples for each in levels if each.samples], vented, held)
+        seen = [each.samples for each in levels if each.samples]
+        return with_rubber(found, seen, vented, held, settings.level_sigma_pa)
 
     def _vented(self, frames: FrameSource | Path) -> Vented:
         def measure() -> Vented:

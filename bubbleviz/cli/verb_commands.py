@@ -255,6 +255,12 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
     help="Recording of the untouched sensor at another inflation level; several rectify better.",
 )
 @option(
+    "--level-sigma",
+    type=click.FloatRange(min=0.0),
+    metavar="PA",
+    help="σ of the gas pressure between levels, Pa; 1 % of the largest gauge pressure if left.",
+)
+@option(
     "--vented",
     type=PATH,
     help="Recording of the open chamber: its gas pressure is the atmospheric one.",

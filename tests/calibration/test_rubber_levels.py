@@ -158,6 +158,21 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
 
 
+@pytest.mark.parametrize("off", [-0.02, 0.02])
+def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found, vented, off):
+    """±2 % is the total error band of usual sensors; a better one is said to be better."""
+    low, high = level(found, 0.85), level(found, 1.15)
+    high = replace(high, gas_pressure_pa=high.gas_pressure_pa + off * 1.15 * G)
+    for opened in (None, vented):
+        usual = with_rubber(found, [low, high], opened).rubber
+        assert usual.gauge.low < G < usual.gauge.high
+        assert usual.prestretch is None or (
+            usual.prestretch.low < SHEET.prestretch < usual.prestretch.high
+        )
+    exact = with_rubber(found, [low, high], vented, level_sigma_pa=1.0).rubber.prestretch
+    assert not exact.low < SHEET.prestretch < exact.high
+
+
 def test_a_cable_before_the_camera_at_one_level_changes_little(found, vented):
     """A tenth of the pixels is 3 mm too close at one level: outliers count for nothing."""
     low, high = level(found, 0.85), level(found, 1.15)
