@@ -14,7 +14,7 @@ import bubbleviz
 from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
 from bubbleviz.api.frames import Frames, HeldFrames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
-from bubbleviz.calibration import PressureZero
+from bubbleviz.calibration import PressureZero, find_contact_free
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
@@ -393,11 +393,14 @@ def _refuse_files(*paths: str | Path | None) -> None:
 
 
 def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
-    from bubbleviz.calibration import watch_recorded_texture  # needs OpenCV
+    from bubbleviz.shear import watch_recorded_texture  # needs OpenCV
 
     if not isinstance(frames.source, Recording):
         raise InputError(f"{frames.name}: shear needs the colour images of a recording; save it")
-    return watch_recorded_texture(pipeline, frames.source, friction)
+    source = frames.source
+    return watch_recorded_texture(
+        pipeline, source, lambda: find_contact_free(source).frames, friction
+    )
 
 
 def _made_by(pipeline: Pipeline, solver: str | None, zero: PressureZero | None) -> dict[str, str]:

@@ -27,7 +27,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import PassingTexture
+    from bubbleviz.shear import PassingTexture
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """There is a pose only where the pipeline follows an object. Pixels of the patch are found when
@@ -116,7 +116,7 @@ class Estimator:
         if self._followed is not None:
             pipeline.follow(*self._followed)
         if self._shear:
-            from bubbleviz.calibration import PassingTexture  # needs OpenCV
+            from bubbleviz.shear import PassingTexture  # needs OpenCV
 
             texture = PassingTexture(pipeline, self._friction)
         zero = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Self, overload
+from typing import Self, overload
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Frame, FrameSource, Gap, Recording, Topic, find_gaps, usual_step
 from bubbleviz.wording import count_of
-
-if TYPE_CHECKING:
-    from bubbleviz.calibration import TemporalLag
 
 
 class Frames(Sequence[Frame]):
@@ -201,22 +198,13 @@ class ColourInfo:
     intrinsics: Intrinsics | None
     T_D_C: list[list[float]]  # pose of the colour camera in the depth camera, (4, 4)
     remark: str  # what of its camera was not recorded and is taken for granted
-    lag: TemporalLag | None = None  # delay of the images, where it was asked for and is seen
-    no_lag: str = ""  # why it is not seen, where it was asked for
 
     @classmethod
-    def of(cls, recording: Recording, *, lag: bool) -> ColourInfo | None:
+    def of(cls, recording: Recording) -> ColourInfo | None:
         """Facts of the colour images of an open recording; None where it has none."""
-        colour, seen, unseen = recording.colour, None, ""
+        colour = recording.colour
         if colour is None:
             return None
-        if lag:
-            from bubbleviz.calibration import temporal_lag  # reads and compares images
-
-            try:
-                seen = temporal_lag(recording)
-            except InputError as error:  # a recording that does not show it is none the worse
-                unseen = str(error).removeprefix(f"{recording.path}: ")
         camera = colour.camera
         return cls(
             colour.topic.name,
@@ -227,8 +215,6 @@ class ColourInfo:
             camera.intrinsics,
             camera.T_D_C.tolist(),
             camera.remark,
-            seen,
-            unseen,
         )
 
     def to_text(self) -> str:
@@ -237,8 +223,6 @@ class ColourInfo:
         parts = (
             f"{self.width} × {self.height} pixels, {self.encoding}, {self.topic}",
             f"{count_of(self.images, 'image')}{rate}",
-            self.lag.to_text() if self.lag else "",
-            f"no colour delay seen: {self.no_lag}" if self.no_lag else "",
             self.remark,
         )
         return "; ".join(filter(None, parts))
@@ -302,15 +286,13 @@ class RecordingInfo(Summary):
         return f"{self.gaps} missing: {', '.join(places)}" + (f" and {more} more" if more else "")
 
 
-def info(recording: str | Path | Frames | Recording, *, lag: bool = False) -> RecordingInfo:
+def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
     """Facts of a recording: topics, frames, rate, duration, size, gaps.
 
     Parameters
     ----------
     recording : path, Frames or Recording
         All of it counts, whichever frames are chosen.
-    lag : bool
-        Look for the delay of its colour images, which reads the images of the first contact.
 
     Raises
     ------
@@ -319,7 +301,7 @@ def info(recording: str | Path | Frames | Recording, *, lag: bool = False) -> Re
     """
     if isinstance(recording, str | Path):
         with Recording(recording) as opened:
-            return info(opened, lag=lag)
+            return info(opened)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
         raise InputError(f"{source.name}: is no recording; save it first")
@@ -343,7 +325,7 @@ def info(recording: str | Path | Frames | Recording, *, lag: bool = False) -> Re
         intrinsics=source.intrinsics,
         gas_pressure_pa=extremes,
         wrench=source.has_wrench,
-        colour=ColourInfo.of(source, lag=lag),
+        colour=ColourInfo.of(source),
         bad_frames=source.bad_frames,
         note=source.bag.note,
     )

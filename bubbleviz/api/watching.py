@@ -39,7 +39,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import PassingTexture
+    from bubbleviz.shear import PassingTexture
 
 CAMERA_S = 0.5
 """How long the first frames may come without camera info before the sensor file's counts."""

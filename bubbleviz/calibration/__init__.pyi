@@ -1,5 +1,4 @@
 from .contact_free import (
-    LAG as LAG,
     SIGNIFICANT as SIGNIFICANT,
     ContactFree as ContactFree,
     find_contact_free as find_contact_free,
@@ -83,23 +82,12 @@ from .surface import (
     fit_sphere as fit_sphere,
     mean_points as mean_points,
 )
-from .temporal_lag import (
-    TemporalLag as TemporalLag,
-    lag_between as lag_between,
-    temporal_lag as temporal_lag,
-)
 from .tension import (
     Quantity as Quantity,
     balance_gradient as balance_gradient,
     cap_tension as cap_tension,
     ellipsoid_curvature as ellipsoid_curvature,
     local_tension as local_tension,
-)
-from .texture_flow import (
-    COLLECTED as COLLECTED,
-    PassingTexture as PassingTexture,
-    recorded_texture as recorded_texture,
-    watch_recorded_texture as watch_recorded_texture,
 )
 from .validation import (
     KnownPress as KnownPress,

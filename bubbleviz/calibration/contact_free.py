@@ -11,7 +11,7 @@ from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import fit_sphere
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import MIN_FRAMES, FrameSource, robust_sigma
+from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, robust_sigma
 from bubbleviz.wording import count_of
 
 SIGNIFICANT = 6.0  # standard deviations: noise does not get there in a recording's lifetime
@@ -19,7 +19,6 @@ SIGNIFICANT = 6.0  # standard deviations: noise does not get there in a recordin
 _TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
 _COVERED = 0.01  # share of the view that a contact must move to count
 _SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
-LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,10 @@ from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
 from bubbleviz.calibration.contact_free import SIGNIFICANT
-from bubbleviz.calibration.temporal_lag import MOST_S
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import MIN_FRAMES, mean_inflation, robust_sigma
 
-_DELAYS_S = np.linspace(-MOST_S, MOST_S, 121)
+_DELAYS_S = np.linspace(-0.3, 0.3, 121)  # of depth filters of some ten frames at most
 _APART = 5  # contact-free frames between two presses; fewer are a failed image
 _LEAST = 5  # presses from which they are the clusters, and blocks of time at least
 _ROUNDS = 4  # of rotation, then gain and hysteresis

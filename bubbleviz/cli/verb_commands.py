@@ -44,11 +44,10 @@ _simulated = click.option(
 
 @click.command()
 @_recording
-@option("--lag", is_flag=True, help="Tell the delay of the colour images that is seen.")
 @json_option
-def info(recording: Path, lag: bool, as_json: bool) -> None:
+def info(recording: Path, as_json: bool) -> None:
     """Show topics, frames, rate, duration, size and gaps of a recording."""
-    report(bv.info(recording, lag=lag), as_json=as_json)
+    report(bv.info(recording), as_json=as_json)
 
 
 @click.command()

@@ -11,6 +11,7 @@ from .colour_topics import (
     size_of as size_of,
 )
 from .depth_statistics import (
+    LAG as LAG,
     MIN_FRAMES as MIN_FRAMES,
     DepthStatistics as DepthStatistics,
     correlated_samples as correlated_samples,

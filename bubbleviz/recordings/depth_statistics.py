@@ -150,6 +150,7 @@ def upper_fence(values: np.ndarray, deviations: float) -> float:
     return float(np.exp(np.median(logs) + deviations * robust_sigma(logs)))
 
 
+LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
 MIN_FRAMES = 5  # frames below which neither a median nor a spread per pixel means anything
 
 _CLIP_SIGMA = 3.0  # samples further from the median than this are not noise of the same kind

@@ -11,6 +11,12 @@ from .slip import (
     SlipFinder as SlipFinder,
     SlipStart as SlipStart,
 )
+from .texture_flow import (
+    COLLECTED as COLLECTED,
+    PassingTexture as PassingTexture,
+    recorded_texture as recorded_texture,
+    watch_recorded_texture as watch_recorded_texture,
+)
 from .traction_estimator import (
     TractionEstimator as TractionEstimator,
     TractionOptions as TractionOptions,

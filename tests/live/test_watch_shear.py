@@ -9,13 +9,13 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from bubbleviz.api.watching import Watcher
-from bubbleviz.calibration import COLLECTED, LAG
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.cli.command_line import main
 from bubbleviz.diagnostics import ShearSummary, shear_line
 from bubbleviz.live import LiveSource, LiveStream, OfferedTopic
-from bubbleviz.recordings import Frame, FrameMessages
+from bubbleviz.recordings import LAG, Frame, FrameMessages
 from bubbleviz.sensor_model import SensorModel
+from bubbleviz.shear import COLLECTED
 from tests.shear.drag import Eyes, sensor, stuck
 from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_press
 from tests.small_press import write_press, write_small_sensor

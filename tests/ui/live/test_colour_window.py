@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 from fakes import SpeckledSource, record, small_sensor
 
-from bubbleviz.calibration import COLLECTED, LAG
-from bubbleviz.recordings import Message
+from bubbleviz.recordings import LAG, Message
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.scene_presets import load_scene
 

@@ -7,9 +7,10 @@ import pytest
 from fakes import DentSource, SpeckledSource, record, small_sensor
 from window_driver import copied, drawn_points
 
-from bubbleviz.calibration import COLLECTED, LAG
 from bubbleviz.diagnostics import ShearEllipse
+from bubbleviz.recordings import LAG
 from bubbleviz.result import Slip, Traction
+from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.engine.solver_server import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products

@@ -12,7 +12,7 @@ from bubbleviz.result import Result
 from bubbleviz_ui.model.demand import Demand, ShearOptions
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import PassingTexture
+    from bubbleviz.shear import PassingTexture
 
 
 LONG = 3000
@@ -68,8 +68,8 @@ class ShearReference:
 
     def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
         # what shear needs takes long to load, and nobody else needs it
-        from bubbleviz.calibration import PassingTexture, watch_recorded_texture
-        from bubbleviz.shear import TractionOptions
+        from bubbleviz.calibration import find_contact_free
+        from bubbleviz.shear import PassingTexture, TractionOptions, watch_recorded_texture
 
         self._possible = pipeline.estimator.solver_name == RUBBER
         if not self._possible:
@@ -80,6 +80,12 @@ class ShearReference:
             return
         pipeline.watch_texture(None, options=TractionOptions(options.friction))
         try:
-            self.words = watch_recorded_texture(pipeline, source, options.friction, options.flow)
+            self.words = watch_recorded_texture(
+                pipeline,
+                source,
+                lambda: find_contact_free(source).frames,
+                options.friction,
+                options.flow,
+            )
         except InputError as error:
             self.words = f"Depth alone: {error}"

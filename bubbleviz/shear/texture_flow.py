@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from bubbleviz.calibration.contact_free import LAG
 from bubbleviz.camera import ColourCamera, DepthCamera, readable
 from bubbleviz.errors import InputError
-from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame, Recording, placed
+from bubbleviz.recordings import LAG, MIN_FRAMES, Frame, Recording, placed
 from bubbleviz.result import Result
-from bubbleviz.shear import TractionOptions
+from bubbleviz.shear.optical_flow import FlowField, FlowPreset, OpticalFlow
+from bubbleviz.shear.traction_estimator import TractionOptions
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from bubbleviz.shear import FlowField, FlowPreset, OpticalFlow
+    from bubbleviz.pipeline import Pipeline
 
 
 class TextureFlow:
@@ -150,8 +150,6 @@ class PassingTexture:
             images[oldest] = recent.pop(oldest)
 
     def _learn(self, images: dict[int, np.ndarray], colour: ColourCamera) -> None:
-        from bubbleviz.shear import OpticalFlow  # OpenCV, for shear alone
-
         delay_s = self._pipeline.model.sensor.camera.colour_delay_s
         said = f"{len(images)} images without contact{delay_text(delay_s)}"
         try:
@@ -169,18 +167,15 @@ class PassingTexture:
 
 
 def recorded_texture(
-    recording: Recording, preset: FlowPreset = "fast", colour_delay_s: float = 0.0
+    recording: Recording,
+    contact_free: Sequence[int],  # frames before the first contact
+    preset: FlowPreset = "fast",
+    colour_delay_s: float = 0.0,
 ) -> TextureFlow:
     """Learn reference and noise from the images before the first contact.
 
     Raises InputError: there are no colour images, or too few before the first contact.
     """
-    # OpenCV and the learning of rest: only where shear is asked for
-    from bubbleviz.calibration.contact_free import LAG, find_contact_free
-    from bubbleviz.recordings import MIN_FRAMES
-    from bubbleviz.shear import OpticalFlow
-
-    contact_free = find_contact_free(recording).frames
     times_s = (recording.times_s + colour_delay_s).tolist()
     found = {k: recording.colour_at(times_s[k]) for k in contact_free[:-LAG]}
     seen = readable({k: image for k, image in found.items() if image is not None})
@@ -198,6 +193,7 @@ def recorded_texture(
 def watch_recorded_texture(
     pipeline: Pipeline,
     recording: Recording,
+    contact_free: Callable[[], Sequence[int]],  # finds the frames before the first contact
     friction: float | None = None,
     preset: FlowPreset = "fast",
 ) -> str:
@@ -205,12 +201,12 @@ def watch_recorded_texture(
 
     Raises InputError: as of `recorded_texture`, `flow_camera` and `TextureFlow.watched_by`.
     """
-    from bubbleviz.shear import TractionOptions  # only for shear
-
     if recording.colour is None:
         raise InputError(f"{recording.path}: has no colour images; leave out --shear")
     options = TractionOptions(friction or None)
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
-    texture = recorded_texture(recording, preset, pipeline.model.sensor.camera.colour_delay_s)
+    texture = recorded_texture(
+        recording, contact_free(), preset, pipeline.model.sensor.camera.colour_delay_s
+    )
     texture.watched_by(pipeline, camera, options)
     return texture.remark
