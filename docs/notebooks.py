@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 DOCS = REPOSITORY / "docs"
 TUTORIALS = [page for page in sorted(DOCS.glob("tutorials/*.md")) if blocks(page, "python")]
+PICTURE = re.compile(r"!\[[^\]]*\]\([^)]*\)\n*")
 LINK_TO_A_PAGE = re.compile(r"\[([^\]]+)\]\((?!\w+://)[^)]*\)")
 """Leads nowhere from where a notebook is downloaded to; its words stay."""
 KERNEL = {
@@ -43,7 +44,7 @@ def notebook(page: Path) -> NotebookNode:
 def cells_of(part: str | Block) -> Iterator[NotebookNode]:
     """Cells of a part of a page: Python, commands that run here, and text."""
     if isinstance(part, str):
-        if text := LINK_TO_A_PAGE.sub(r"\1", part).strip():
+        if text := LINK_TO_A_PAGE.sub(r"\1", PICTURE.sub("", part)).strip():
             yield v4.new_markdown_cell(text)
     elif part.kind == "python":
         yield v4.new_code_cell(part.text.strip())
