@@ -199,6 +199,14 @@ def parse(command, words, parent=None):
         command.make_context(command.name, list(words), parent=parent)
 
 
+@pytest.mark.parametrize("page", pages_with("toml"), ids=name_of)
+def test_sensor_files_of_a_page_can_be_read(page, tmp_path):
+    for block in blocks(page, "toml"):
+        path = tmp_path / "sensor.toml"
+        path.write_text(block.text, encoding="utf-8")
+        assert load_sensor(path).name
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_block_says_what_it_is(page):
     assert not [f"{name_of(page)}:{b.line}" for b in blocks(page) if b.kind not in KINDS]
