@@ -1,4 +1,4 @@
-"""The command line: every command by name, loaded when it is asked for; errors on one line."""
+"""The command line: commands by name, loaded when used; errors on one line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WINDOW_GROUP = "bubbleviz.commands"
 """Entry points of the commands that the window brings."""
 WINDOW_COMMANDS = ("open", "window")
 MOVED = {"bench": "python -m benchmarks.window"}
-"""Commands of version 0.2 that a checkout has, and what does their work there."""
+"""Commands of version 0.2 that only a checkout has, and what replaces them there."""
 OTHER_NAMES = {"track": "pose"}
 """Commands under the name that their function has in Python."""
 WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
@@ -146,12 +146,12 @@ class AllCommands(OneLineErrors):
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(bubbleviz.__version__)
-@click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
+@click.option("--fresh", is_flag=True, help="Open the window without its last session.")
 @click.pass_context
 def main(context: click.Context, fresh: bool) -> Any:
     """Calibrate, watch and debug Soft-bubble tactile sensors.
 
-    Without a command: the window as it was left, at first on a live synthetic sensor.
+    Without a command the window opens with its last session, at first with a simulated sensor.
     """
     if context.invoked_subcommand is not None:
         context.default_map = {"open": {"fresh": fresh}}

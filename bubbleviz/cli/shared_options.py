@@ -1,4 +1,4 @@
-"""What several commands have: options, a progress bar, and how they end; heavy imports inside."""
+"""Options that several commands share, their progress bar and report; heavy imports inside."""
 
 from __future__ import annotations
 
@@ -18,61 +18,71 @@ if TYPE_CHECKING:
 _F = TypeVar("_F", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)
 former = partial(click.option, hidden=True)
-"""A name that an option had: the parameter, type and default of the present one, and no help."""
+"""A former name of an option, hidden: with parameter, type and default of the present one."""
 
 sensor_option = click.option(
-    "--sensor", default="auto", help="Sensor file, preset, or auto (default): the one that fits."
+    "--sensor",
+    default="auto",
+    help="Sensor file or preset; auto (default): the preset whose camera fits.",
 )
 solver_option = click.option(
     "--solver",
-    help="rubber: the exact membrane, default where the sensor has a prestretch; linear, and "
-    "paper, the paper's QP by OSQP: constant tension; rubber-base, linear-base: without the finer "
-    "mesh at the contact; fast: linear on a coarse mesh.",
+    help="rubber: exact membrane (default if the sensor file has a prestretch); linear: constant "
+    "tension (default otherwise); fast: linear on a coarse mesh; paper: the paper's QP by OSQP; "
+    "rubber-base, linear-base: without the finer mesh at the contact.",
 )
 friction_option = click.option(
     "--friction",
     metavar="MU",
     type=click.FloatRange(0.0),
-    help="Coefficient of friction to expect, 1 by default; 0: contacts have none. With --shear "
-    "it also bounds the shear.",
+    help="Expected coefficient of friction (default 1); 0: no friction.",
 )
 kappa_option = click.option(
-    "--kappa", type=float, help="Patch threshold over the mean contact pressure."
+    "--kappa",
+    type=float,
+    help="Threshold of the patch over the mean contact pressure; automatic by default.",
 )
-frames_option = click.option("--frames", help="A:B[:STEP], B left out; all by default.")
+frames_option = click.option(
+    "--frames", help="Frames A to B−1, as A:B or A:B:STEP; all by default."
+)
 zero_gas_option = click.option(
     "--zero-gas/--no-zero-gas",
     default=True,
-    help="Zero the gas pressure on contact-free frames (default), or believe it as it is.",
+    help="Shift the gas pressure by that of contact-free frames (default), or use it as recorded.",
 )
 shear_option = click.option(
-    "--shear", is_flag=True, help="Friction and slip, too, from the colour images."
+    "--shear",
+    is_flag=True,
+    help="Also estimate friction at every node, and slip, from colour images; --friction then "
+    "limits friction over pressure.",
 )
 colour_delay_option = click.option(
     "--colour-delay",
     "colour_delay_s",
     metavar="S",
     type=click.FloatRange(-MOST_COLOUR_DELAY_S, MOST_COLOUR_DELAY_S),
-    help="Stamp of a colour image minus that of the depth image of the same moment, s: negative "
-    "where colour leads depth. The sensor file's by default, else 0.",
+    help="Stamp of a colour image minus that of the depth image of the same moment, s; negative "
+    "where colour leads depth. By default that of the sensor file, else 0.",
 )
 source_option = click.option(
-    "--source", required=True, help="synthetic:, replay:REC, zenoh:, realsense:"
+    "--source",
+    required=True,
+    help="Live source: zenoh:[tcp/HOST:PORT], realsense:[SERIAL], replay:REC or synthetic:.",
 )
 duration_option = click.option(
     "--duration",
     "duration_s",
     type=click.FloatRange(0.0, min_open=True),
-    help="Seconds; or until ^C.",
+    help="Seconds; until ^C by default.",
 )
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing files.")
 json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print JSON, SI units, times in ms."
+    "--json", "as_json", is_flag=True, help="Print JSON: SI units, times in ms."
 )
 
 
 def out_option(says: str, *, required: bool = True) -> Callable[[_F], _F]:
-    """Where a command writes, and whether over what is there."""
+    """Options --out and --overwrite."""
 
     def both(function: _F) -> _F:
         return click.option("--out", required=required, type=PATH, help=says)(
@@ -83,21 +93,29 @@ def out_option(says: str, *, required: bool = True) -> Callable[[_F], _F]:
 
 
 def publish_options(command: _F) -> _F:
-    """Where to publish over Zenoh, and the files of its `Credentials`."""
+    """Options of publishing over Zenoh, with the files of its `Credentials`."""
     for name, metavar, says in (
-        ("login", "FILE", "File with user:password, to be let in by or to let in."),
+        ("login", "FILE", "File of lines user:password: those let in, or the one to connect with."),
         ("key", "FILE", "Private key of --cert."),
         ("cert", "FILE", "Own certificate, for tls/HOST:PORT."),
-        ("ca", "FILE", "Certificate of the authority of the other side's, for tls/HOST:PORT."),
+        (
+            "ca",
+            "FILE",
+            "Certificate of the authority that signed the other side's, for tls/HOST:PORT.",
+        ),
         ("connect", "ENDPOINT", "Publish through this router."),
-        ("listen", "ENDPOINT", "Publish here, where subscribers connect: tcp/127.0.0.1:7448"),
+        (
+            "listen",
+            "ENDPOINT",
+            "Publish here for subscribers that connect, such as tcp/127.0.0.1:7448.",
+        ),
     ):
         command = click.option(f"--{name}", metavar=metavar, help=says)(command)
     return command
 
 
 def check_new(*paths: Path | None, overwrite: bool) -> None:
-    """Refuse what could not be written, before anything is opened."""
+    """Refuse outputs that exist before anything is opened."""
     from bubbleviz.files import refuse_existing
 
     for path in filter(None, paths):
@@ -105,7 +123,7 @@ def check_new(*paths: Path | None, overwrite: bool) -> None:
 
 
 def report(done: Summary, *, as_json: bool) -> None:
-    """Print a summary and, on standard error, what it warns of."""
+    """Print a summary, and its warning on standard error."""
     click.echo(encodable(done.to_json() if as_json else done.to_text()))
     warning = getattr(done, "warning", None)
     if warning:

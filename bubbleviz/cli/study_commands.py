@@ -22,7 +22,7 @@ MOVED = {"identification": "coverage", "shear": "shear", "--edge": "edge", "--st
 
 
 class Studies(click.Group):
-    """Studies; one that is elsewhere now says so."""
+    """Studies; names of moved ones say where they are."""
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Command of a name.
@@ -51,7 +51,7 @@ def _elsewhere(option: str) -> Callable[..., Any]:
 
 @click.group(cls=Studies)
 def study() -> None:
-    """Measure error against run time, numerical stability, speed and pose."""
+    """Measure errors, speed and numerical stability."""
 
 
 sensor_option = click.option(
@@ -81,13 +81,13 @@ def run(study: Study, out: Path | None, as_json: bool) -> None:
 @report_options
 @sensor_option
 @seed_option
-@click.option("--shipped-only", is_flag=True, help="The whole grid, with the shipped default only.")
+@click.option("--shipped-only", is_flag=True, help="Only the default estimator, on the whole grid.")
 @click.option(
     "--model",
     type=click.Choice(("rubber", "linear")),
     default="rubber",
     show_default=True,
-    help="Membrane that makes the truth: the exact one, or the paper's linear one.",
+    help="Membrane of the ground truth: exact, or the paper's linear one.",
 )
 @_elsewhere("--edge")
 def accuracy(
@@ -99,10 +99,10 @@ def accuracy(
     shipped_only: bool,
     model: Model,
 ) -> None:
-    """Error of force, patch and shape of the exact, the linear and the paper's estimator.
+    """Measure the error of force, patch and shape.
 
-    Over press depth, run time, noise and membranes. With --out a stopped study goes on where it
-    was.
+    Of the exact, the linear and the paper's estimator, over press depth, run time, noise and
+    membranes. With --out a stopped study continues.
     """
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.accuracy import accuracy_study, full_grid, quick_grid
@@ -120,13 +120,13 @@ def accuracy(
 @click.option(
     "--recording",
     type=click.Path(exists=True, path_type=Path),
-    help="A real press to measure the exact and the linear membrane on, too.",
+    help="Also time the exact and the linear membrane on this real press.",
 )
 @_elsewhere("--stages")
 def speed(
     out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
 ) -> None:
-    """Time by stage, growth with nodes and pixels, memory, and the moving press."""
+    """Measure time by stage, growth with size, and memory."""
     from bubbleviz.recordings import checked_sensor
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.speed import contact_runs, full_runs, quick_runs, speed_study
@@ -140,9 +140,9 @@ def speed(
 
 @study.command()
 @report_options
-@click.option("--case", "pattern", default="", help="Only cases with this in their name.")
+@click.option("--case", "pattern", default="", help="Only cases whose name contains this text.")
 def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> None:
-    """Stiff and extreme cases: each solved within its tolerance, or refused with a reason."""
+    """Check that extreme cases are solved, or refused with a reason."""
     from bubbleviz.study.stability import stability_study
 
     run(stability_study(pattern, quick=quick), out, as_json)
@@ -153,7 +153,7 @@ def stability(out: Path | None, as_json: bool, quick: bool, pattern: str) -> Non
 @sensor_option
 @seed_option
 def pose(out: Path | None, as_json: bool, quick: bool, sensor: str, seed: int) -> None:
-    """Pose error against run time, on rubber pressed by the exact model."""
+    """Measure pose errors and run time, on simulated rubber."""
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.pose import Grid, pose_study, quick_grid
 

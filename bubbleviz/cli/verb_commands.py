@@ -1,6 +1,6 @@
-"""The verbs of the library as commands, each with its function's options; heavy imports inside.
+"""Functions of `bubbleviz.api` as commands, with the same options; heavy imports inside.
 
-An option has the name of the function's parameter, without the unit where that is a plain SI unit.
+An option has the name of the parameter, without a plain SI unit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ option = click.option
 _number = partial(click.option, type=float, default=0.0)
 _recording = click.argument("recording", metavar="REC", type=PATH)
 _simulated = click.option(
-    "--sensor", default="auto", help="Sensor that synthetic: simulates; auto: the built-in one."
+    "--sensor",
+    default="auto",
+    help="Sensor that synthetic: simulates; auto (default): the built-in one.",
 )
 
 
@@ -46,52 +48,56 @@ _simulated = click.option(
 @_recording
 @json_option
 def info(recording: Path, as_json: bool) -> None:
-    """Show topics, frames, rate, duration, size and gaps of a recording."""
+    """List topics, frames, rate and gaps of a recording."""
     report(bv.info(recording), as_json=as_json)
 
 
 @click.command()
 @json_option
 def presets(as_json: bool) -> None:
-    """The sensors and objects that come with bubbleviz."""
+    """List the sensors and objects that come with bubbleviz."""
     report(bv.presets(), as_json=as_json)
 
 
 @click.command()
 @json_option
 def doctor(as_json: bool) -> None:
-    """Versions, libraries, OpenGL and cameras of this machine, for a bug report."""
+    """List versions, libraries, OpenGL and cameras, for bug reports."""
     report(bv.doctor(), as_json=as_json)
 
 
 @click.command()
-@option("--sensor", required=True, help="Sensor file or preset; no images tell which to simulate.")
-@option("--object", required=True, help="Object mesh or preset.")
-@option("--pose", help='T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
-@option("--path", "path_file", type=PATH, help="CSV of poses instead.")
-@option("--frames", type=click.IntRange(1), default=1, help="Frames at --pose.")
+@option("--sensor", required=True, help="Sensor file or preset.")
+@option("--object", required=True, help="Mesh file or preset of the object.")
+@option("--pose", help='Pose T_B_O of the object, "x y z qx qy qz qw" (m, unit quaternion).')
+@option("--path", "path_file", type=PATH, help="CSV with a pose for each frame, instead of --pose.")
+@option("--frames", type=click.IntRange(1), default=1, help="Number of frames at --pose.")
 @option(
-    "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames a second."
+    "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames per second."
 )
 @_number("--noise-sigma", "noise_sigma_m", help="σ of range, m.")
 @_number("--noise-relative", help="σ of range over range.")
-@_number("--noise-correlation", "noise_correlation_px", help="1/e distance of noise, pixels.")
+@_number(
+    "--noise-correlation",
+    "noise_correlation_px",
+    help="1/e distance of the noise's correlation, pixels.",
+)
 @_number("--holes", help="Fraction of pixels without a return.")
-@_number("--outliers", help="Fraction of pixels far off.")
+@_number("--outliers", help="Fraction of pixels with a grossly wrong depth.")
 @option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
 @option(
     "--model",
     type=click.Choice(["rubber", "linear"]),
-    help="The exact membrane (default where the sensor has a prestretch), or the linear one.",
+    help="Exact membrane (default if the sensor file has a prestretch) or linear one.",
 )
-@_number("--friction", metavar="MU", help="Coulomb's coefficient.")
-@_number("--drag-m", metavar="M", help="Then along x of B, m.")
-@_number("--twist-rad", metavar="RAD", help="Then about its z axis, rad.")
+@_number("--friction", metavar="MU", help="Coefficient of friction; needs the exact membrane.")
+@_number("--drag-m", metavar="M", help="After the press, drag the object along x of B, m.")
+@_number("--twist-rad", metavar="RAD", help="After the drag, twist it about its z axis, rad.")
 @_number("--drag", "drag_mm", hidden=True)
 @_number("--twist", "twist_deg", hidden=True)
-@option("--texture", is_flag=True, help="Print a speckle on the membrane: colour images.")
-@out_option("REC.mcap.")
-@option("--truth", type=PATH, help="TRUTH.npz.")
+@option("--texture", is_flag=True, help="Speckle on the membrane, and colour images of it.")
+@out_option("Recording, REC.mcap.")
+@option("--truth", type=PATH, help="Ground truth, TRUTH.npz.")
 def simulate(
     sensor: str,
     object: str,
@@ -104,7 +110,7 @@ def simulate(
     twist_deg: float,
     **options: Any,
 ) -> None:
-    """Record a rigid object pressed into a simulated sensor."""
+    """Simulate a rigid object pressed into a sensor."""
     where = path_file or pose
     if where is None:
         raise click.UsageError("give --pose, or --path for a pose in every frame")
@@ -123,8 +129,8 @@ def simulate(
 @kappa_option
 @solver_option
 @frames_option
-@out_option("RESULT.npz.")
-@option("--csv", type=PATH, help="RESULT.csv.")
+@out_option("Results of all frames, RESULT.npz.")
+@option("--csv", type=PATH, help="Table with one row a frame, RESULT.csv.")
 @zero_gas_option
 @former("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
@@ -134,7 +140,7 @@ def simulate(
 def estimate(
     recording: Path, sensor: str, frames: str | None, as_json: bool, **options: Any
 ) -> None:
-    """Contact pressure, patch and force of every frame of a recording."""
+    """Estimate contact pressure, patch and force in every frame."""
     _check_shear(options)
     check_new(options["out"], options["csv"], overwrite=options["overwrite"])
     with bv.open(recording, frames) as chosen, Bar() as bar:
@@ -145,22 +151,26 @@ def estimate(
 @click.command()
 @_recording
 @sensor_option
-@option("--object", required=True, help="Object mesh or preset.")
-@option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the object's file.")
-@option("--init", help='T_B_O in the first frame as "x y z qx qy qz qw"; else searched for.')
+@option("--object", required=True, help="Mesh file or preset of the object.")
+@option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the mesh file.")
+@option(
+    "--init", help='Pose T_B_O in the first frame, "x y z qx qy qz qw"; searched for by default.'
+)
 @solver_option
 @friction_option
 @zero_gas_option
 @frames_option
 @option(
-    "--object-patch", is_flag=True, help="The contact patch by the object's surface, too: its area."
+    "--object-patch",
+    is_flag=True,
+    help="Also the area of the patch where the object at its pose touches.",
 )
-@out_option("POSES.csv.")
+@out_option("Poses, POSES.csv.")
 @json_option
 def pose(
     recording: Path, sensor: str, object: str, frames: str | None, as_json: bool, **options: Any
 ) -> None:
-    """Where a known object is in every frame of a recording."""
+    """Find the pose of a known object in every frame."""
     check_new(options["out"], overwrite=options["overwrite"])
     with bv.open(recording, frames) as chosen, Bar() as bar:
         done = bv.track(chosen, object, sensor, progress=bar, **options)
@@ -174,11 +184,11 @@ def pose(
 @option(
     "--what",
     default="",
-    help="Into a folder, with commas: table, parquet, plots, vtk (ParaView), ply, patch (points "
-    "with pressure), depth, pressure (pictures; png for both).",
+    help="Files for the folder, separated by commas: table, parquet, plots, vtk (ParaView), ply, "
+    "patch (points with pressure), depth, pressure (pictures; png for both).",
 )
 @frames_option
-@option("--poses", type=PATH, help="POSES.csv to join to the table.")
+@option("--poses", type=PATH, help="POSES.csv to add to the table.")
 @kappa_option
 @solver_option
 @friction_option
@@ -186,9 +196,9 @@ def pose(
 def export(
     recording: Path, out: Path, sensor: str, frames: str | None, as_json: bool, **options: Any
 ) -> None:
-    """Tables, ParaView and PLY series, patch clouds, pictures and plots of a recording.
+    """Write tables, plots, meshes, points or pictures of a recording.
 
-    Only what the chosen files need is computed: depth pictures solve nothing.
+    Only what the chosen files need is computed.
     """
     check_new(out, overwrite=options["overwrite"])
     with bv.open(recording, frames) as chosen, Bar() as bar:
@@ -202,30 +212,32 @@ def export(
 @option(
     "--intrinsics",
     type=PATH,
-    help="TOML or JSON with width, height, fx, fy, cx, cy, distortion_model and distortion, or a "
-    "sensor file; by default intrinsics.toml or .json in the folder.",
+    help="Sensor file, or TOML or JSON with width, height, fx, fy, cx, cy, distortion_model and "
+    "distortion; by default intrinsics.toml or .json in the folder.",
 )
-@option("--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), help="Images a second.")
+@option("--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), help="Images per second.")
 @option(
     "--times",
     type=PATH,
-    help="CSV with a time in s for each image; by default times.csv in the folder, or the names.",
+    help="CSV with a time in s for each image; by default times.csv in the folder, or the file "
+    "names.",
 )
-@option("--gas-pressure", type=PATH, help="CSV of time in s and absolute gas pressure in Pa.")
+@option("--gas-pressure", type=PATH, help="CSV of time in s, absolute gas pressure in Pa.")
 @former("--pressure", "gas_pressure", type=PATH)
 @option("--wrench", type=PATH, help="CSV of time in s, forces x y z in N, torques in N·m.")
 @option(
     "--metres-per-unit",
     type=click.FloatRange(0.0, min_open=True),
-    help="Of the images' values; 0.001 for whole numbers, 1 for others by default.",
+    help="Unit of depth in the images, m; by default 0.001 for whole numbers, 1 for others.",
 )
-@option("--overwrite", is_flag=True, help="Replace what exists.")
+@option("--overwrite", is_flag=True, help="Replace existing files.")
 @json_option
 def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
-    """Make a recording of a folder of depth images, a ROS 1 .bag or a rosbag2 .db3.
+    """Convert depth images or another recording to MCAP.
 
-    Images are .npy, 16-bit .png or .tif, in the order of the numbers in their names. Depth,
-    camera info, gas pressure and wrench of a bag are kept, the latter at the frames' times.
+    IN is a folder of depth images (.npy, 16-bit .png or .tif, in the order of the numbers in their
+    names), a ROS 1 or RealSense .bag, or a rosbag2 .db3. Depth, colour, camera info, gas pressure
+    and wrench are kept, the last two at the times of the frames.
     """
     with Bar() as bar:
         done = bv.convert(source, out, progress=bar, **options)
@@ -234,24 +246,22 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
 
 @click.command()
 @_recording
-@option(
-    "--sensor", required=True, help="Sensor file or preset to start from; images do not tell it."
-)
-@option("--contact-free", metavar="A:B", help="Frames A to B−1; found where not given.")
-@out_option("SENSOR.toml.")
-@option("--report", "report_folder", type=PATH, help="New folder for HTML and JSON.")
+@option("--sensor", required=True, help="Sensor file or preset to start from.")
+@option("--contact-free", metavar="A:B", help="Frames A to B−1 without contact; found by default.")
+@out_option("Sensor file, SENSOR.toml.")
+@option("--report", "report_folder", type=PATH, help="New folder for the report, HTML and JSON.")
 @option(
     "--surface",
     type=click.Choice(["sphere", "ellipsoid", "free-form"]),
-    help="In place of the data's choice.",
+    help="Shape of the membrane; the one that fits best by default.",
 )
-@option("--nodes", type=click.IntRange(30, 20_000), default=1000, help="Of the mesh.")
+@option("--nodes", type=click.IntRange(30, 20_000), default=1000, help="Nodes of the mesh.")
 @option(
     "--level",
     "levels",
     multiple=True,
     type=PATH,
-    help="Recording of the untouched sensor at another inflation level; several rectify better.",
+    help="Recording of the untouched sensor at another inflation level; may be given repeatedly.",
 )
 @option(
     "--level-sigma",
@@ -262,25 +272,26 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
 @option(
     "--vented",
     type=PATH,
-    help="Recording of the open chamber: its gas pressure is the atmospheric one.",
+    help="Recording with the chamber open to the air, for the atmospheric pressure.",
 )
 @option(
     "--held-press/--no-held-press",
     default=True,
-    help="Let a held press in REC tell λ and gauge pressure where no level does (default).",
+    help="Without levels, find λ and gauge pressure from a press held in REC (default).",
 )
 @former("--press/--no-press", "held_press", default=True)
-@option("--object", help="Known object in REC to validate by: mesh file or preset.")
-@option("--pose", help='Its T_B_O as "x y z qx qy qz qw" (m, unit quaternion).')
-@option("--pressed", metavar="A:B", help="Frames A to B−1 in which it is held still.")
+@option("--object", help="Known object pressed in REC, to validate by: mesh file or preset.")
+@option("--pose", help='Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).')
+@option("--pressed", metavar="A:B", help="Frames A to B−1 in which the object is held still.")
 @json_option
 def identify(
     recording: Path, sensor: str, report_folder: Path | None, as_json: bool, **options: Any
 ) -> None:
-    """Identify γ0, reference surface and pixels of an untouched sensor.
+    """Make a sensor file from contact-free frames.
 
-    Inflation levels with their gas pressures give λ and the gauge pressure, too; so does, less
-    precisely, a press in REC that is held.
+    Finds the shape at rest, the tension γ0 and the error of each pixel. Inflation levels with gas
+    pressures also give the pre-stretch λ and the gauge pressure; so does, less precisely, a press
+    that is held in REC.
     """
     with bv.open(recording) as frames, Bar() as bar:
         done = bv.identify(frames, sensor, report=report_folder, progress=bar, **options)
@@ -290,12 +301,13 @@ def identify(
 @click.command()
 @_recording
 @sensor_option
-@option("--contact-free", metavar="A:B", help="Frames A to B−1; found where not given.")
+@option("--contact-free", metavar="A:B", help="Frames A to B−1 without contact; found by default.")
 @json_option
 def check(recording: Path, sensor: str, contact_free: str | None, as_json: bool) -> None:
-    """Tell whether contact-free frames of REC still fit the sensor file.
+    """Check whether the sensor file still fits.
 
-    fits, drifted (by how much, in N too), or another membrane or camera; and what to do.
+    Compares contact-free frames of REC with the sensor file. The answer is fits, drifted (by how
+    many mm and N), or another membrane or camera, with what to do.
     """
     with bv.open(recording) as frames, Bar() as bar:
         done = bv.check(frames, sensor, contact_free=contact_free, progress=bar)
@@ -305,16 +317,22 @@ def check(recording: Path, sensor: str, contact_free: str | None, as_json: bool)
 @click.command()
 @_recording
 @sensor_option
-@option("--wrench", metavar="TOPIC", help="Topic of the wrenches; the nearest by name.")
+@option(
+    "--wrench",
+    metavar="TOPIC",
+    help="Topic of the wrench sensor; by default the one nearest by name.",
+)
 @solver_option
 @friction_option
 @zero_gas_option
-@out_option("PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder.", required=False)
+@out_option(
+    "PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.", required=False
+)
 @json_option
 def validate(recording: Path, sensor: str, as_json: bool, **options: Any) -> None:
-    """Compare the estimated force with that of a wrench sensor.
+    """Compare the estimated force with a wrench sensor.
 
-    Bias, gain, rotation, delay and hysteresis with 95 % intervals; nothing is applied.
+    Reports bias, gain, rotation, delay and hysteresis with 95 % intervals. None is applied.
     """
     with Bar() as bar:
         done = bv.validate(recording, sensor, progress=bar, **options)
@@ -324,10 +342,18 @@ def validate(recording: Path, sensor: str, as_json: bool, **options: Any) -> Non
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=PATH)
 @sensor_option
-@out_option("New folder.")
-@option("--jobs", type=click.IntRange(1, 1024), help="Processes; one a processor if left.")
+@out_option("New folder for the results.")
+@option(
+    "--jobs",
+    type=click.IntRange(1, 1024),
+    help="Number of processes; one per processor by default.",
+)
 @option("--scheduler", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://10.0.0.5:8786.")
-@option("--resume", is_flag=True, help="Go on in OUT; keep what is up to date.")
+@option(
+    "--resume",
+    is_flag=True,
+    help="Continue in an existing folder; keep results that are up to date.",
+)
 @kappa_option
 @solver_option
 @friction_option
@@ -335,9 +361,10 @@ def validate(recording: Path, sensor: str, as_json: bool, **options: Any) -> Non
 @frames_option
 @json_option
 def batch(folder: Path, out: Path, sensor: str, as_json: bool, **options: Any) -> None:
-    """Estimate every recording below FOLDER, in parallel; OUT/summary.csv compares them.
+    """Estimate all recordings below a folder, in parallel.
 
-    A recording that fails does not stop the others; the exit code then is 2 (bad input) or 1.
+    OUT/summary.csv compares them. A recording that fails does not stop the others; the exit code
+    then is 2 (bad input) or 1.
     """
     with Bar() as bar:
         done = bv.batch(folder, out, sensor, progress=bar, **options)
@@ -347,15 +374,14 @@ def batch(folder: Path, out: Path, sensor: str, as_json: bool, **options: Any) -
 
 @click.command()
 @source_option
-@out_option("REC.mcap or a folder.")
+@out_option("Recording: REC.mcap, or a folder (rosbag2).")
 @duration_option
 @_simulated
 @json_option
 def record(source: str, out: Path, as_json: bool, **options: Any) -> None:
     """Record every message of a live source.
 
-    ^C ends the recording; the file is whole. Should the machine stop, it opens up to the last
-    second.
+    ^C ends the recording. After a crash it opens up to the last second.
     """
     report(bv.record(source, out, **options), as_json=as_json)
 
@@ -366,10 +392,10 @@ def record(source: str, out: Path, as_json: bool, **options: Any) -> None:
 @publish_options
 @former("--publish", "listen")
 @former("--publish-to", "connect")
-@out_option("Record messages and results.", required=False)
+@out_option("Recording of messages and results.", required=False)
 @duration_option
 @solver_option
-@option("--object", help="Object to track: a mesh or a preset.")
+@option("--object", help="Object to track: mesh file or preset.")
 @zero_gas_option
 @former("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
@@ -377,9 +403,10 @@ def record(source: str, out: Path, as_json: bool, **options: Any) -> None:
 @colour_delay_option
 @json_option
 def watch(source: str, sensor: str, as_json: bool, **options: Any) -> None:
-    """Solve a live source without a window, and publish or record the results.
+    """Estimate a live source without a window; publish or record.
 
-    Shear is measured against the first colour images without contact: touch nothing at the start.
+    With --shear touch nothing at the start: it is measured against the first colour images without
+    contact.
     """
     _check_shear(options)
     report(bv.watch(source, sensor, **options), as_json=as_json)
@@ -388,20 +415,27 @@ def watch(source: str, sensor: str, as_json: bool, **options: Any) -> None:
 @click.command()
 @source_option
 @publish_options
-@option("--layout", type=click.Choice(["rmw", "dds"]), default="rmw", help="Names of keys.")
+@option(
+    "--layout",
+    type=click.Choice(["rmw", "dds"]),
+    default="rmw",
+    help="Names of Zenoh keys: as rmw_zenoh (default) or the DDS bridge.",
+)
 @option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
 @duration_option
-@option("--wait", is_flag=True, help="Start when somebody subscribes.")
+@option("--wait", is_flag=True, help="Start when a subscriber connects.")
 @_simulated
 @json_option
 def publish(source: str, as_json: bool, **options: Any) -> None:
-    """Publish a source over Zenoh, as a robot's ROS 2 nodes would.
+    """Publish a source over Zenoh, as ROS 2 nodes would.
 
-    By default subscribers of this computer connect, at tcp/127.0.0.1:7447.
+    By default for subscribers on this computer, at tcp/127.0.0.1:7447.
     """
     report(bv.publish(source, **options), as_json=as_json)
 
 
 def _check_shear(options: dict[str, Any]) -> None:
     if options["colour_delay_s"] is not None and not options["shear"]:
-        raise click.UsageError("--colour-delay is of the images that --shear takes; give it, too")
+        raise click.UsageError(
+            "--colour-delay needs --shear, which uses the colour images; give both"
+        )

@@ -122,7 +122,7 @@ def test_without_colour_it_is_depth_alone_and_says_so():
     ("options", "said"),
     [
         (["--friction", "-0.5"], "--friction"),
-        (["--colour-delay", "-0.05"], "--colour-delay is of the images that --shear takes"),
+        (["--colour-delay", "-0.05"], "--colour-delay needs --shear"),
         (["--shear"], "shear takes the exact membrane; choose --solver rubber"),
     ],
 )
