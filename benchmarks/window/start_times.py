@@ -18,7 +18,7 @@ from benchmarks.window.first_picture import FIRST
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.engine.requests import Failed
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.window_session import WindowSession
 
 CHILD = (

@@ -87,8 +87,8 @@ class LiveStream:
         self._assembler = assembler or FrameAssembler()
         self._newest: Frame | None = None  # not taken yet; a newer one replaces it
         self._skipped = 0  # frames that were replaced so
-        self._stopped = self._woken = False
-        self._changed = threading.Condition()  # of these four
+        self._stopped = False
+        self._changed = threading.Condition()  # of these three
         self._lock = threading.Lock()  # held while images are decoded
         self._listeners: tuple[Listener, ...] = ()
         self._colour_followers: set[object] = set()
@@ -162,24 +162,14 @@ class LiveStream:
                 frame = self._take(0.0)
             if frame is not None:
                 return frame
-            with self._changed:
-                woken, self._woken = self._woken, False
-            if woken or ended or time.monotonic() >= deadline:
+            if ended or time.monotonic() >= deadline:
                 return None
 
     def _take(self, timeout_s: float) -> Frame | None:
         with self._changed:
-            self._changed.wait_for(
-                lambda: self._newest is not None or self._stopped or self._woken, timeout_s
-            )
+            self._changed.wait_for(lambda: self._newest is not None or self._stopped, timeout_s)
             frame, self._newest = self._newest, None
             return frame
-
-    def wake(self) -> None:
-        """Have who waits in `take`, or will next, wait no longer."""
-        with self._changed:
-            self._woken = True
-            self._changed.notify_all()
 
     def status(self) -> Status:
         last = self._last_frame_ns

@@ -129,15 +129,6 @@ def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor):
         assert stream.take(30.0) is not None
 
 
-def test_who_waits_for_a_frame_is_called_off(small_sensor):
-    stream, taken = open_stream("zenoh:tcp/127.0.0.1:1", small_sensor), list[object]()
-    waiting = threading.Thread(target=lambda: taken.append(stream.take(1e6)), daemon=True)
-    waiting.start()
-    stream.wake()
-    waiting.join(240.0)
-    assert taken == [None]
-
-
 def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(recording, eventually):
     got: list[Message] = []
     source = Replay(recording, speed=2.0)

@@ -14,8 +14,7 @@ from window_driver import Driver
 
 from bubbleviz.simulation import default_press
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver_server import CachedSource, Server
-from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.solver import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
@@ -49,12 +48,11 @@ def new_window(qtbot, qapp):
     windows: list[MainWindow] = []
 
     def make(quality=FAST):
-        server = Server()
-        controller = Controller(SessionState(), Worker(server))
+        controller = Controller(SessionState())
         window = MainWindow(controller.state, controller, quality)
         window.resize(*SIZE)
         windows.append(window)
-        return window, server
+        return window
 
     yield make
     while windows:
@@ -69,7 +67,7 @@ def drive(qtbot, new_window, sensor, press):
     """Open windows: `drive(open_source=…, frame=…, playing=…, live=…, quality=…)`."""
 
     def make(open_source=lambda _: press, sensor=sensor, quality=FAST, **at):
-        driver = Driver(qtbot, *new_window(quality))
+        driver = Driver(qtbot, new_window(quality))
         playing = at.setdefault("playing", False)
         driver.opens("press", open_source, sensor, **at)
         driver.window.show()
@@ -85,7 +83,7 @@ def open_bench(qtbot, new_window, tmp_path):
     """Open windows for live sources, on which nothing is open yet."""
 
     def make():
-        bench = Bench(qtbot, *new_window(), tmp_path)
+        bench = Bench(qtbot, new_window(), tmp_path)
         bench.window.show()
         return bench
 

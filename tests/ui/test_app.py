@@ -16,7 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screenshot
-from bubbleviz_ui.engine.solver_server import recording
+from bubbleviz_ui.engine.solver import recording
 from bubbleviz_ui.shell.display import has_display
 from bubbleviz_ui.window_session import window_session
 

@@ -25,7 +25,6 @@ from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.inverse import mean_pressure
-from bubbleviz_ui.engine.solver_server import Server
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.sensor_layers import CORNER
@@ -46,16 +45,18 @@ class Driver:
 
     bot: QtBot
     window: MainWindow
-    server: Server
 
     @property
     def state(self):
         return self.window.state
 
     @property
+    def solver(self):
+        return self.window.controller.client.solver
+
+    @property
     def pipeline(self):
-        assert self.server.session is not None
-        return self.server.session.pipeline
+        return self.solver.session.pipeline
 
     @property
     def result(self):

@@ -26,8 +26,9 @@ from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Jobs
-from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
+from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.upkeep import MemoryRelease
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import LiveBar, PictureAge
@@ -520,7 +521,7 @@ class MainWindow(QMainWindow):
 
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, ""
-        if isinstance(failed.request, OpenRequest):
+        if failed.key == "open":
             message, topic = f"{message.rstrip('.')}. What was open stays.", OPENING
         elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
             self.state.set_playing(False)

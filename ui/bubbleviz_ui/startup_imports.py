@@ -34,6 +34,6 @@ def import_the_window() -> None:
         # First what knows no Qt: PySide6 reads the source of every module that is imported after it
         import pyvista.plotting  # noqa: F401
 
-        import bubbleviz_ui.engine.solver_server
+        import bubbleviz_ui.engine.solver
         import bubbleviz_ui.main_window  # noqa: F401
     linecache.clearcache()  # the sources it read, tens of MB

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
     from bubbleviz.live import SessionPreset
-    from bubbleviz_ui.engine.requests import Failed, Opened
+    from bubbleviz_ui.engine.solver import Opened
+    from bubbleviz_ui.engine.worker import Failed
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.session_files.session_file import SavedSession
 
@@ -42,7 +43,6 @@ class WindowSession:
         self.interrupt = Interrupt()
         import_the_window()
         from bubbleviz_ui.engine.controller import Controller
-        from bubbleviz_ui.engine.solver_thread import Worker
         from bubbleviz_ui.main_window import MainWindow
         from bubbleviz_ui.model.session_state import SessionState
         from bubbleviz_ui.view3d.render_view import quality_here
@@ -51,7 +51,7 @@ class WindowSession:
         quality = quality_here()
         self.interrupt.end(self.application)
         self.state = state = SessionState()
-        self.controller = Controller(state, Worker())
+        self.controller = Controller(state)
         # The window first: VTK and Open3D share modules, and two threads that import them at the
         # same time can lock each other out.
         self.window = MainWindow(state, self.controller, quality)
@@ -98,8 +98,8 @@ class WindowSession:
     def _open(
         self, sensor: Sensor, recording: Path | None, frame: int | None, truth: Path | None
     ) -> None:
-        from bubbleviz_ui.engine.requests import Failed
-        from bubbleviz_ui.engine.solver_server import recording as recording_opener, synthetic
+        from bubbleviz_ui.engine.solver import recording as recording_opener, synthetic
+        from bubbleviz_ui.engine.worker import Failed
 
         self._answers.clear()
         self.controller.opening.open(
@@ -119,7 +119,7 @@ class WindowSession:
 
     def _connect(self, live: SessionPreset) -> None:
         """Connect; a source that is not there yet is waited for in the window."""
-        from bubbleviz_ui.engine.requests import Failed
+        from bubbleviz_ui.engine.worker import Failed
 
         live_controller, problems = self.window.live_controller, list[str]()
         live_controller.said.connect(lambda said: problems.append(said.text))
@@ -151,7 +151,7 @@ class WindowSession:
 
     def _came_back(self, asked: bool) -> bool:
         """Whether a session's source, where one was asked for, is open now."""
-        from bubbleviz_ui.engine.requests import Opened
+        from bubbleviz_ui.engine.solver import Opened
 
         if asked:
             self.wait_for(lambda: bool(self._answers), "opening")

@@ -13,7 +13,7 @@ class Bench(Driver):
     """The window with its γ0 panel open, and what a person does with it."""
 
     def __init__(self, driver):
-        super().__init__(driver.bot, driver.window, driver.server)
+        super().__init__(driver.bot, driver.window)
         self.window.use_scene(load_scene("calibrate"))
         self.settle()
 

@@ -11,7 +11,7 @@ from window_driver import CTRL
 
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.calibration import report_page
-from bubbleviz_ui.engine.solver_server import recording
+from bubbleviz_ui.engine.solver import recording
 
 
 @pytest.fixture

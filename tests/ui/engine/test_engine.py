@@ -17,24 +17,12 @@ from window_driver import PATIENCE_MS, run_python
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import mesh_cap, spherical_cap
+from bubbleviz.progress import Cancelled
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.requests import (
-    Answer,
-    Failed,
-    FrameRequest,
-    NewestRequest,
-    Opened,
-    OpenRequest,
-    PatchRequest,
-    Request,
-    RequestSlots,
-    SettleRequest,
-    Solved,
-)
-from bubbleviz_ui.engine.solver_server import KeptEstimates, Server
-from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.solver import KeptEstimates, OpenRequest, Solver
 from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
+from bubbleviz_ui.engine.worker import Deferred, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -166,85 +154,122 @@ def test_jobs_that_end_after_their_window_do_no_harm(qtbot):
 # -- the solver's thread ------------------------------------------------------------------------
 
 
-class Held(Server):
-    """Serves nothing until it is let go."""
-
-    def __init__(self):
-        super().__init__()
-        self.begun, self.go, self.ended = Event(), Event(), Event()
-        self.served: list[Request] = []
-
-    def serve(self, request):
-        self.begun.set()
-        self.go.wait(240.0)
-        self.served.append(request)
-        return Failed(request, "held", "")
-
-    def close(self):
-        super().close()
-        self.ended.set()
+@pytest.fixture
+def worker(qtbot):
+    made = Worker()
+    yield made
+    made.close(60.0)
 
 
-def test_frames_asked_for_meanwhile_are_dropped(wait):
-    server, answers = Held(), list[Answer]()
-    worker = Worker(server)
-    worker.answered.connect(answers.append)
-    worker.ask(FrameRequest(1, Demand(frozenset()), 1))
-    assert server.begun.wait(240.0)
-    for number in range(2, 6):
-        worker.ask(FrameRequest(1, Demand(frozenset()), number))
-    server.go.set()
-    wait(lambda: len(answers) == 2)
-    assert [r.index for r in server.served if isinstance(r, FrameRequest)] == [1, 5]
-    assert worker.dropped == 3
-    worker.close()
+def opened(wait, worker):
+    """Wait until what was submitted to open something has been delivered."""
+    done = []
+    worker.submit("open", lambda: None, done.append)
+    wait(lambda: bool(done))
 
 
-def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(sensor):
-    server = Held()
-    worker = Worker(server)
-    worker.ask(OpenRequest(1, "dent", DentSource, lambda: sensor, 0, Demand(frozenset())))
-    assert server.begun.wait(240.0)
-    worker.close(timeout_s=0.0)
-    assert not server.ended.is_set()
-    server.go.set()
-    worker.wait(240.0)
-    assert server.ended.is_set()
+def holding(worker, key="follow"):
+    """Have the worker wait until the event is set; submitted so, others wait behind it."""
+    begun, go_on = Event(), Event()
+    worker.submit(key, lambda: (begun.set(), go_on.wait(240.0)), lambda _: None)
+    assert begun.wait(240.0)
+    return go_on
 
 
-def test_one_request_a_kind_waits_and_none_for_what_is_not_due(sensor):
+def test_the_latest_of_each_key_runs_the_most_urgent_first(wait, worker):
+    opened(wait, worker)
+    go_on, came = holding(worker), []
+    worker.submit("settle", lambda: "left", came.append)
+    for number in range(4):
+        worker.submit("frame", lambda number=number: number, came.append)
+    worker.submit("settle", lambda: "settled", came.append)
+    worker.submit("patch", lambda: "patch", came.append)
+    assert worker.urgent("frame") and not worker.urgent("patch")
+    go_on.set()
+    wait(lambda: len(came) == 3)
+    assert came == ["patch", 3, "settled"] and worker.dropped == 3
+    go_on = holding(worker)
+    worker.submit("settle", lambda: "left", came.append)
+    worker.submit("frame", lambda: 4, came.append)  # the user has left that frame
+    worker.submit("analyse", lambda: "last", came.append)
+    go_on.set()
+    wait(lambda: came[-1] == "last")
+    assert came[3:] == [4, "last"]
+
+
+def test_what_is_not_due_or_deferred_lets_others_go_first(wait, worker):
     """A drag of κ is answered although the next live frame is not to be taken yet."""
-    slots, server, demand = RequestSlots(), Server(), Demand(frozenset({"cloud"}))
-    opening = OpenRequest(1, "dent", DentSource, lambda: sensor, 99, demand)
-    opened = server.serve(opening)
-    assert isinstance(opened, Opened) and opened.frame == opened.facts.frames - 1
-    first, last = (FrameRequest(1, demand, index) for index in (1, 3))
-    assert slots.put(first) is None
-    assert slots.put(last) == first
-    slots.put(opening)
-    assert (slots.take(), slots.take()) == (opening, last)
-    later = NewestRequest(1, demand, time.perf_counter() + 1e6)
-    now, patch = replace(later, from_s=0.0), PatchRequest(1, demand, opened.result)
-    slots.put(later)
-    slots.put(SettleRequest(1, demand, 2))
-    taken: list[Request | None] = []
-    taker = threading.Thread(target=lambda: taken.extend(slots.take() for _ in range(3)))
-    taker.start()
-    slots.put(patch)
-    slots.put(now)
-    taker.join(240.0)
-    assert taken == [patch, now, SettleRequest(1, demand, 2)]
-    left, settling = RequestSlots(), SettleRequest(1, demand, 2)
-    left.put(settling)
-    left.put(last)  # another frame: what was left is not settled any more
-    assert left.take() == last
-    left.close()
-    assert left.take() is None
-    # what is asked of a source that is not open any more is not served
-    assert isinstance(server.serve(last), Solved)
-    server.serve(replace(opening, session=2))
-    assert server.serve(last) is None
-    server.close()
+    opened(wait, worker)
+    came, calls = [], []
+    worker.submit("newest", lambda: None, came.append, due_s=time.perf_counter() + 1e6)
+    worker.submit("patch", lambda: "patch", came.append)
+    wait(lambda: came == ["patch"])
+
+    def newest():
+        calls.append(worker.urgent("newest"))
+        if len(calls) == 1:
+            worker.submit("patch", lambda: "patch again", came.append)
+            raise Deferred
+        return "newest"
+
+    worker.submit("newest", newest, came.append)
+    wait(lambda: len(came) == 3)
+    assert came[1:] == ["patch again", "newest"] and calls == [False, False]
+
+
+def test_what_was_meant_for_another_source_does_not_run(wait, worker):
+    came = []
+    worker.submit("frame", lambda: "of nothing", came.append)  # nothing is open yet
+    opened(wait, worker)
+    go_on = holding(worker, "open")
+    worker.submit("frame", lambda: "of the former", came.append)
+    go_on.set()
+    opened(wait, worker)
+    worker.submit("frame", lambda: "of the new", came.append)
+    wait(lambda: bool(came))
+    assert came == ["of the new"]
+
+
+def test_what_fails_is_told_with_its_key_and_the_rest_goes_on(wait, worker):
+    failures, came = [], []
+    opened(wait, worker)
+    worker.failed.connect(failures.append)
+
+    def refuse():
+        raise InputError("no such file")
+
+    def open_nothing():
+        raise Cancelled
+
+    worker.submit("open", refuse, came.append, request="file")
+    wait(lambda: len(failures) == 1)
+    worker.submit("open", open_nothing, came.append)  # nobody waits for it any more
+    worker.submit("patch", lambda: 1 / 0, came.append)
+    worker.submit("frame", lambda: "frame", came.append)  # what was open stays
+    wait(lambda: came == ["frame"])
+    assert [(f.key, f.message, f.request) for f in failures] == [
+        ("open", "no such file", "file"),
+        ("patch", "ZeroDivisionError: division by zero", None),
+    ]
+    assert "Traceback" in failures[1].details and not failures[0].details
+
+
+def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(qtbot):
+    ended = Event()
+    worker = Worker(ended.set)
+    go_on = holding(worker, "open")
+    worker.close(timeout_s=0.0)
+    assert not ended.is_set() and worker.running
+    go_on.set()
+    worker.wait(240.0)
+    assert ended.is_set() and not worker.running
+
+
+def test_a_frame_past_the_end_opens_at_the_last(sensor):
+    solver, demand = Solver(), Demand(frozenset({"cloud"}))
+    opened = solver.open(OpenRequest("dent", DentSource, lambda: sensor, 99, demand))
+    assert opened.frame == opened.facts.frames - 1
+    solver.close()
 
 
 # -- memory -------------------------------------------------------------------------------------

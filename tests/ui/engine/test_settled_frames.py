@@ -5,12 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 from fakes import DentSource
-from PySide6.QtCore import QObject, Signal
 from window_driver import CONTACT
 
-from bubbleviz_ui.engine.requests import OpenRequest, Request, Solved
 from bubbleviz_ui.engine.sensor_client import SensorClient
-from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 
@@ -62,11 +60,11 @@ def test_a_paused_frame_has_its_pose_found_once(drive):
     driver.choose(every_frame=True, pose_object="sphere", pose_track=True)
     client, found = driver.window.controller.client, Counter[int]()
 
-    def note(answer):
-        if isinstance(answer, Solved) and "pose" in answer.result.times_ms:
+    def note(answer, newest):
+        if "pose" in answer.result.times_ms:
             found[answer.result.frame.index] += 1
 
-    client.answered.connect(note)
+    client.solved.connect(note)
     play_past(driver, CONTACT)
     settled_by_itself(driver)
     assert client.demand.looks and not client.look_is_old
@@ -80,15 +78,14 @@ def test_a_frame_is_settled_with_what_was_chosen_since(drive):
     driver.state.choose(least_area_m2=0.01)
     driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
 
-    def note(answer):
-        if isinstance(answer, Solved):
-            areas.append(answer.result.patch.area_m2)
+    def note(answer, newest):
+        areas.append(answer.result.patch.area_m2)
 
-    controller.client.answered.connect(note)
+    controller.client.solved.connect(note)
     controller.settle()
     driver.wait(lambda: bool(areas))
     assert areas == [0.0]
-    controller.client.answered.disconnect(note)
+    controller.client.solved.disconnect(note)
     # a panel that opens while the frame is being settled has its look at it
     for frame in (CONTACT + 1, CONTACT + 2):
         driver.state.seek(frame)
@@ -100,23 +97,21 @@ def test_a_frame_is_settled_with_what_was_chosen_since(drive):
         driver.window.panels["threshold"].hide()
 
 
-class Waiting(QObject):
-    """A solver that answers in the order it is told to."""
-
-    answered = Signal(object)
+class Waiting:
+    """A worker that runs what is submitted in the order it is told to."""
 
     def __init__(self):
-        super().__init__()
-        self.server, self.requests = Server(), list[Request]()
+        self.submitted = []
 
-    def ask(self, request):
-        self.requests.append(request)
+    def submit(self, key, function, then, **_):
+        self.submitted.append((function, then))
 
-    def answer(self, request):
-        self.answered.emit(self.server.serve(request))
+    def urgent(self, key):
+        return False
 
-    def close(self):
-        self.server.close()
+    def run(self, number):
+        function, then = self.submitted[number]
+        then(function())
 
 
 PLAIN = Demand(frozenset({"estimate", "patch"}))
@@ -131,34 +126,31 @@ def state():
 @pytest.fixture
 def client(qtbot, sensor, state):
     """What asks for frames of a source that is open at frame 3."""
-    solver = Waiting()
-    made = SensorClient(state, solver)
-    solver.answer(OpenRequest(1, "dent", DentSource, lambda: sensor, 3, PLAIN))
+    made = SensorClient(state)
+    made.worker.close()
+    made.worker = Waiting()
+    made.open(OpenRequest("dent", DentSource, lambda: sensor, 3, PLAIN))
+    made.worker.run(-1)
     yield made
-    made.close()
+    made.solver.close()
 
 
 def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
-    solver = client.worker
     client.ask_settled()
     client.ask_frame(3, LOOKING)
-    for request in reversed(solver.requests):
-        solver.answer(request)
+    client.worker.run(-1)
+    client.worker.run(-2)
     assert client.inspection.kappa_curve is not None and not client.settled
     client.ask_settled()
-    solver.answer(solver.requests[-1])
+    client.worker.run(-1)
     assert client.inspection.kappa_curve is not None and client.settled
 
 
 def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(client, state):
     """Looks are left out of most frames while playing, but not because of one that never came."""
-    solver = client.worker
     state.open(client.facts, 3, playing=True, history=client.history)
     client.ask_newest(LOOKING)
+    client.worker.run(-1)  # there is none: the source does not grow
     client.ask_frame(3, LOOKING)
-    newest, frame = solver.requests
-    assert newest.demand.looks and not frame.demand.looks
-    solver.answer(newest)  # there is none: the source does not grow
-    client.ask_frame(3, LOOKING)
-    solver.answer(solver.requests[-1])
+    client.worker.run(-1)
     assert client.inspection.kappa_curve is not None

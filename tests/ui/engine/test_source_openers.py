@@ -17,7 +17,7 @@ from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
-from bubbleviz_ui.engine.solver_server import recording
+from bubbleviz_ui.engine.solver import recording
 from bubbleviz_ui.window_session import window_session
 
 FRAMES = 3

@@ -24,7 +24,7 @@ class Bench(Driver):
     """The window with its export dialog open, and what a person does with it."""
 
     def __init__(self, driver, monkeypatch):
-        super().__init__(driver.bot, driver.window, driver.server)
+        super().__init__(driver.bot, driver.window)
         self._patch = monkeypatch
         self.act("File › Export")
         assert self.dialog.isVisible()

@@ -20,7 +20,7 @@ class Bench(Driver):
     """The window with its import dialog open, and what a person does with it."""
 
     def __init__(self, driver, monkeypatch):
-        super().__init__(driver.bot, driver.window, driver.server)
+        super().__init__(driver.bot, driver.window)
         self._patch = monkeypatch
         self.act("File › Import")
         assert self.dialog.isVisible()

@@ -6,7 +6,7 @@ from live_bench import IMAGE, connected, contents, record_dents, sensor_file
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
-from bubbleviz_ui.engine.requests import RequestDelay
+from bubbleviz_ui.engine.sensor_client import RequestDelay
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LOOK_MS
 from tests.live.streams import robot

@@ -6,14 +6,15 @@ import threading
 from multiprocessing import active_children
 
 import numpy as np
+import pytest
 from live_bench import sensor_file, two
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.calibration import PressureZero
 from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
-from bubbleviz_ui.engine.requests import NewestRequest, OpenRequest, Solved, Waited
-from bubbleviz_ui.engine.solver_server import Server
+from bubbleviz_ui.engine.solver import OpenRequest, Solver
+from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
 from bubbleviz_ui.model.demand import Demand
@@ -38,20 +39,20 @@ def none_left():
 
 
 def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
-    newest = NewestRequest(1, Demand(frozenset({"cloud"})))
-    server, stream = Server(), open_stream("synthetic:?rate=100&frames=2", sensor)
+    demand, solver = Demand(frozenset({"cloud"})), Solver()
+    stream = open_stream("synthetic:?rate=100&frames=2", sensor)
     frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
     with stream:
         while not frames.came(60.0):
             pass
         frames.begin(frames.first_ns)
-    server.serve(OpenRequest(1, "press", LiveOpener(frames), lambda: sensor, 0, newest.demand))
-    while isinstance(server.serve(newest), Solved):  # what had arrived before it ended
+    solver.open(OpenRequest("press", LiveOpener(frames), lambda: sensor, 0, demand))
+    while solver.newest(demand, lambda: False) is not None:  # what had arrived before it ended
         pass
-    server.wait_no_longer()
-    for paused in (False, True):
-        assert server.serve(newest) == Waited(newest, paused=paused)
-    server.close()
+    with pytest.raises(Deferred):
+        solver.newest(demand, lambda: True)
+    assert solver.newest(demand, lambda: False) is None
+    solver.close()
 
 
 def test_its_answer_is_that_of_a_pipeline_here(sensor):
@@ -59,20 +60,20 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     demand = Demand(frozenset({"patch"}))
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     zero.restore(zero.reference_pa + 40.0, waiting=False)
-    server, stream = Server(), open_stream("synthetic:?rate=100&frames=30", sensor)
+    solver, stream = Solver(), open_stream("synthetic:?rate=100&frames=30", sensor)
     frames = LiveFrames("press", stream, zero, paired=True)
     with stream:
         while not frames.came(60.0):
             pass
         frames.begin(frames.first_ns)
-        server.serve(OpenRequest(1, "press", LiveOpener(frames), lambda: sensor, 0, demand))
-        session = server.session
+        solver.open(OpenRequest("press", LiveOpener(frames), lambda: sensor, 0, demand))
+        session = solver.session
         assert session is not None and session.beside is not None
         beside, own = session.beside, Pipeline.of(sensor, session.source[0].intrinsics)
         compared = 0
         while compared < 3:
-            solved = server.serve(NewestRequest(1, demand))
-            if beside.pid is None or not isinstance(solved, Solved):
+            solved = solver.newest(demand, lambda: False)
+            if beside.pid is None or solved is None:
                 continue
             frame, found = solved.result.frame, solved.result.estimate
             assert frame.gas_pressure_pa == frames[frame.index].gas_pressure_pa - 40.0
@@ -82,7 +83,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
             scale = 1e-9 * np.abs(expected.displacement_m).max()
             np.testing.assert_allclose(found.displacement_m, expected.displacement_m, atol=scale)
             compared += 1
-        server.close()
+        solver.close()
     assert none_left()
 
 

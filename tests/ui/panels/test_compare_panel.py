@@ -94,10 +94,10 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     assert window.kappa.solver.currentText() == "setting B of Compare"
     panel.b.block.setValue(2)  # of what is in use
     driver.wait(lambda: driver.pipeline.options.block == 2)
-    session = driver.server.session.number
+    session = driver.solver.session
     panel.a.block.setValue(3)  # of what is not
     driver.settle()
-    assert driver.server.session.number == session
+    assert driver.solver.session is session
     driver.type(panel.b.kappa, "4.5")
     driver.wait(driver.thresholded)
     assert state.choices.kappa == window.kappa.box.value() == 4.5
@@ -129,7 +129,9 @@ def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
     assert {text(driver, row) for row in ("frame", "status", "force")} == {"–"}
     named: list[tuple[str, int]] = []
     compared = driver.window.controller.compared
-    naming = compared.connect(lambda new: named.append((text(driver, "frame"), new.request.index)))
+    naming = compared.connect(
+        lambda _, new: named.append((text(driver, "frame"), new[0].result.frame.index))
+    )
     driver.state.set_playing(True)
     driver.wait(lambda: len(named) > 5)
     driver.state.set_playing(False)

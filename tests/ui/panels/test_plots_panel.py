@@ -17,7 +17,7 @@ from window_driver import CONTACT, canvas, copied, hover, painted
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
 from bubbleviz.simulation import SyntheticSource, default_press
-from bubbleviz_ui.engine.solver_server import CachedSource
+from bubbleviz_ui.engine.solver import CachedSource
 from bubbleviz_ui.model.frame_history import thinned
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text
 from bubbleviz_ui.panels.plot_host import PlotFrame
@@ -72,14 +72,14 @@ def test_all_frames_are_analysed_in_the_background(drive, sensor):
     assert force[1] == 0.0 and force[15] > 0.5
     # areas of all frames follow κ: they are found in the estimates that were made
     driver.wait(lambda: np.isfinite(history.of("area_m2")).all())
-    before, solved = history.of("area_m2").copy(), driver.server.counts["estimate"]
+    before, solved = history.of("area_m2").copy(), driver.solver.counts["estimate"]
     for kappa in (2.0, 4.0):
         driver.state.choose(kappa=kappa)
     driver.wait(lambda: np.isfinite(history.of("area_m2")).all())
     area = history.of("area_m2")
     touching = before > 0.0
     assert touching.any() and np.all(area[touching] != before[touching])
-    assert driver.server.counts["estimate"] == solved
+    assert driver.solver.counts["estimate"] == solved
     driver.seek(15)
     assert area[15] == pytest.approx(driver.result.patch.area_m2, rel=0.05)
 

@@ -51,7 +51,7 @@ class Bench(Driver):
     """The window with its pose panel open, and what a person does with it."""
 
     def __init__(self, driver):
-        super().__init__(driver.bot, driver.window, driver.server)
+        super().__init__(driver.bot, driver.window)
         self.window.use_scene(load_scene("pose"))
         self.settle()
 

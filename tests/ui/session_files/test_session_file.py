@@ -16,8 +16,7 @@ from PySide6.QtCore import QPoint
 
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz_ui.engine.requests import Opened
-from bubbleviz_ui.engine.solver_server import recording
+from bubbleviz_ui.engine.solver import Opened, recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,
@@ -45,7 +44,7 @@ def open_press(driver, files, folder=None, **at):
     opener, before = recording((folder or files) / "press.mcap"), driver.window.controller.client
     former = before.session
     driver.opens("press", opener, load_sensor(files / "dome.toml"), playing=False, **at)
-    driver.wait(lambda: driver.window.controller.client.session > former)
+    driver.wait(lambda: driver.window.controller.client.session is not former)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
 
@@ -143,7 +142,7 @@ def test_recent_files_and_reload(drive, files, tmp_path):
     driver.state.choose_markers((1,))
     gone = window.controller.client.session
     driver.act("File › Reload")
-    driver.wait(lambda: window.controller.client.session > gone)
+    driver.wait(lambda: window.controller.client.session is not gone)
     driver.settle()
     assert driver.state.frame == 5 and driver.state.markers == (1,)
     driver.state.choose_range((2, 10))
@@ -245,9 +244,9 @@ def test_what_was_open_is_not_kept(qtbot, files):
     with window_session(sensor, files / "press.mcap", 3) as session:
         controller = session.controller
         for frame in (1, 2, 3, 4):
-            before = controller.client.session
+            was = controller.client.session
             controller.opening.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
-            session.wait_for(lambda before=before: controller.client.session > before, "opening")
+            session.wait_for(lambda was=was: controller.client.session is not was, "opening")
         gc.collect()
         kept = sum(isinstance(thing, Opened) for thing in gc.get_objects())
         assert kept <= 1

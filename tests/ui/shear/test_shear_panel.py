@@ -11,7 +11,7 @@ from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.recordings import LAG
 from bubbleviz.result import Slip, Traction
 from bubbleviz.shear import COLLECTED
-from bubbleviz_ui.engine.solver_server import recording
+from bubbleviz_ui.engine.solver import recording
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
 from bubbleviz_ui.model.scene_presets import load_scene

@@ -6,7 +6,7 @@ from small_press import write_press
 from window_driver import copied
 
 from bubbleviz.api.frames import info
-from bubbleviz_ui.engine.solver_server import recording
+from bubbleviz_ui.engine.solver import recording
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
 
 

@@ -30,7 +30,7 @@ from bubbleviz_ui.calibration.frames_page import FramesPage
 from bubbleviz_ui.calibration.levels_page import RectificationPage
 from bubbleviz_ui.calibration.pixels_page import PixelsPage, SurfacePage, TensionPage
 from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
-from bubbleviz_ui.engine.requests import OpenRequest
+from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units

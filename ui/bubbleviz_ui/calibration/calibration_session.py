@@ -18,8 +18,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.requests import Opened, OpenRequest
-from bubbleviz_ui.engine.solver_server import NothingOpen, RecordingOpener
+from bubbleviz_ui.engine.solver import NothingOpen, Opened, OpenRequest, RecordingOpener
 from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import Change

@@ -35,7 +35,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.calibration.frame_collector import Collector
-from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme

@@ -3,37 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from bubbleviz.diagnostics import Inspection
+from bubbleviz.diagnostics import Inspection, Numbers
 from bubbleviz.pipeline import FrameOptions, Product
 from bubbleviz.result import Result
+from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.opening import Opening
-from bubbleviz_ui.engine.requests import (
-    Analysed,
-    AnalyseRequest,
-    Answer,
-    CollectRequest,
-    Compared,
-    ComparedOptions,
-    CompareRequest,
-    Failed,
-    Followed,
-    FollowRequest,
-    NewestRequest,
-    Opened,
-    Request,
-    Solved,
-    Thresholded,
-    Waited,
-)
 from bubbleviz_ui.engine.sensor_client import SensorClient
-from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.choices import PATCH_CHOICES, solver_title
 from bubbleviz_ui.model.demand import Demand, of_object, plotted
 from bubbleviz_ui.model.registry import PATCH
@@ -50,8 +35,8 @@ class Analysis(QObject):
     ----------
     state : SessionState
         Remembers the numbers.
-    ask : callable
-        Takes a request to the solver thread.
+    client : callable
+        Gives the sensor whose frames are analysed.
 
     Attributes
     ----------
@@ -61,10 +46,9 @@ class Analysis(QObject):
 
     progressed = Signal(int, int)
 
-    def __init__(self, state: SessionState, ask: Callable[[AnalyseRequest], None]) -> None:
+    def __init__(self, state: SessionState, client: Callable[[], SensorClient]) -> None:
         super().__init__()
-        self._state, self._ask = state, ask
-        self._session = 0
+        self._state, self._client = state, client
         self._frames: tuple[int, ...] = ()
         self._products: frozenset[Product] = frozenset()
         self._count, self._kept_only = 0, False
@@ -92,19 +76,13 @@ class Analysis(QObject):
         self._frames, self._count = (), 0
         self.progressed.emit(0, 0)
 
-    def turn_to(self, session: int) -> None:
-        """Stop; what is asked from now on is of another session."""
-        self._session = session
-        self.stop()
-
-    def take(self, answer: Analysed) -> None:
-        """Remember numbers, and ask for more."""
-        frames, count = answer.request.frames, len(answer.numbers)
-        same = answer.request.demand.rule == self._state.choices.rule
-        known = {k: each for k, each in zip(frames, answer.numbers, strict=False) if each}
+    def _take(self, frames: tuple[int, ...], demand: Demand, numbers: list[Numbers | None]) -> None:
+        """Remember numbers of the first frames, and ask for the others."""
+        same = demand.rule == self._state.choices.rule
+        known = {k: each for k, each in zip(frames, numbers, strict=False) if each}
         self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
         if frames is self._frames:
-            self._frames = frames[count:]
+            self._frames = frames[len(numbers) :]
             self._ask_rest()
 
     def _on_choices(self, names: frozenset[str]) -> None:
@@ -123,8 +101,19 @@ class Analysis(QObject):
             choices = self._state.choices
             options = FrameOptions(*choices.rule)
             demand = Demand(self._products, options=options, shear=Demand.of(choices).shear)
-            request = AnalyseRequest(self._session, demand, self._frames, self._kept_only)
-            self._ask(request)
+            frames, client = self._frames, self._client()
+            function = partial(client.solver.analyse, frames, demand, kept_only=self._kept_only)
+            client.worker.submit("analyse", function, partial(self._take, frames, demand))
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The object that is looked for now, if it could be loaded; `fitted`: at once, to a frame."""
+
+    object_name: str | None
+    unit: Literal["m", "mm"] | None
+    fitted: bool
+    obj: RigidObject | None = None
 
 
 STANDS_MS = 150
@@ -145,7 +134,7 @@ class Controller(QObject):
     followed : Signal
         A `Followed`: another object is looked for, or none.
     compared : Signal
-        A `Compared`: two settings on one frame.
+        Settings, and what was measured with each on one frame.
     client : SensorClient
         The sensor that the panels show.
     opening : Opening
@@ -159,19 +148,19 @@ class Controller(QObject):
     opened = Signal(object)
     shown = Signal(object)
     failed = Signal(object)
-    compared = Signal(object)
+    compared = Signal(object, object)
     followed = Signal(object)
 
-    def __init__(self, state: SessionState, worker: Worker) -> None:
+    def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.state = state
-        self.client = SensorClient(state, worker)
-        self.opening = Opening(state, self._ask)
-        self.analysis = Analysis(state, self._ask)
+        self.client = SensorClient(state)
+        self.opening = Opening(state, lambda request: self.client.open(request))
+        self.analysis = Analysis(state, lambda: self.client)
         self.player = Player(state)
         self._stands = QTimer(self, singleShot=True, interval=STANDS_MS)
         self._stands.timeout.connect(self.settle)
-        self.client.answered.connect(self._on_answer)
+        self._listen(self.client)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
         state.frozen_changed.connect(self._on_frozen)
@@ -211,7 +200,7 @@ class Controller(QObject):
         """Stop playback and the solver thread."""
         self.player.close()
         self._stands.stop()
-        self.client.close()
+        self.worker.close()
 
     def follow(
         self,
@@ -224,21 +213,30 @@ class Controller(QObject):
         """Look for another object, or for none; `fit` it to the frame at the cursor at once."""
         if self.state.facts is None:
             return
-        client, demand = self.client, Demand.of(self.state.choices)
-        demand = replace(demand, products=demand.products | PATCH | of_object(self.state.choices))
-        frame = client.frame_request(self.state.frame, demand) if fit else None
-        self._ask(FollowRequest(client.session, demand, object_name, unit, start, frame))
+        client, request = self.client, Followed(object_name, unit, fit)
+        fitted = client.framing(self.state.frame, self._pose_demand) if fit else None
+
+        def function() -> tuple[RigidObject | None, Solved | None]:
+            obj = client.solver.follow(object_name, unit, start)
+            return obj, None if fitted is None else fitted[0]()
+
+        def then(answer: tuple[RigidObject | None, Solved | None]) -> None:
+            self.followed.emit(replace(request, obj=answer[0]))
+            if fitted is not None and answer[1] is not None:
+                fitted[1](answer[1])
+
+        client.worker.submit("follow", function, then, request=request)
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
         """Measure two settings, or none, on the frame at the cursor, in spare time."""
-        session, stands = self.client.session, not self._goes_on
-        self._ask(CompareRequest(session, self.state.frame, settings, stands))
+        client, index, stands = self.client, self.state.frame, not self._goes_on
+        function = partial(client.solver.compare, index, settings, settled=stands)
+        client.worker.submit("compare", function, partial(self.compared.emit, settings))
 
     def collect(self) -> None:
         """Find the contact-free colour images anew."""
         if self.state.facts is not None:
-            client, demand = self.client, Demand.of(self.state.choices)
-            self._ask(CollectRequest(client.session, demand, self.state.frame))
+            self.client.ask_frame(self.state.frame, Demand.of(self.state.choices), anew=True)
 
     def settle(self) -> None:
         """Have the frame that is shown settled now; it is once one has stayed at it, too."""
@@ -249,8 +247,8 @@ class Controller(QObject):
         """Have the panels show the other sensor of a session; gives back the one they showed."""
         before, self.client = self.client, client
         playing, frozen = self.state.playing, self.state.frozen
-        before.answered.disconnect(self._on_answer)
-        client.answered.connect(self._on_answer)
+        self._listen(before, on=False)
+        self._listen(client)
         self._present(playing=playing)
         self.state.freeze(frozen)
         self._ask_frame()
@@ -299,12 +297,14 @@ class Controller(QObject):
         return self.state.playing and not self.state.frozen
 
     @property
+    def _pose_demand(self) -> Demand:
+        """What is visible, and the pose."""
+        demand = Demand.of(self.state.choices)
+        return replace(demand, products=demand.products | PATCH | of_object(self.state.choices))
+
+    @property
     def _grows(self) -> bool:
         return self.state.facts is not None and self.state.facts.grows
-
-    def _ask(self, request: Request) -> None:
-        """Ask the solver thread that is in use now."""
-        self.client.worker.ask(request)
 
     def _ask_frame(self) -> None:
         """Ask for the frame at the cursor, unless another source is just being taken."""
@@ -319,45 +319,42 @@ class Controller(QObject):
 
     # -- answers ------------------------------------------------------------------------------
 
-    def _on_answer(self, answer: Answer) -> None:
-        self.opening.look_at(answer)
-        if isinstance(answer, Failed):
-            if isinstance(answer.request, AnalyseRequest):
-                self.analysis.stop()
-            self.failed.emit(answer)
-        elif isinstance(answer, Opened):
-            self._on_opened(answer)
-        elif isinstance(answer, Waited):
-            if answer.paused and self.client.look_is_old:
-                self._ask_frame()
-            self._ask_newest()
-        elif isinstance(answer, Followed):
-            self.followed.emit(answer)
-            if answer.solved is not None:
-                self._on_solved(answer.solved)
-        elif isinstance(answer, Solved):
-            self._on_solved(answer)
-        elif isinstance(answer, Thresholded):
-            self._show(answer.result)
-        elif isinstance(answer, Analysed):
-            self.analysis.take(answer)
-        elif isinstance(answer, Compared):
-            self.compared.emit(answer)
+    def _listen(self, client: SensorClient, *, on: bool = True) -> None:
+        for signal, slot in (
+            (client.turned, self._on_opened),
+            (client.solved, self._on_solved),
+            (client.patched, self._show),
+            (client.paused, self._on_paused),
+            (client.failed, self._on_failed),
+        ):
+            signal.connect(slot) if on else signal.disconnect(slot)
 
-    def _on_solved(self, answer: Solved) -> None:
+    def _on_failed(self, failed: Failed) -> None:
+        self.opening.take(failed.request)
+        if failed.key == "analyse":
+            self.analysis.stop()
+        self.failed.emit(failed)
+
+    def _on_paused(self) -> None:
+        if self.client.look_is_old:
+            self._ask_frame()
+        self._ask_newest()
+
+    def _on_solved(self, solved: Solved, newest: bool) -> None:
         """Ask for what comes next before this is drawn, so that the solver has work meanwhile."""
-        if isinstance(answer.request, NewestRequest) and self.client.facts is not None:
+        if newest and self.client.facts is not None:
             self.state.grow(self.client.facts)
             self._ask_newest()
         else:
-            self.player.came(answer.result.frame.index)
-        self._show(answer.result)
-        if answer.request.demand.rule != self.state.choices.rule:
+            self.player.came(solved.result.frame.index)
+        self._show(solved.result)
+        if solved.demand.rule != self.state.choices.rule:
             self.client.ask_patch()
 
-    def _on_opened(self, answer: Opened) -> None:
-        self._present(playing=answer.request.playing)
-        choices, asked = self.state.choices, answer.request.demand
+    def _on_opened(self, opened: Opened) -> None:
+        self.opening.take(opened.request)
+        self._present(playing=opened.request.playing)
+        choices, asked = self.state.choices, opened.request.demand
         if not asked.covers(Demand.of(choices)):
             self._ask_frame()
         elif asked.rule != choices.rule:
@@ -369,8 +366,8 @@ class Controller(QObject):
         opened, facts, result = client.opened, client.facts, client.result
         if opened is None or facts is None or result is None:
             raise RuntimeError("nothing is open yet")
-        self.opening.turn_to(opened)
-        self.analysis.turn_to(client.session)
+        self.opening.present = opened
+        self.analysis.stop()
         self.player.turn_to(result.frame.index)
         client.worker.dropped = 0
         self.opened.emit(opened)

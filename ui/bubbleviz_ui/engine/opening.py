@@ -10,8 +10,14 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.engine.requests import Answer, Opened, OpenRequest
-from bubbleviz_ui.engine.solver_server import NothingOpen, RecordingOpener, recording, sensor_for
+from bubbleviz_ui.engine.solver import (
+    NothingOpen,
+    Opened,
+    OpenRequest,
+    RecordingOpener,
+    recording,
+    sensor_for,
+)
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
@@ -55,7 +61,6 @@ class Opening(QObject):
         self._state, self._ask = state, ask
         self.present: Opened | None = None
         self._waiting: OpenRequest | None = None
-        self._number = 0
 
     @property
     def sensor(self) -> Sensor | None:
@@ -90,7 +95,6 @@ class Opening(QObject):
         What is done `first`, unless it was, may make other choices.
         """
         request = OpenRequest(
-            session=0,
             what=what,
             open_source=open_source,
             open_sensor=open_sensor,
@@ -105,10 +109,9 @@ class Opening(QObject):
         if first is not None:
             first()
         self.cancel()
-        self._number += 1
         choices = self._state.choices
         demand, options = Demand.of(choices), choices.options
-        request = replace(request, session=self._number, demand=demand, options=options)
+        request = replace(request, demand=demand, options=options)
         self._waiting = request
         self._ask(request)
         self.changed.emit("Closing …" if open_source is NothingOpen else f"Opening {what} …")
@@ -168,15 +171,10 @@ class Opening(QObject):
         if sensor is not None:
             self.open("the sensor at rest", NothingOpen, lambda: sensor, playing=False)
 
-    def look_at(self, answer: Answer) -> None:
+    def take(self, request: object) -> None:
         """Notice that what was asked for has come, or has failed."""
-        if self._waiting is not None and answer.request is self._waiting:
+        if self._waiting is not None and request is self._waiting:
             self._end()
-
-    def turn_to(self, opened: Opened) -> None:
-        """Take what is open from now on."""
-        self.present = opened
-        self._number = max(self._number, opened.request.session)
 
     def _end(self) -> None:
         self._waiting = None

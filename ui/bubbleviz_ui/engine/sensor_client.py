@@ -1,32 +1,21 @@
-"""One sensor as the window knows it: asks its solver thread, and keeps what came back."""
+"""One sensor as the window knows it: submits work to its worker, keeps what came back."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.diagnostics import Inspection
+from bubbleviz.diagnostics import Inspection, Numbers
 from bubbleviz.pipeline import OF_OBJECT, FrameOptions, Product
 from bubbleviz.recordings import Frame, Gap
 from bubbleviz.result import Result
-from bubbleviz_ui.engine.requests import (
-    Answer,
-    Failed,
-    Followed,
-    FrameRequest,
-    NewestRequest,
-    Opened,
-    PatchRequest,
-    RequestDelay,
-    SettleRequest,
-    Solved,
-    Thresholded,
-    Waited,
-)
-from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import History, grown
 from bubbleviz_ui.model.messages import RateMeter
@@ -35,6 +24,27 @@ from bubbleviz_ui.model.source_facts import SourceFacts
 
 LOOK_EVERY_S = 0.15
 """How often closer looks are taken while playing: nobody sees more."""
+SLACK_S = 0.004
+"""How long a result may wait for the window: a little, so that the window does not wait for it."""
+GAIN = 0.4  # of the delay's integral control; chosen
+MOST_S = 0.1  # s; longer delays are felt
+
+
+class RequestDelay:
+    """Delays requests while the window draws: a frame taken too early would be old by then.
+
+    Attributes
+    ----------
+    hold_s : float
+        How long after the last result the next frame is to be taken.
+    """
+
+    def __init__(self) -> None:
+        self.hold_s = 0.0
+
+    def waited(self, seconds: float) -> None:
+        """Take note of how long a result waited for the window."""
+        self.hold_s = min(max(self.hold_s + GAIN * (seconds - SLACK_S), 0.0), MOST_S)
 
 
 class SensorClient(QObject):
@@ -46,13 +56,24 @@ class SensorClient(QObject):
     ----------
     state : SessionState
         Of the window.
-    worker : Worker
-        The client closes it.
 
     Attributes
     ----------
-    answered : Signal
-        An `Answer` that belongs to what is open, once the client has taken it.
+    turned : Signal
+        An `Opened`: another source is open.
+    solved : Signal
+        A `Solved`, and whether it is the newest frame of a live source.
+    patched : Signal
+        The shown frame has its patch at another κ.
+    paused : Signal
+        No frame of a live source came while one was waited for.
+    failed : Signal
+        A `Failed`.
+    solver : Solver
+        Used in the worker's thread.
+    worker : Worker
+    session : object
+        Stands for the open source; another one for each.
     opened : Opened or None
         None before the first source.
     facts : SourceFacts or None
@@ -70,11 +91,17 @@ class SensorClient(QObject):
         Frames that came back from the solver.
     """
 
-    answered = Signal(object)
+    turned = Signal(object)
+    solved = Signal(object, bool)
+    patched = Signal(object)
+    paused = Signal()
+    failed = Signal(object)
 
-    def __init__(self, state: SessionState, worker: Worker) -> None:
+    def __init__(self, state: SessionState) -> None:
         super().__init__()
-        self.worker = worker
+        self.solver = Solver()
+        self.worker = Worker(self.solver.close)
+        self.session = object()
         self.opened: Opened | None = None
         self.facts: SourceFacts | None = None
         self.history = History(0)
@@ -90,12 +117,7 @@ class SensorClient(QObject):
         self._settled: Frame | None = None
         self._shown_as = self.demand
         self._delay = RequestDelay()
-        worker.answered.connect(self._on_answer)
-
-    @property
-    def session(self) -> int:
-        """Generation of the session that is open; 0 before the first."""
-        return 0 if self.opened is None else self.opened.request.session
+        self.worker.failed.connect(self._on_failed)
 
     @property
     def look_is_old(self) -> bool:
@@ -114,22 +136,32 @@ class SensorClient(QObject):
         result = self.result
         return result is not None and (result.estimate is None or self._settled is result.frame)
 
+    def open(self, request: OpenRequest) -> None:
+        """Open a source in place of the present one."""
+        self.worker.submit(
+            "open", partial(self.solver.open, request), self._take_opened, request=request
+        )
+
     def ask_settled(self) -> None:
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
             due = self._due(self.demand)
             products = self._shown_as.products - OF_OBJECT | due.looks
             demand = replace(due, products=products, options=self._options)
-            self.worker.ask(SettleRequest(self.session, demand, self.result.frame.index))
+            function = partial(self.solver.frame, self.result.frame.index, demand, settled=True)
+            self.worker.submit("settle", function, self._take_settled)
 
-    def ask_frame(self, index: int, demand: Demand) -> None:
-        """Ask for a frame."""
+    def ask_frame(self, index: int, demand: Demand, *, anew: bool = False) -> None:
+        """Ask for a frame; `anew` with the contact-free colour images found anew."""
         self.demand = demand
-        self.worker.ask(self.frame_request(index, demand))
+        self.worker.submit("collect" if anew else "frame", *self.framing(index, demand, anew=anew))
 
-    def frame_request(self, index: int, demand: Demand) -> FrameRequest:
-        """Request for a frame that is wanted now."""
-        return FrameRequest(self.session, self._due(demand), index, time.perf_counter())
+    def framing(
+        self, index: int, demand: Demand, *, anew: bool = False
+    ) -> tuple[Callable[[], Solved], Callable[[Solved], None]]:
+        """Function for the worker that solves a frame, and what takes its answer."""
+        function = partial(self.solver.frame, index, self._due(demand), anew=anew)
+        return function, partial(self._take_frame, time.perf_counter())
 
     def ask_newest(self, demand: Demand, *, at_once: bool = False) -> None:
         """Ask for the newest frame of a live source, unless that is asked for already.
@@ -140,9 +172,15 @@ class SensorClient(QObject):
             return
         self._awaiting, self.demand = True, demand
         wanted = self._due(demand)
-        wanted = replace(wanted, products=wanted.products | self.extra)
-        from_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
-        self.worker.ask(NewestRequest(self.session, wanted, from_s, demand.of_colour))
+        function = partial(
+            self.solver.newest,
+            replace(wanted, products=wanted.products | self.extra),
+            partial(self.worker.urgent, "newest"),
+            of_colour=demand.of_colour,
+        )
+        then = partial(self._take_newest, at_once=at_once, looks=bool(wanted.looks))
+        due_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
+        self.worker.submit("newest", function, then, due_s=due_s)
 
     def ask_patch(self) -> None:
         """Threshold the present result anew, where there is something to threshold."""
@@ -151,16 +189,13 @@ class SensorClient(QObject):
             return
         demand = asked.looking(asked.looks & {"components"})
         demand = replace(demand, options=self._options)
-        self.worker.ask(PatchRequest(self.session, demand, result))
+        function = partial(self.solver.patch, result, demand)
+        self.worker.submit("patch", function, partial(self._take_patch, demand))
 
     @property
     def _options(self) -> FrameOptions:
         """As chosen now; the patch's may have changed since a frame was asked for."""
         return Demand.of(self._state.choices).options
-
-    def close(self) -> None:
-        """Stop the solver thread."""
-        self.worker.close()
 
     def _due(self, demand: Demand) -> Demand:
         """What to ask for now: while playing fewer points, and no closer look at every frame."""
@@ -174,85 +209,88 @@ class SensorClient(QObject):
 
     # -- answers ------------------------------------------------------------------------------
 
-    def _on_answer(self, answer: Answer) -> None:
-        if isinstance(answer, Opened):
-            self._take_opened(answer)
-        elif isinstance(answer, Failed):
-            self._awaiting &= not isinstance(answer.request, NewestRequest)
-        elif answer.request.session != self.session:
-            return
-        elif isinstance(answer, Waited):
-            self._awaiting = False
-            if answer.request.demand.looks:  # nothing was looked at
-                self._looked_s = 0.0
-        elif isinstance(answer, Solved):
-            self._take_solved(answer)
-        elif isinstance(answer, Followed) and answer.solved is not None:
-            self._take_solved(answer.solved)
-        elif isinstance(answer, Thresholded):
-            self._take_patch(answer)
-        self.answered.emit(answer)
-        if isinstance(answer, Solved) and answer.remark:
-            settles = isinstance(answer.request, SettleRequest)
-            self.answered.emit(Failed(answer.request, answer.remark, "", warning=settles))
+    def _on_failed(self, failed: Failed) -> None:
+        self._awaiting &= failed.key != "newest"
+        self.failed.emit(failed)
 
-    def _take_opened(self, answer: Opened) -> None:
-        self.opened, self.facts, self.demand = answer, answer.facts, answer.request.demand
-        self.history = History(answer.facts.frames)
+    def _take_opened(self, opened: Opened) -> None:
+        self.session = object()
+        self.opened, self.facts, self.demand = opened, opened.facts, opened.request.demand
+        self.history = History(opened.facts.frames)
         self._awaiting = False
-        self.result, self.inspection = answer.result, _inspection(answer.result)
-        self._shown_as = answer.request.demand.looking()
-        self._looked_at = answer.result.frame
-        same_patch = self.demand.rule == self._state.choices.rule
-        self.history.take(answer.frame, answer.numbers, patch=same_patch)
+        self.result, self.inspection = opened.result, _inspection(opened.result)
+        self._shown_as = self.demand.looking()
+        self._looked_at = opened.result.frame
+        self._remember(opened.frame, opened.numbers, self.demand)
+        self.turned.emit(opened)
 
-    def _take_solved(self, answer: Solved) -> None:
-        request, frame, numbers = answer.request, answer.result.frame, answer.numbers
+    def _take_frame(self, asked_s: float, solved: Solved) -> None:
         now = time.perf_counter()
         self.solves.tick(now)
-        newest = isinstance(request, NewestRequest)
-        if isinstance(request, NewestRequest):
-            self._awaiting = False
-            if request.from_s:  # else it waited for the picture of another sensor
-                self._delay.waited(now - answer.done_s)
-            self._grow(frame.time_s, answer.outages)
-        if newest and frame.arrival_ns:
+        index, numbers = solved.result.frame.index, solved.numbers
+        numbers = replace(numbers, latency_ms=1e3 * (now - asked_s))
+        self._remember(index, numbers, solved.demand)
+        self._show(solved)
+        self.solved.emit(solved, False)
+
+    def _take_newest(self, solved: Solved | None, *, at_once: bool, looks: bool) -> None:
+        self._awaiting = False
+        if solved is None:
+            if looks:  # nothing was looked at
+                self._looked_s = 0.0
+            self.paused.emit()
+            return
+        now, frame, numbers = time.perf_counter(), solved.result.frame, solved.numbers
+        self.solves.tick(now)
+        if not at_once:  # else it waited for the picture of another sensor
+            self._delay.waited(now - solved.done_s)
+        self._grow(frame.time_s, solved.outages)
+        if frame.arrival_ns:
             numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
-        elif isinstance(request, FrameRequest) and request.asked_s is not None:
-            numbers = replace(numbers, latency_ms=1e3 * (now - request.asked_s))
-        same_patch = request.demand.rule == self._state.choices.rule
-        self.history.take(frame.index, numbers, patch=same_patch)
-        if isinstance(request, SettleRequest):
-            self._take_settled(answer)
-        elif not (newest and self._state.frozen):
-            self.result, self._settled = answer.result, None
-            self._shown_as = request.demand.looking()
-            if request.demand.looks or not self.demand.looks:  # else it was left out
-                self.inspection, self._looked_at = _inspection(answer.result), frame
+        self._remember(frame.index, numbers, solved.demand)
+        if not self._state.frozen:
+            self._show(solved)
+        self.solved.emit(solved, True)
+        if solved.remark:
+            self.failed.emit(Failed("newest", solved.remark))
 
-    def _take_settled(self, answer: Solved) -> None:
-        shown, new = self.result, answer.result
-        if shown is None or shown.frame.index != new.frame.index:
-            return  # another frame is looked at by now
-        asked = answer.request.demand
-        if not self._shown_as.products | self.demand.looks <= asked.products | OF_OBJECT:
-            return  # more is looked at by now
-        pose, by_object = shown.pose, shown.object_patch
-        self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
-        self._shown_as = replace(self._shown_as, options=asked.options)
-        self.inspection = _inspection(new)
-        self._settled = self._looked_at = shown.frame
+    def _show(self, solved: Solved) -> None:
+        self.result, self._settled = solved.result, None
+        self._shown_as = solved.demand.looking()
+        if solved.demand.looks or not self.demand.looks:  # else it was left out
+            self.inspection = _inspection(solved.result)
+            self._looked_at = solved.result.frame
 
-    def _take_patch(self, answer: Thresholded) -> None:
-        result, demand = self.result, answer.request.demand
-        if result is None or result.estimate is not answer.request.result.estimate:
-            return  # another frame is shown by now
+    def _take_settled(self, solved: Solved) -> None:
+        self.solves.tick(time.perf_counter())
+        shown, new, asked = self.result, solved.result, solved.demand
+        self._remember(new.frame.index, solved.numbers, asked)
+        same = shown is not None and shown.frame.index == new.frame.index
+        wanted = self._shown_as.products | self.demand.looks
+        # else another frame, or more of this one, is looked at by now
+        if shown is not None and same and wanted <= asked.products | OF_OBJECT:
+            pose, by_object = shown.pose, shown.object_patch
+            self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
+            self._shown_as = replace(self._shown_as, options=asked.options)
+            self.inspection = _inspection(new)
+            self._settled = self._looked_at = shown.frame
+        self.solved.emit(solved, False)
+        if solved.remark:
+            self.failed.emit(Failed("settle", solved.remark, warning=True))
+
+    def _take_patch(self, demand: Demand, answer: tuple[Result, Numbers]) -> None:
+        result, (patched, numbers) = self.result, answer
+        if result is not None and result.estimate is patched.estimate:  # else another is shown
+            self._remember(result.frame.index, numbers, demand)
+            if "components" in demand.looks:
+                parts = _inspection(patched).components
+                self.inspection = replace(self.inspection, components=parts)
+            self.result = replace(result, patch=patched.patch)
+        self.patched.emit(patched)
+
+    def _remember(self, index: int, numbers: Numbers, demand: Demand) -> None:
         same_patch = demand.rule == self._state.choices.rule
-        self.history.take(result.frame.index, answer.numbers, patch=same_patch)
-        if "components" in demand.looks:
-            parts = _inspection(answer.result).components
-            self.inspection = replace(self.inspection, components=parts)
-        self.result = replace(result, patch=answer.result.patch)
+        self.history.take(index, numbers, patch=same_patch)
 
     def _grow(self, time_s: float, outages: tuple[Gap, ...]) -> None:
         """Make room for one more frame of a live source."""

@@ -16,7 +16,7 @@ from bubbleviz.output import open_mp4, pose_columns
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Done, Job, Jobs
-from bubbleviz_ui.engine.requests import Failed, FrameRequest
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.view3d.text import text_at
 from bubbleviz_ui.view3d.tools import still
@@ -338,7 +338,7 @@ class Exporting(QObject):
 
     def _on_failed(self, failed: Failed) -> None:
         """A frame of a video that cannot be shown ends it; the window says why."""
-        if self._video is not None and isinstance(failed.request, FrameRequest):
+        if self._video is not None and failed.key in {"frame", "settle"} and not failed.warning:
             self.cancel()
 
     def _on_opened(self, _: object) -> None:

@@ -10,7 +10,8 @@ from bubbleviz.live import LiveSensor, SessionPreset
 from bubbleviz.recordings import gas_warning
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Jobs
-from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
+from bubbleviz_ui.engine.solver import Opened, OpenRequest
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing

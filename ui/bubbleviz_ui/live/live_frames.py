@@ -151,9 +151,10 @@ class LiveFrames:
         frame = self.stream.take(timeout_s)
         return None if frame is None else self._take(frame)
 
-    def wake(self) -> None:
-        """Have the newest frame waited for no longer, as something else is asked for."""
-        self.stream.wake()
+    @property
+    def ended(self) -> bool:
+        """Whether no frame is to be waited for."""
+        return self.stream.source.link == "ended"
 
     def at(self, time_s: float) -> int:
         """The kept frame nearest to a time."""

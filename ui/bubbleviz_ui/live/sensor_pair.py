@@ -11,17 +11,9 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import (
-    Answer,
-    Failed,
-    NewestRequest,
-    Opened,
-    OpenRequest,
-    Solved,
-    Waited,
-)
 from bubbleviz_ui.engine.sensor_client import SensorClient
-from bubbleviz_ui.engine.solver_thread import Worker
+from bubbleviz_ui.engine.solver import OpenRequest
+from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import PATCH_CHOICES
@@ -80,12 +72,11 @@ class SensorPair(QObject):
         if self.drawing is None:
             self.drawing = SecondScene(self._view, state.units, self._scene.ranges)
         sensor, frames = run.session.sensors[1].sensor, run.frames[1]
-        self.second = second = SensorClient(state, Worker())
+        self.second = second = SensorClient(state)
         second.extra = self._controller.client.extra
-        second.answered.connect(self._on_second)
-        second.worker.ask(
+        self._listen(second)
+        second.open(
             OpenRequest(
-                session=1,
                 what=frames.name,
                 open_source=LiveOpener(frames),
                 open_sensor=lambda: sensor,
@@ -108,11 +99,11 @@ class SensorPair(QObject):
         if other is None or other.opened is None or number == self.chosen:
             return False
         before, looked = self._T_W_B(self.chosen), self._scene.moved_by_user
-        other.answered.disconnect(self._on_second)
+        self._listen(other, on=False)
         self.chosen, self.second = number, self._controller.client
         self._place()
         self._controller.turn_to(other)
-        self.second.answered.connect(self._on_second)
+        self._listen(self.second)
         self._draw_second()
         self._follow()
         if looked:
@@ -163,20 +154,28 @@ class SensorPair(QObject):
             time_s = float(facts.times_s[self._state.frame])
             second.ask_frame(run.frames[1 - self.chosen].at(time_s), self._demand)
 
-    def _on_second(self, answer: Answer) -> None:
-        if isinstance(answer, Opened):
-            self._on_second_open()
+    def _listen(self, client: SensorClient, *, on: bool = True) -> None:
+        for signal, slot in (
+            (client.turned, self._on_second_open),
+            (client.solved, self._on_second_solved),
+            (client.paused, self._on_second_paused),
+            (client.failed, self.failed),
+        ):
+            signal.connect(slot) if on else signal.disconnect(slot)
+
+    def _on_second_paused(self) -> None:
+        if self._playing:
             self._follow()
-        elif isinstance(answer, Failed):
-            self.failed.emit(answer)
-        elif isinstance(answer, Waited) and self._playing:
+
+    def _on_second_solved(self, _: object, newest: bool) -> None:
+        """Go on at once, as the chosen one does: neither waits for the other.
+
+        A frame that was asked for while they went on may come when they stand still, at another
+        moment.
+        """
+        if self._playing or newest:
             self._follow()
-        elif isinstance(answer, Solved):
-            # At once, as the chosen one does: neither waits for the other. A frame that was asked
-            # for while they went on may come when they stand still, at another moment.
-            if self._playing or isinstance(answer.request, NewestRequest):
-                self._follow()
-            self._show()
+        self._show()
 
     @property
     def _alone(self) -> bool:
@@ -228,12 +227,13 @@ class SensorPair(QObject):
             beside = opened.mesh.nodes @ T[:3, :3].T + T[:3, 3]
         self._scene.place(self._T_W_B(self.chosen), beside, run.preset.sensors[self.chosen].colour)
 
-    def _on_second_open(self) -> None:
+    def _on_second_open(self, _: object) -> None:
         looked = self._scene.moved_by_user
         self._place()
         if not looked:
             self._scene.reset_view()
         self._draw_second()
+        self._follow()
 
     def _draw_second(self) -> None:
         """Place the second sensor in the view, and draw it."""

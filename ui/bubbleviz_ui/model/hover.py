@@ -8,7 +8,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.diagnostics import Pixel, Probe, Probed
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.engine.solver import Opened
 
 
 class Hover(QObject):

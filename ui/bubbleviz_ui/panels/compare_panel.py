@@ -25,7 +25,8 @@ from bubbleviz.membrane import MOST_FRICTION
 from bubbleviz.output import Measured
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Compared, ComparedOptions, CompareRequest, Failed
+from bubbleviz_ui.engine.solver import ComparedOptions
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import force_text, tangential_text
@@ -35,6 +36,7 @@ from bubbleviz_ui.panels.kappa_panel import HIGHEST
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
+NOT_MEASURED = None, None
 NODES, STEP = 5_000, 100
 """Most nodes to choose, below MAX_NODES, and a step."""
 BLOCKS = 16
@@ -146,7 +148,7 @@ class ComparePanel(QWidget):
         super().__init__()
         self.setObjectName("compare")
         self._state, self._controller = state, controller
-        self._answer: Compared | None = None
+        self._measured: tuple[Measured | str | None, ...] = NOT_MEASURED
         self.a, self.b = Column(state, 0), Column(state, 1)
         self.outlines = QCheckBox("Outlines in the 3-D view")
         self.outlines.setToolTip("Of the patches of A and B, in their colours")
@@ -218,10 +220,10 @@ class ComparePanel(QWidget):
     def _on_choices(self, names: frozenset[str]) -> None:
         if "panels" in names and not self._seen:
             self._controller.compare(())
-            self._take(None)
+            self._take(NOT_MEASURED)
         elif names & ({"compared"} | PATCH_CHOICES):
             self._ask_anew()
-        elif "panels" in names and self._answer is None:
+        elif "panels" in names and self._measured is NOT_MEASURED:
             self._ask()
         else:
             self._show()
@@ -231,30 +233,28 @@ class ComparePanel(QWidget):
 
     def _ask_anew(self) -> None:
         """Ask, and show nothing until it has come: old numbers would look like new ones."""
-        self._take(None)
+        self._take(NOT_MEASURED)
         self._ask()
 
     def _ask(self) -> None:
         if self._seen and self._state.facts is not None:
             self._controller.compare(self._settings)
 
-    def _on_compared(self, answer: Compared) -> None:
-        if self._seen and answer.request.settings == self._settings:
-            self._take(answer)
+    def _on_compared(
+        self, settings: tuple[ComparedOptions, ...], measured: tuple[Measured | str, ...]
+    ) -> None:
+        if self._seen and settings == self._settings:
+            self._take(measured)
 
     def _on_failed(self, failed: Failed) -> None:
-        if isinstance(failed.request, CompareRequest):
-            self._take(None)
+        if failed.key == "compare":
+            self._take(NOT_MEASURED)
 
-    def _take(self, answer: Compared | None) -> None:
-        if answer is not self._answer:
-            self._answer = answer
+    def _take(self, measured: tuple[Measured | str | None, ...]) -> None:
+        if measured is not self._measured:
+            self._measured = measured
             self._show()
             self.measured.emit(self._measured)
-
-    @property
-    def _measured(self) -> tuple[Measured | str | None, ...]:
-        return (None, None) if self._answer is None else self._answer.measured
 
     def _show(self) -> None:
         for column, one in zip((self.a, self.b), self._measured, strict=True):

@@ -249,7 +249,7 @@ class CostsPopup(QFrame):
     def refresh(self) -> None:
         """Write the numbers of now."""
         analysing = self._controller.analysis.busy
-        counts = self._controller.worker.counts
+        counts = self._controller.client.solver.counts
         lines = self._costs.table(self._state.choices, counts, analysing=analysing)
         self.table.setRowCount(len(lines))
         for row, line in enumerate(lines):

@@ -17,8 +17,9 @@ from bubbleviz.pose import open_axes
 from bubbleviz.result import ObjectPatch, Pose, Result, Stage
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Failed, Followed, FollowRequest, Opened
+from bubbleviz_ui.engine.controller import Controller, Followed
+from bubbleviz_ui.engine.solver import Opened
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.choices import POSE_CHOICES
 from bubbleviz_ui.model.undo import SettingsHistory
 from bubbleviz_ui.model.units import NOTHING, Units
@@ -134,7 +135,7 @@ FileUnit = Literal["m", "mm"]
 class _Found:
     """What there is of an object in a session of the solver, for undo."""
 
-    session: int
+    session: object
     pose: Pose | None = None
     rows: Mapping[int, PoseRow] = field(default_factory=dict)
     track: bool = False
@@ -225,7 +226,7 @@ class PoseSession(QObject):
 
     def _use(self, found: _Found) -> None:
         """Show these poses, and track on from the last; nothing where another source is open."""
-        if found.session != self._controller.client.session:
+        if found.session is not self._controller.client.session:
             return
         pose, self.rows = found.pose, dict(found.rows)
         self.pose, start = pose, self.start
@@ -283,20 +284,19 @@ class PoseSession(QObject):
             self.start = None
 
     def _on_followed(self, followed: Followed) -> None:
-        request = followed.request
-        asked = (request.object_name, request.unit)
+        asked = (followed.object_name, followed.unit)
         if self.obj is None or asked != self._loaded:  # the same one stays the same
             self.obj, self._loaded = followed.obj, asked
-        if request.fit is not None:
+        if followed.fitted:
             self.busy = False
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:
         """An object that cannot be used stays chosen, for undo and for the next source."""
         request = failed.request
-        if isinstance(request, FollowRequest):
+        if isinstance(request, Followed):
             self.busy = False
-            if request.object_name == self.object_name and request.fit is None:
+            if request.object_name == self.object_name and not request.fitted:
                 self._controller.follow(None, None, None, fit=False)
             self.changed.emit()
 

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor, edited, save_sensor
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS, Unit, Units

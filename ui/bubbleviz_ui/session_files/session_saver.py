@@ -16,8 +16,14 @@ from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
 from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.engine.requests import Failed, Opened, OpenRequest
-from bubbleviz_ui.engine.solver_server import RecordingOpener, recording, sensor_for, synthetic
+from bubbleviz_ui.engine.solver import (
+    Opened,
+    RecordingOpener,
+    recording,
+    sensor_for,
+    synthetic,
+)
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import OWN_CHOICES
 from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
@@ -398,7 +404,7 @@ class SessionSaver(QObject):
         self._absent = None
 
     def _on_failed(self, failed: Failed) -> None:
-        if isinstance(failed.request, OpenRequest) and self._pending is not None:
+        if failed.key == "open" and self._pending is not None:
             if self._opened is None:
                 self._problems = [failed.message]
                 self._absent = self._pending

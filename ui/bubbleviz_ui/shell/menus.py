@@ -14,7 +14,7 @@ from vtkmodules.vtkCommonCore import vtkVersion
 
 import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
-from bubbleviz_ui.engine.solver_server import RECORDINGS
+from bubbleviz_ui.engine.solver import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS

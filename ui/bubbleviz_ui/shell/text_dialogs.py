@@ -21,7 +21,7 @@ from bubbleviz.api.frames import info
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.jobs import Done, Jobs
-from bubbleviz_ui.engine.solver_server import RecordingOpener
+from bubbleviz_ui.engine.solver import RecordingOpener
 from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.sensor.sensor_panel import title_text
 from bubbleviz_ui.shell.dock import fill

@@ -24,7 +24,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.requests import Opened
+from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.choices import COLOUR_MAPS
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState

@@ -1,59 +1,111 @@
-"""Serves requests with bubbleviz, in the solver thread. No Qt in here."""
+"""Opens sources and makes the products of their frames, in the solver thread. No Qt in here."""
 
 from __future__ import annotations
 
 import time
-import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
+from threading import Event
+from typing import Literal
 
 import numpy as np
 
 from bubbleviz.calibration import PressureZero, zero_of, zeroed
+from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
 from bubbleviz.errors import InputError
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import Measured, SideBySide
-from bubbleviz.pipeline import LOOKS, Pipeline, Product
+from bubbleviz.pipeline import LOOKS, FrameOptions, Pipeline, Product
 from bubbleviz.processes import PipelineProcess
+from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import (
     Frame,
     FrameSource,
+    Gap,
     Recording,
     check_fits,
     gas_warning,
     preset_of_size,
 )
 from bubbleviz.result import Estimate, Result
-from bubbleviz.rigid_object import load_object
+from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation import KnownRecording, NoisyLoop, Truth, known_beside, truth_of
-from bubbleviz_ui.engine.requests import (
-    Analysed,
-    AnalyseRequest,
-    Answer,
-    CollectRequest,
-    Compared,
-    CompareRequest,
-    Failed,
-    Followed,
-    FollowRequest,
-    FrameRequest,
-    NewestRequest,
-    Opened,
-    OpenRequest,
-    PatchRequest,
-    Request,
-    SettleRequest,
-    Solved,
-    Thresholded,
-    Waited,
-)
+from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import NOTHING_OPEN, SourceFacts
 from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
+
+ComparedOptions = tuple[EstimatorOptions, FrameOptions]
+"""What makes the estimate and the patch of a setting."""
+
+
+@dataclass(frozen=True)
+class OpenRequest:
+    """A source to open with a sensor.
+
+    Attributes
+    ----------
+    what : str
+        What to call it in a message.
+    open_source, open_sensor : callable
+        Make the source and the sensor; called in the solver thread.
+    frame : int
+        Frame to show first; proof that the source can be used with the sensor.
+    demand : Demand
+        Of that frame.
+    options : EstimatorOptions
+    playing, live : bool
+        Play once it is open; it is a live source.
+    cancelled : Event
+        Set: nobody waits for it any more.
+    """
+
+    what: str
+    open_source: Callable[[Sensor], FrameSource]
+    open_sensor: Callable[[], Sensor]
+    frame: int
+    demand: Demand
+    options: EstimatorOptions = field(default_factory=EstimatorOptions)
+    playing: bool = False
+    live: bool = False
+    cancelled: Event = field(default_factory=Event, compare=False)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A source that is open, with its first frame."""
+
+    request: OpenRequest
+    facts: SourceFacts
+    sensor: Sensor
+    camera: DepthCamera
+    mesh: MembraneMesh
+    frame: int
+    result: Result
+    numbers: Numbers
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A frame's products, its numbers, and when that was done.
+
+    `outages` are those of a live source so far; `remark` is what the user has to be told of how it
+    was solved, or of the sensor file.
+    """
+
+    demand: Demand
+    result: Result
+    numbers: Numbers
+    done_s: float = float("nan")
+    outages: tuple[Gap, ...] = ()
+    remark: str = ""
+
 
 # Estimates of frames, kept so that another κ needs no solving. No Qt in here.
 
@@ -205,8 +257,9 @@ class CachedSource:
         self._source.close()
 
 
-WAIT_S = 0.05
-"""How long the newest frame is waited for before other requests are looked at."""
+WAIT_S, LOOK_S = 0.05, 0.005
+"""How long a frame of a live source is waited for before it counts as paused, and how often the
+worker looks meanwhile whether something more urgent waits."""
 SLICE_S = 0.03
 """How long frames nobody looks at may keep the one somebody asks for waiting."""
 TOLD_PA = 50.0
@@ -223,7 +276,6 @@ class Session:
     recording's gas pressure.
     """
 
-    number: int
     source: FrameSource
     pipeline: Pipeline
     side_by_side: SideBySide
@@ -244,8 +296,8 @@ class Session:
             self.beside.close()
 
 
-class Server:
-    """Keeps the open source and its pipeline; a request that fails changes nothing.
+class Solver:
+    """Keeps the open source and its pipeline; what fails changes nothing.
 
     Attributes
     ----------
@@ -255,43 +307,17 @@ class Server:
     def __init__(self) -> None:
         self.session: Session | None = None
         self._checked: Session | None = None  # whose sensor file was compared with its frames
-        self._called_off = False
 
     @property
     def counts(self) -> dict[str, int]:
         """How often each stage has run for the open source."""
         return dict(self.session.pipeline.counts) if self.session is not None else {}
 
-    def serve(self, request: Request) -> Answer | None:
-        """Answer one request; None when it belongs to a session that is gone."""
-        try:
-            if isinstance(request, OpenRequest):
-                return self._open(request)
-            session = self.session
-            if session is None or session.number != request.session:
-                return None
-            if isinstance(request, CompareRequest):
-                return self._compare(session, request)
-            if isinstance(request, FollowRequest):
-                return self._follow(session, request)
-            if isinstance(request, PatchRequest):
-                return self._threshold(session, request)
-            if isinstance(request, AnalyseRequest):
-                return self._analyse(session, request)
-            if isinstance(request, NewestRequest):
-                return self._newest(session, request)
-            return self._solve(session, request)
-        except InputError as error:
-            return Failed(request, str(error), "")
-        except Exception as error:
-            return Failed(request, _in_words(error), traceback.format_exc())
-
-    def wait_no_longer(self) -> None:
-        """Have a frame that has not come yet waited for no longer; from another thread."""
-        session = self.session
-        if session is not None and isinstance(session.source, LiveFrames):
-            self._called_off = True
-            session.source.wake()
+    @property
+    def _open(self) -> Session:
+        if self.session is None:
+            raise RuntimeError("nothing is open yet")
+        return self.session
 
     def close(self) -> None:
         """Let go of the open source."""
@@ -299,88 +325,149 @@ class Server:
             self.session.close()
             self.session = self._checked = None
 
-    def _solve(self, session: Session, request: FrameRequest) -> Solved:
-        frame = session.frame(request.index)
-        if isinstance(request, CollectRequest):
-            session.shear.forget()
-        return self._solved(session, request, frame)
-
-    def _newest(self, session: Session, request: NewestRequest) -> Solved | Waited:
-        source = session.source
-        if not isinstance(source, LiveFrames):
-            return Waited(request, paused=True)
-        source.follow_colour(request.of_colour)
-        frame = source.newest(WAIT_S)
-        if frame is not None:
-            return self._solved(session, request, frame)
-        called_off, self._called_off = self._called_off, False
-        return Waited(request, paused=not called_off)
-
-    def _solved(
-        self, session: Session, request: FrameRequest | NewestRequest, frame: Frame
+    def frame(
+        self, index: int, demand: Demand, *, settled: bool = False, anew: bool = False
     ) -> Solved:
-        settled = isinstance(request, SettleRequest)
-        of = session.source, session.pipeline, session.shear
-        beside = session.beside if isinstance(request, NewestRequest) else None
-        known = "" if beside is None else beside.lost
-        result = _process(*of, frame, request.demand, beside=beside, settled=settled)
-        if isinstance(session.source, LiveFrames) and isinstance(request, NewestRequest):
-            session.source.tell(result, session.pipeline.mesh)
-        result = _look(session, result, request.demand)
-        numbers, done_s = _kept_numbers(session, result), time.perf_counter()
-        outages = session.source.outages if isinstance(session.source, LiveFrames) else ()
-        remark = "" if beside is None or beside.lost == known else _lost(session, beside)
+        """Products of a frame.
+
+        Parameters
+        ----------
+        index : int
+        demand : Demand
+        settled : bool, optional
+            Solve it without the state of the frames before, so that it is always the same.
+        anew : bool, optional
+            Find the contact-free colour images anew.
+        """
+        session = self._open
+        frame = session.frame(index)
+        if anew:
+            session.shear.forget()
+        solved = self._solved(session, demand, frame, settled=settled)
         if settled and self._checked is not session:  # in spare time: opening does not wait for it
             self._checked = session
-            remark = _misfit(session.source, session.pipeline)
-        return Solved(request, result, numbers, done_s, outages, remark)
+            return replace(solved, remark=_misfit(session.source, session.pipeline))
+        return solved
 
-    def _follow(self, session: Session, request: FollowRequest) -> Followed:
-        obj = None
-        if request.object_name is not None:
-            obj = load_object(request.object_name, request.unit)
-        session.pipeline.follow(obj, request.start)
-        solved = self._solve(session, request.fit) if request.fit is not None else None
-        return Followed(request, obj, solved)
+    def newest(
+        self, demand: Demand, called_off: Callable[[], bool], *, of_colour: bool = False
+    ) -> Solved | None:
+        """Products of the newest frame of a live source; None if none comes.
 
-    def _threshold(self, session: Session, request: PatchRequest) -> Thresholded:
-        estimate = request.result.estimate
+        Parameters
+        ----------
+        demand : Demand
+        called_off : callable
+            Whether to stop waiting for a frame; `Deferred` is raised then.
+        of_colour : bool, optional
+            Have colour images sent, also for diagnostics that not every frame gets.
+        """
+        session, end = self._open, time.perf_counter() + WAIT_S
+        source, beside = session.source, session.beside
+        if not isinstance(source, LiveFrames):
+            return None
+        source.follow_colour(of_colour)
+        while (frame := source.newest(LOOK_S)) is None:
+            if called_off():
+                raise Deferred
+            if source.ended or time.perf_counter() > end:
+                return None
+        known = "" if beside is None else beside.lost
+        solved = self._solved(session, demand, frame, beside=beside)
+        source.tell(solved.result, session.pipeline.mesh)
+        remark = "" if beside is None or beside.lost == known else _lost(session, beside)
+        return replace(solved, outages=source.outages, remark=remark)
+
+    def follow(
+        self, object_name: str | None, unit: Literal["m", "mm"] | None, start: np.ndarray | None
+    ) -> RigidObject | None:
+        """Look for another object from now on, or for none.
+
+        Parameters
+        ----------
+        object_name : str or None
+            Preset or mesh file.
+        unit : {"m", "mm"} or None
+            Of the file; None: by its name.
+        start : (4, 4) array or None
+            T_B_O to begin at; None to search.
+        """
+        obj = None if object_name is None else load_object(object_name, unit)
+        self._open.pipeline.follow(obj, start)
+        return obj
+
+    def patch(self, result: Result, demand: Demand) -> tuple[Result, Numbers]:
+        """Threshold the estimate of a result anew at another κ, without solving."""
+        session, estimate = self._open, result.estimate
         if estimate is None:
             raise ValueError("no estimate to threshold")
-        demand = request.demand
         masked = "pixel_mask" in demand.products
         patch = session.pipeline.patch(estimate, demand.options, pixel_mask=masked)
-        result = _look(session, replace(request.result, patch=patch), demand)
-        numbers = numbers_of(result, session.pipeline.model.gas)
-        return Thresholded(request, result, numbers)
+        result = _look(session, replace(result, patch=patch), demand)
+        return result, numbers_of(result, session.pipeline.model.gas)
 
-    def _analyse(self, session: Session, request: AnalyseRequest) -> Analysed:
-        """As many frames as there is time for, and one at least."""
+    def analyse(
+        self, frames: tuple[int, ...], demand: Demand, *, kept_only: bool
+    ) -> list[Numbers | None]:
+        """Numbers of as many frames as there is time for, and of one at least.
+
+        With `kept_only` None for a frame whose estimate is not kept.
+        """
+        session = self._open
         end, numbers = time.perf_counter() + SLICE_S, list[Numbers | None]()
-        for index in request.frames:
-            numbers.append(_numbers(session, request, index))
+        for index in frames:
+            numbers.append(_numbers(session, demand, index, kept_only=kept_only))
             if time.perf_counter() > end:
                 break
-        return Analysed(request, tuple(numbers))
+        return numbers
 
-    def _compare(self, session: Session, request: CompareRequest) -> Compared | None:
-        session.side_by_side.keep([options for options, _ in request.settings])
-        if not request.settings:
-            return None
-        frame, truth = session.frame(request.index), truth_of(session.source, request.index)
+    def compare(
+        self, index: int, settings: tuple[ComparedOptions, ...], *, settled: bool
+    ) -> tuple[Measured | str, ...]:
+        """Measure settings on a frame; a text where one is impossible.
+
+        No settings: let go of what was built for that.
+        """
+        session = self._open
+        bench, measured = session.side_by_side, list[Measured | str]()
+        bench.keep([options for options, _ in settings])
+        if not settings:
+            return ()
+        frame, truth = session.frame(index), truth_of(session.source, index)
         if isinstance(session.source, LiveFrames):
             frame = session.source.zero.applied(frame)
-        bench, settled, measured = session.side_by_side, request.settled, list[Measured | str]()
-        for options, rule in request.settings:
+        for options, rule in settings:
             try:
                 measured.append(bench.measure(options, frame, rule, truth, settled=settled))
             except InputError as error:
                 measured.append(str(error))
-        return Compared(request, (measured[0], measured[1]))
+        return tuple(measured)
 
-    def _open(self, request: OpenRequest) -> Opened | None:
+    def _solved(
+        self,
+        session: Session,
+        demand: Demand,
+        frame: Frame,
+        *,
+        beside: PipelineProcess | None = None,
+        settled: bool = False,
+    ) -> Solved:
+        of = session.source, session.pipeline, session.shear
+        result = _process(*of, frame, demand, beside=beside, settled=settled)
+        result = _look(session, result, demand)
+        return Solved(demand, result, _kept_numbers(session, result), time.perf_counter())
+
+    def open(self, request: OpenRequest) -> Opened:
+        """Open a source in place of the present one.
+
+        Raises
+        ------
+        InputError
+            It cannot be opened; the present one stays.
+        Cancelled
+        """
         if request.cancelled.is_set():
-            return None
+            raise Cancelled
         sensor = request.open_sensor()
         source = request.open_source(sensor)
         try:
@@ -399,20 +486,17 @@ class Server:
             if zero is not None:
                 frame, measured_pa = zero.applied(frame), zero.rest_pa or measured_pa
             result = _process(source, pipeline, shear, frame, request.demand)
+            if request.cancelled.is_set():
+                raise Cancelled
         except BaseException:
             source.close()
             if request.cancelled.is_set():
-                return None
+                raise Cancelled from None
             raise
-        if request.cancelled.is_set():
-            source.close()
-            return None
         self.close()
         settings = SideBySide(sensor, pipeline.camera.intrinsics)
         beside = _beside(source, pipeline)
-        session = Session(
-            request.session, source, pipeline, settings, shear, beside=beside, zero=zero
-        )
+        session = Session(source, pipeline, settings, shear, beside=beside, zero=zero)
         self.session = session
         grows = isinstance(source, LiveFrames)
         remarks = [str(getattr(source, "remark", ""))]  # recordings have one
@@ -437,15 +521,15 @@ class Server:
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers)
 
 
-def _numbers(session: Session, request: AnalyseRequest, index: int) -> Numbers | None:
+def _numbers(session: Session, demand: Demand, index: int, *, kept_only: bool) -> Numbers | None:
     """Numbers of a frame, the patch alone found anew where its estimate is kept."""
-    demand, pipeline = request.demand, session.pipeline
+    pipeline = session.pipeline
     kept = session.kept.get(index)
     if kept is not None and demand.products <= PATCHED:
         known, estimate = kept
         patch = pipeline.patch(estimate, demand.options)
         return replace(known, **patch_numbers(patch, trusted=estimate.trusted))
-    if request.kept_only:
+    if kept_only:
         return None
     try:
         frame = session.frame(index)
@@ -543,7 +627,3 @@ def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
         off = f"{1e3 * found.bias_m:+.2f} mm"
         return f"the sensor file was never calibrated, and depth is {off} off: identify the sensor"
     return "" if found.verdict == "fits" else f"compared with the sensor file: {found.reason}"
-
-
-def _in_words(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".splitlines()[0][:300]
