@@ -26,48 +26,26 @@ OFFSCREEN_PICTURES = 3  # saved in that time
 
 def run_window(
     sensor: Sensor,
+    # What to replay; None for the built-in synthetic press as a live sensor
     recording: Path | None = None,
-    frame: int | None = None,
-    scene: ScenePreset | None = None,
+    frame: int | None = None,  # Stay at this frame; None plays from the first
+    scene: ScenePreset | None = None,  # What is visible; None for the window's default
     *,
+    # Leave the user's last session alone; else come back to it, and keep this one
     fresh: bool = True,
-    live: SessionPreset | None = None,
-    saved: Path | None = None,
-    truth: Path | None = None,
+    live: SessionPreset | None = None,  # Live sensors in place of a recording
+    saved: Path | None = None,  # Session file to restore in place of a recording
+    truth: Path | None = None,  # TRUTH.npz of a recording that was simulated
 ) -> int:
     """Show the window until it is closed.
 
     Without a display the same session runs off-screen for a few seconds and its pictures are
     written to a new folder, whose files are named on standard output.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    recording : Path, optional
-        What to replay; None for the built-in synthetic press as a live sensor.
-    frame : int, optional
-        Stay at this frame; None plays from the first.
-    scene : ScenePreset, optional
-        What is visible; None for the window's default.
-    fresh : bool
-        Leave the user's last session alone; else come back to it, and keep this one.
-    live : SessionPreset, optional
-        Live sensors in place of a recording.
-    saved : Path, optional
-        Session file to restore in place of a recording.
-    truth : Path, optional
-        TRUTH.npz of a recording that was simulated.
+    Returns int: Exit code.
 
-    Returns
-    -------
-    int
-        Exit code.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be opened or does not fit the sensor, or the session cannot be read;
-        no window appears.
+    Raises InputError: The recording cannot be opened or does not fit the sensor, or the session
+    cannot be read; no window appears.
     """
     if has_display():
         keep_in = None if fresh else _user_file
@@ -99,11 +77,8 @@ def screenshot(
 ) -> None:
     """Write a picture of the whole window at one frame.
 
-    Raises
-    ------
-    InputError
-        There is nothing to draw on, the recording cannot be opened, has no such frame, or the
-        picture exists or cannot be written.
+    Raises InputError: There is nothing to draw on, the recording cannot be opened, has no such
+    frame, or the picture exists or cannot be written.
     """
     refuse_existing(out, overwrite=overwrite)
     with (

@@ -100,13 +100,7 @@ SIDES = {
 class MainWindow(QMainWindow):
     """Shows one session.
 
-    Parameters
-    ----------
-    state : SessionState
-    controller : Controller
-        The window closes it when it closes.
-    quality : RenderQuality
-        How the 3-D view is drawn.
+    `quality`: How the 3-D view is drawn.
     """
 
     def __init__(
@@ -118,7 +112,7 @@ class MainWindow(QMainWindow):
         self.setAcceptDrops(True)
         self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
         self.state = state
-        self.controller = controller
+        self.controller = controller  # The window closes it when it closes
         self.messages = Messages(self)
         self.message = MessageBar(self)
         self.notice = NoticeBar(self.menuBar())

@@ -241,13 +241,9 @@ def window_session(
     it; with `saved`, the session of that file is restored. `truth` is what is true of the
     recording, where it is of a simulation and no file of its name beside it says so.
 
-    Raises
-    ------
-    InputError
-        The session cannot be read, or the recording cannot be opened, does not fit the sensor, or
-        has no such frame.
-    KeyboardInterrupt
-        ^C came before there was an event loop to end.
+    Raises InputError: The session cannot be read, or the recording cannot be opened, does not fit
+    the sensor, or has no such frame; KeyboardInterrupt: ^C came before there was an event loop to
+    end.
     """
     given = None if saved is None else (saved, _read(saved))  # before there is a window
     session = WindowSession()

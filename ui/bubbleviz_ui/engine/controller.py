@@ -31,20 +31,11 @@ from bubbleviz_ui.playback.player import Player
 class Analysis(QObject):
     """Has the numbers computed that are not known yet, a part of the frames at a time.
 
-    Parameters
-    ----------
-    state : SessionState
-        Remembers the numbers.
-    client : callable
-        Gives the sensor whose frames are analysed.
-
-    Attributes
-    ----------
-    progressed : Signal
-        Frames done and frames asked for; equal when it is over.
+    `state`: Remembers the numbers.
+    `client`: Gives the sensor whose frames are analysed.
     """
 
-    progressed = Signal(int, int)
+    progressed = Signal(int, int)  # Frames done and frames asked for; equal when it is over
 
     def __init__(self, state: SessionState, client: Callable[[], SensorClient]) -> None:
         super().__init__()
@@ -121,43 +112,22 @@ STANDS_MS = 150
 
 
 class Controller(QObject):
-    """Asks for what the visible things need of the frame at the cursor.
+    """Asks for what the visible things need of the frame at the cursor."""
 
-    Attributes
-    ----------
-    opened : Signal
-        An `Opened`: another source or sensor is open.
-    shown : Signal
-        A `Result` to draw.
-    failed : Signal
-        A `Failed` to tell the user about.
-    followed : Signal
-        A `Followed`: another object is looked for, or none.
-    compared : Signal
-        Settings, and what was measured with each on one frame.
-    client : SensorClient
-        The sensor that the panels show.
-    opening : Opening
-        Opens other things.
-    analysis : Analysis
-        Of all frames.
-    player : Player
-        Of recordings.
-    """
-
-    opened = Signal(object)
-    shown = Signal(object)
-    failed = Signal(object)
-    compared = Signal(object, object)
-    followed = Signal(object)
+    opened = Signal(object)  # An `Opened`: another source or sensor is open
+    shown = Signal(object)  # A `Result` to draw
+    failed = Signal(object)  # A `Failed` to tell the user about
+    compared = Signal(object, object)  # Settings, and what was measured with each on one frame
+    followed = Signal(object)  # A `Followed`: another object is looked for, or none
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.state = state
-        self.client = SensorClient(state)
+        self.client = SensorClient(state)  # The sensor that the panels show
+        # Opens other things
         self.opening = Opening(state, lambda request: self.client.open(request))
-        self.analysis = Analysis(state, lambda: self.client)
-        self.player = Player(state)
+        self.analysis = Analysis(state, lambda: self.client)  # Of all frames
+        self.player = Player(state)  # Of recordings
         self._stands = QTimer(self, singleShot=True, interval=STANDS_MS)
         self._stands.timeout.connect(self.settle)
         self._listen(self.client)

@@ -47,20 +47,9 @@ class _Waiting:
 
 
 class Jobs(QObject):
-    """A thread of its own, made with the first job, that does one job after the other.
+    """A thread of its own, made with the first job, that does one job after the other."""
 
-    Parameters
-    ----------
-    name : str
-        Of the thread.
-
-    Attributes
-    ----------
-    progressed : Signal
-        Step in plain words, and the share of it that is done.
-    """
-
-    progressed = Signal(str, float)
+    progressed = Signal(str, float)  # Step in plain words, and the share of it that is done
     _told = Signal(object, str, float)
     _over = Signal(object, object)
 
@@ -82,13 +71,9 @@ class Jobs(QObject):
     ) -> None:
         """Do a job after all that wait already.
 
-        Parameters
-        ----------
-        job : callable
-        then : callable
-            Gets its `Done` in the GUI thread, unless it is cancelled.
-        unwanted : callable
-            Lets go of the answer of a job that was cancelled too late; None where it failed.
+        `then`: Gets its `Done` in the GUI thread, unless it is cancelled.
+        `unwanted`: Lets go of the answer of a job that was cancelled too late; None where it
+        failed.
         """
         waiting = _Waiting(job, then, unwanted)
         self._wanted.add(waiting)

@@ -34,32 +34,19 @@ if TYPE_CHECKING:
 class Opening(QObject):
     """Asks the solver thread to open things; what is open stays until that works.
 
-    Parameters
-    ----------
-    state : SessionState
-    ask : callable
-        Takes a request to the solver thread.
-
-    Attributes
-    ----------
-    changed : Signal
-        What is being opened or closed, in words; empty when it is, or is not going to be.
-    said : Signal
-        A `UserMessage`.
-    wanted : Signal
-        An `OpenRequest` before it is asked; whoever needs what is open may have it `cancelled`.
-    present : Opened or None
-        What is open.
+    `ask`: Takes a request to the solver thread.
     """
 
+    # What is being opened or closed, in words; empty when it is, or is not going to be
     changed = Signal(str)
-    said = Signal(object)
+    said = Signal(object)  # A `UserMessage`
+    # An `OpenRequest` before it is asked; whoever needs what is open may have it `cancelled`
     wanted = Signal(object)
 
     def __init__(self, state: SessionState, ask: Callable[[OpenRequest], None]) -> None:
         super().__init__()
         self._state, self._ask = state, ask
-        self.present: Opened | None = None
+        self.present: Opened | None = None  # What is open
         self._waiting: OpenRequest | None = None
 
     @property

@@ -31,16 +31,10 @@ MOST_S = 0.1  # s; longer delays are felt
 
 
 class RequestDelay:
-    """Delays requests while the window draws: a frame taken too early would be old by then.
-
-    Attributes
-    ----------
-    hold_s : float
-        How long after the last result the next frame is to be taken.
-    """
+    """Delays requests while the window draws: a frame taken too early would be old by then."""
 
     def __init__(self) -> None:
-        self.hold_s = 0.0
+        self.hold_s = 0.0  # How long after the last result the next frame is to be taken
 
     def waited(self, seconds: float) -> None:
         """Take note of how long a result waited for the window."""
@@ -51,65 +45,28 @@ class SensorClient(QObject):
     """What is open in a solver thread, and the newest that came of it.
 
     The panels show one sensor; where a session has two, the other one is another client.
-
-    Parameters
-    ----------
-    state : SessionState
-        Of the window.
-
-    Attributes
-    ----------
-    turned : Signal
-        An `Opened`: another source is open.
-    solved : Signal
-        A `Solved`, and whether it is the newest frame of a live source.
-    patched : Signal
-        The shown frame has its patch at another κ.
-    paused : Signal
-        No frame of a live source came while one was waited for.
-    failed : Signal
-        A `Failed`.
-    solver : Solver
-        Used in the worker's thread.
-    worker : Worker
-    session : object
-        Stands for the open source; another one for each.
-    opened : Opened or None
-        None before the first source.
-    facts : SourceFacts or None
-        Of the source as it is now: a live one grows.
-    history : History
-    result : Result or None
-        Shown last.
-    inspection : Inspection
-        Closer look at that.
-    demand : Demand
-        What was asked for last.
-    extra : frozenset of Product
-        Asked of every live frame besides what is visible.
-    solves : RateMeter
-        Frames that came back from the solver.
     """
 
-    turned = Signal(object)
-    solved = Signal(object, bool)
-    patched = Signal(object)
-    paused = Signal()
-    failed = Signal(object)
+    turned = Signal(object)  # An `Opened`: another source is open
+    solved = Signal(object, bool)  # A `Solved`, and whether it is the newest frame of a live source
+    patched = Signal(object)  # The shown frame has its patch at another κ
+    paused = Signal()  # No frame of a live source came while one was waited for
+    failed = Signal(object)  # A `Failed`
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
-        self.solver = Solver()
+        self.solver = Solver()  # Used in the worker's thread
         self.worker = Worker(self.solver.close)
-        self.session = object()
-        self.opened: Opened | None = None
-        self.facts: SourceFacts | None = None
+        self.session = object()  # Stands for the open source; another one for each
+        self.opened: Opened | None = None  # None before the first source
+        self.facts: SourceFacts | None = None  # Of the source as it is now: a live one grows
         self.history = History(0)
-        self.result: Result | None = None
-        self.inspection = Inspection()
-        self.demand = Demand(frozenset())
+        self.result: Result | None = None  # Shown last
+        self.inspection = Inspection()  # Closer look at that
+        self.demand = Demand(frozenset())  # What was asked for last
+        # Asked of every live frame besides what is visible
         self.extra: frozenset[Product] = frozenset()
-        self.solves = RateMeter()
+        self.solves = RateMeter()  # Frames that came back from the solver
         self._state = state
         self._awaiting = False
         self._looked_s = 0.0

@@ -47,33 +47,18 @@ ComparedOptions = tuple[EstimatorOptions, FrameOptions]
 
 @dataclass(frozen=True)
 class OpenRequest:
-    """A source to open with a sensor.
+    """A source to open with a sensor."""
 
-    Attributes
-    ----------
-    what : str
-        What to call it in a message.
-    open_source, open_sensor : callable
-        Make the source and the sensor; called in the solver thread.
-    frame : int
-        Frame to show first; proof that the source can be used with the sensor.
-    demand : Demand
-        Of that frame.
-    options : EstimatorOptions
-    playing, live : bool
-        Play once it is open; it is a live source.
-    cancelled : Event
-        Set: nobody waits for it any more.
-    """
-
-    what: str
+    what: str  # What to call it in a message
+    # open_source, open_sensor: Make the source and the sensor; called in the solver thread
     open_source: Callable[[Sensor], FrameSource]
     open_sensor: Callable[[], Sensor]
-    frame: int
-    demand: Demand
+    frame: int  # Frame to show first; proof that the source can be used with the sensor
+    demand: Demand  # Of that frame
     options: EstimatorOptions = field(default_factory=EstimatorOptions)
-    playing: bool = False
+    playing: bool = False  # playing, live: Play once it is open; it is a live source
     live: bool = False
+    # Set: nobody waits for it any more
     cancelled: Event = field(default_factory=Event, compare=False)
 
 
@@ -115,12 +100,7 @@ MOST_BYTES = 256 * 2**20
 
 
 class KeptEstimates:
-    """The estimates that were computed last, as many as fit.
-
-    Parameters
-    ----------
-    most_bytes : int, optional
-    """
+    """The estimates that were computed last, as many as fit."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._kept: OrderedDict[int, tuple[Numbers, Estimate]] = OrderedDict()
@@ -167,10 +147,8 @@ class RecordingOpener:
     def __call__(self, sensor: Sensor) -> FrameSource:
         """Open it, with the truth behind it where it is of a simulation and that is known.
 
-        Raises
-        ------
-        InputError
-            It cannot be opened, does not fit the sensor, or the truth is not its own.
+        Raises InputError: It cannot be opened, does not fit the sensor, or the truth is not its
+        own.
         """
         opened = Recording(self.path)
         try:
@@ -297,12 +275,7 @@ class Session:
 
 
 class Solver:
-    """Keeps the open source and its pipeline; what fails changes nothing.
-
-    Attributes
-    ----------
-    session : Session or None
-    """
+    """Keeps the open source and its pipeline; what fails changes nothing."""
 
     def __init__(self) -> None:
         self.session: Session | None = None
@@ -330,14 +303,8 @@ class Solver:
     ) -> Solved:
         """Products of a frame.
 
-        Parameters
-        ----------
-        index : int
-        demand : Demand
-        settled : bool, optional
-            Solve it without the state of the frames before, so that it is always the same.
-        anew : bool, optional
-            Find the contact-free colour images anew.
+        `settled`: Solve it without the state of the frames before, so that it is always the same.
+        `anew`: Find the contact-free colour images anew.
         """
         session = self._open
         frame = session.frame(index)
@@ -354,13 +321,8 @@ class Solver:
     ) -> Solved | None:
         """Products of the newest frame of a live source; None if none comes.
 
-        Parameters
-        ----------
-        demand : Demand
-        called_off : callable
-            Whether to stop waiting for a frame; `Deferred` is raised then.
-        of_colour : bool, optional
-            Have colour images sent, also for diagnostics that not every frame gets.
+        `called_off`: Whether to stop waiting for a frame; `Deferred` is raised then.
+        `of_colour`: Have colour images sent, also for diagnostics that not every frame gets.
         """
         session, end = self._open, time.perf_counter() + WAIT_S
         source, beside = session.source, session.beside
@@ -383,14 +345,9 @@ class Solver:
     ) -> RigidObject | None:
         """Look for another object from now on, or for none.
 
-        Parameters
-        ----------
-        object_name : str or None
-            Preset or mesh file.
-        unit : {"m", "mm"} or None
-            Of the file; None: by its name.
-        start : (4, 4) array or None
-            T_B_O to begin at; None to search.
+        `object_name`: Preset or mesh file.
+        `unit`: Of the file; None: by its name.
+        `start`: (4, 4) array or None: T_B_O to begin at; None to search.
         """
         obj = None if object_name is None else load_object(object_name, unit)
         self._open.pipeline.follow(obj, start)
@@ -460,11 +417,7 @@ class Solver:
     def open(self, request: OpenRequest) -> Opened:
         """Open a source in place of the present one.
 
-        Raises
-        ------
-        InputError
-            It cannot be opened; the present one stays.
-        Cancelled
+        Raises InputError: It cannot be opened; the present one stays; Cancelled.
         """
         if request.cancelled.is_set():
             raise Cancelled

@@ -25,10 +25,7 @@ EVERY_MS = 50
 class GarbageCollector(QObject):
     """Does what Python would do in whichever thread makes an object, as often as Python would.
 
-    Parameters
-    ----------
-    application : QCoreApplication
-        Keeps the collector; garbage stays where its event loop does not run.
+    `application`: Keeps the collector; garbage stays where its event loop does not run.
     """
 
     def __init__(self, application: QCoreApplication) -> None:
@@ -67,21 +64,13 @@ class MemoryRelease(QObject):
     """Lets go of unused memory when the window has come to rest, in a thread.
 
     Not while a recording plays: who wants memory meanwhile waits, for longer than a picture takes.
-
-    Parameters
-    ----------
-    state : SessionState
-    release : callable
-        Gives memory back; called in a thread.
-    rest_ms : int
-        How long nothing may happen before it is called.
     """
 
     def __init__(
         self,
         state: SessionState,
-        release: Callable[[], None] = release_memory,
-        rest_ms: int = REST_MS,
+        release: Callable[[], None] = release_memory,  # Gives memory back; called in a thread
+        rest_ms: int = REST_MS,  # How long nothing may happen before it is called
     ) -> None:
         super().__init__()
         self._state, self._release = state, release
@@ -129,15 +118,10 @@ class Interrupt:
     handler only remembers it, from before these are imported on; Python also writes a byte to a
     socket, which wakes the event loop up. Signals that are ignored (`nohup`) stay ignored. Does
     nothing outside the main thread, where Python handles no signals.
-
-    Attributes
-    ----------
-    came : bool
-        Whether there was one.
     """
 
     def __init__(self) -> None:
-        self.came = False
+        self.came = False  # Whether there was one
         self._former: dict[signal.Signals, object] = {}
         handled = [k for k in _SIGNALS if signal.getsignal(k) is not signal.SIG_IGN]
         if not handled or threading.current_thread() is not threading.main_thread():

@@ -64,25 +64,15 @@ class Worker(QObject):
     A successful "open" starts a new generation. Functions submitted before its answer was
     delivered are dropped, as they were meant for the previous source.
 
-    Parameters
-    ----------
-    at_end : callable, optional
-        Called last in the thread.
-
-    Attributes
-    ----------
-    failed : Signal
-        A `Failed`.
-    dropped : int
-        Frames replaced by a newer one before their turn.
+    `at_end`: Called last in the thread.
     """
 
-    failed = Signal(object)
+    failed = Signal(object)  # A `Failed`
     _ready = Signal(object)
 
     def __init__(self, at_end: Callable[[], None] = lambda: None) -> None:
         super().__init__()
-        self.dropped = 0
+        self.dropped = 0  # Frames replaced by a newer one before their turn
         self._slots: dict[str, _Job] = {}
         self._changed = Condition()
         self._generation = self._running = 0  # in the GUI thread, and in this one
@@ -94,29 +84,16 @@ class Worker(QObject):
 
     def submit(
         self,
-        key: str,
-        function: Callable[[], Any],
-        then: Callable[[Any], None],
+        key: str,  # One of `KEYS`
+        function: Callable[[], Any],  # Runs in the thread
+        then: Callable[[Any], None],  # Gets its return value in the GUI thread
         *,
-        due_s: float = 0.0,
-        request: object = None,
+        due_s: float = 0.0,  # Earliest start, by `time.perf_counter`
+        request: object = None,  # Passed on in a `Failed`
     ) -> None:
         """Run a function instead of the one that waits under the same key.
 
         A "frame" also replaces a waiting "settle", because the user has left that frame.
-
-        Parameters
-        ----------
-        key : str
-            One of `KEYS`.
-        function : callable
-            Runs in the thread.
-        then : callable
-            Gets its return value in the GUI thread.
-        due_s : float, optional
-            Earliest start, by `time.perf_counter`.
-        request : object, optional
-            Passed on in a `Failed`.
         """
         job = _Job(key, function, then, due_s, request, self._generation)
         with self._changed:

@@ -34,22 +34,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of export.
+    """One kind of export."""
 
-    Attributes
-    ----------
-    title, tip : str
-        As the window calls it.
-    suffixes : dict of str to str
-        What the name of its file may end in, by title; empty: a folder of files.
-    what : str
-        Of `bubbleviz.output.export_plan.KINDS`, for a folder.
-    """
-
-    title: str
+    title: str  # title, tip: As the window calls it
     tip: str
+    # What the name of its file may end in, by title; empty: a folder of files
     suffixes: dict[str, str]
-    what: str = ""
+    what: str = ""  # Of `bubbleviz.output.export_plan.KINDS`, for a folder
 
     @property
     def is_video(self) -> bool:
@@ -99,20 +90,7 @@ LOOK_S = 0.1
 
 
 class VideoExport(QObject):
-    """Goes through frames, and hands a picture of each to `write`, which runs in a thread.
-
-    Parameters
-    ----------
-    controller : Controller
-    view : View
-    frames : range
-    size : (int, int)
-        Width and height, pixels.
-    path : Path
-    fps : float
-    captioned : bool
-        Write frame number and time into the pictures.
-    """
+    """Goes through frames, and hands a picture of each to `write`, which runs in a thread."""
 
     _taken = Signal()
 
@@ -121,11 +99,11 @@ class VideoExport(QObject):
         controller: Controller,
         view: View,
         frames: range,
-        size: tuple[int, int],
+        size: tuple[int, int],  # Width and height, pixels
         path: Path,
         fps: float,
         *,
-        captioned: bool,
+        captioned: bool,  # Write frame number and time into the pictures
     ) -> None:
         super().__init__()
         self._controller, self._state, self._view = controller, controller.state, view
@@ -154,12 +132,8 @@ class VideoExport(QObject):
     def write(self, progress: Progress) -> str:
         """Write the video; in a thread, while the window draws. What was done, in a sentence.
 
-        Raises
-        ------
-        InputError
-            The file exists or cannot be written.
-        Cancelled
-            By `progress`; nothing is left then.
+        Raises InputError: The file exists or cannot be written; Cancelled: By `progress`; nothing
+        is left then.
         """
         count = len(self._frames)
         with open_mp4(self._path, self._fps) as writer:
@@ -223,26 +197,12 @@ TOPIC = "export"
 class Exporting(QObject):
     """Exports what is open.
 
-    Parameters
-    ----------
-    controller : Controller
-    view : View
-    poses : callable
-        Poses found so far, by frame.
-
-    Attributes
-    ----------
-    changed : Signal
-        An export began or ended.
-    progressed : Signal
-        What it is at, and the share of it that is done.
-    said : Signal
-        A `UserMessage`: what was done, or why not.
+    `poses`: Poses found so far, by frame.
     """
 
-    changed = Signal()
-    progressed = Signal(str, float)
-    said = Signal(object)
+    changed = Signal()  # An export began or ended
+    progressed = Signal(str, float)  # What it is at, and the share of it that is done
+    said = Signal(object)  # A `UserMessage`: what was done, or why not
 
     def __init__(
         self, controller: Controller, view: View, poses: Callable[[], dict[int, PoseRow]]

@@ -24,39 +24,19 @@ def export_to_files(
     sensor: Sensor,
     frames: range,
     out: Path,
+    # Of `bubbleviz.output.export_plan.KINDS` for a folder; empty: the suffix of `out` says it
     what: str,
     options: FrameOptions,
     estimator: EstimatorOptions,
-    poses: dict[int, dict[str, Any]],
+    poses: dict[int, dict[str, Any]],  # Pose columns by frame, see `bubbleviz.output.pose_writer`
     progress: Progress,
 ) -> str:
     """Export frames of a source that is opened anew, so that the window's is left alone.
 
-    Parameters
-    ----------
-    open_source : callable
-    sensor : Sensor
-    frames : range
-    out : Path
-    what : str
-        Of `bubbleviz.output.export_plan.KINDS` for a folder; empty: the suffix of `out` says it.
-    options : FrameOptions
-    estimator : EstimatorOptions
-    poses : dict
-        Pose columns by frame, see `bubbleviz.output.pose_writer`.
-    progress : Progress
+    Returns str: What was done, in a sentence.
 
-    Returns
-    -------
-    str
-        What was done, in a sentence.
-
-    Raises
-    ------
-    InputError
-        A file exists or cannot be written, or a frame cannot be read.
-    Cancelled
-        By `progress`; nothing is left then.
+    Raises InputError: A file exists or cannot be written, or a frame cannot be read; Cancelled: By
+    `progress`; nothing is left then.
     """
     plan = ExportPlan.of(out, [what] if what else [], poses)
     progress("opening", 0.0)

@@ -39,20 +39,11 @@ from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, rememb
 class FileField(QWidget):
     """A line for the name of a file that is there, and a button that chooses it.
 
-    Parameters
-    ----------
-    title, kinds : str
-        Of the file dialog; filters as Qt writes them.
-    placeholder : str
-        What counts where the line is empty.
-
-    Attributes
-    ----------
-    changed : Signal
-        Another name was typed or chosen.
+    `title, kinds`: Of the file dialog; filters as Qt writes them.
+    `placeholder`: What counts where the line is empty.
     """
 
-    changed = Signal()
+    changed = Signal()  # Another name was typed or chosen
 
     def __init__(self, title: str, kinds: str, placeholder: str = "") -> None:
         super().__init__()
@@ -98,12 +89,8 @@ TABLES = "Tables (*.csv);;All files (*)"
 class ImageFields:
     """The options of `bubbleviz convert` for a folder of images.
 
-    Parameters
-    ----------
-    form : QFormLayout
-        Gets a row for each.
-    changed : callable
-        Called when something else is chosen.
+    `form`: Gets a row for each.
+    `changed`: Called when something else is chosen.
     """
 
     def __init__(self, form: QFormLayout, changed: Callable[[], None]) -> None:
@@ -184,32 +171,16 @@ ABOUT = (
 
 
 class ImportDialog(QDialog):
-    """Stays open beside the window, which can be used meanwhile.
+    """Stays open beside the window, which can be used meanwhile."""
 
-    Parameters
-    ----------
-    parent : QWidget
-    jobs : Jobs
-        Where it is done.
-    open_recording : callable
-        Opens what was made.
-    folder : callable
-        Where recordings go.
-
-    Attributes
-    ----------
-    said : Signal
-        A `UserMessage`: what was done, or why not.
-    """
-
-    said = Signal(object)
+    said = Signal(object)  # A `UserMessage`: what was done, or why not
 
     def __init__(
         self,
         parent: QWidget,
-        jobs: Jobs,
-        open_recording: Callable[[Path], None],
-        folder: Callable[[], Path],
+        jobs: Jobs,  # Where it is done
+        open_recording: Callable[[Path], None],  # Opens what was made
+        folder: Callable[[], Path],  # Where recordings go
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import")

@@ -53,14 +53,9 @@ NOTHING = "\0"
 
 
 class Discovery(QObject):
-    """Looks at one source at a time, until another one or none is asked for.
+    """Looks at one source at a time, until another one or none is asked for."""
 
-    Attributes
-    ----------
-    found : Signal
-        Topics as `OfferedTopic`, and what is wrong, in a sentence; empty while nothing is.
-    """
-
+    # Topics as `OfferedTopic`, and what is wrong, in a sentence; empty while nothing is
     found = Signal(object, str)
 
     def __init__(self) -> None:

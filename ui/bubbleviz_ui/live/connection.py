@@ -25,20 +25,11 @@ LOOK_S = 0.05  # s between looks whether to stop
 
 @dataclass(frozen=True)
 class LiveRun:
-    """A session whose sensors all have sent a frame.
-
-    Attributes
-    ----------
-    preset : SessionPreset
-    session : LiveSession
-        Entered.
-    frames : tuple of LiveFrames
-        Of each sensor.
-    """
+    """A session whose sensors all have sent a frame."""
 
     preset: SessionPreset
-    session: LiveSession
-    frames: tuple[LiveFrames, ...]
+    session: LiveSession  # Entered
+    frames: tuple[LiveFrames, ...]  # Of each sensor
 
     def close(self) -> None:
         """Stop the sources; a recording ends whole."""
@@ -48,18 +39,10 @@ class LiveRun:
 
 
 class Connection(QObject):
-    """Starts the sources of a session and waits for the first frame of each.
+    """Starts the sources of a session and waits for the first frame of each."""
 
-    Attributes
-    ----------
-    ready : Signal
-        A `LiveRun`.
-    failed : Signal
-        Why not, in one sentence, and the details of a bug.
-    """
-
-    ready = Signal(object)
-    failed = Signal(str, str)
+    ready = Signal(object)  # A `LiveRun`
+    failed = Signal(str, str)  # Why not, in one sentence, and the details of a bug
 
     def __init__(self, preset: SessionPreset, pre_roll_s: float) -> None:
         super().__init__()
@@ -132,14 +115,8 @@ def _close(run: LiveRun | None) -> None:
 def single(source: str, sensor: str, colour_delay_s: float | None = None) -> SessionPreset:
     """Session of one sensor.
 
-    Parameters
-    ----------
-    source : str
-        As `--source`.
-    sensor : str
-        Sensor file or preset.
-    colour_delay_s : float, optional
-        In place of the sensor file's, s.
+    `sensor`: Sensor file or preset.
+    `colour_delay_s`: In place of the sensor file's, s.
     """
     place = SensorPlace(name="sensor", sensor=sensor, source=source, colour_delay_s=colour_delay_s)
     return SessionPreset(title=source, sensors=(place,))

@@ -28,26 +28,11 @@ LOOK_MS = 200
 
 
 class LiveController(QObject):
-    """Connects, follows what is connected, and lets go of it.
+    """Connects, follows what is connected, and lets go of it."""
 
-    Attributes
-    ----------
-    state : SessionState
-    looked : Signal
-        Time to show how the sources and the recording are doing.
-    changed : Signal
-        Another session is connected, or none; another sensor is chosen.
-    said : Signal
-        A sentence for the user, and details of a bug.
-    connection : Connection or None
-        While a session is being brought up.
-    run : LiveRun or None
-        What is connected.
-    """
-
-    looked = Signal()
-    changed = Signal()
-    said = Signal(object)
+    looked = Signal()  # Time to show how the sources and the recording are doing
+    changed = Signal()  # Another session is connected, or none; another sensor is chosen
+    said = Signal(object)  # A sentence for the user, and details of a bug
 
     def __init__(
         self, controller: Controller, pair: SensorPair, view: View, settings: SettingsHistory
@@ -57,8 +42,8 @@ class LiveController(QObject):
         self._settings = settings
         self._jobs = Jobs("live")
         self.recording, self.publishing = Recording(self._jobs), Publishing()
-        self.connection: Connection | None = None
-        self.run: LiveRun | None = None
+        self.connection: Connection | None = None  # While a session is being brought up
+        self.run: LiveRun | None = None  # What is connected
         self._marked: frozenset[int] = frozenset()
         self._warnings: frozenset[str] = frozenset()
         self._drawn = False

@@ -37,32 +37,16 @@ class LiveFrames:
 
     Frames are counted as they are taken, and timed by their arrival, which unlike their stamps
     never goes back.
-
-    Parameters
-    ----------
-    name : str
-    stream : LiveStream
-        Started; whoever started it stops it.
-    zero : PressureZero
-    simulated : bool
-        Of a simulation.
-    paired : bool
-        Another sensor's frames come at the same time.
-
-    Attributes
-    ----------
-    outages : tuple of Gap
-        Where the stream sent nothing.
     """
 
     def __init__(
         self,
         name: str,
-        stream: LiveStream,
+        stream: LiveStream,  # Started; whoever started it stops it
         zero: PressureZero,
         *,
-        simulated: bool = False,
-        paired: bool = False,
+        simulated: bool = False,  # Of a simulation
+        paired: bool = False,  # Another sensor's frames come at the same time
     ) -> None:
         self.name, self.stream, self.zero = name, stream, zero
         self.simulated, self.paired = simulated, paired
@@ -76,7 +60,7 @@ class LiveFrames:
         self._let_go_of_colour: Callable[[], None] | None = None
         self._at_end: Callable[[], None] | None = None
         self._over = False
-        self.outages: tuple[Gap, ...] = ()
+        self.outages: tuple[Gap, ...] = ()  # Where the stream sent nothing
 
     @property
     def times_s(self) -> np.ndarray:

@@ -34,13 +34,8 @@ DIAGNOSTICS_S = 1.0  # s between messages, as is usual in ROS
 class ResultSender:
     """Makes messages of the results of a stream.
 
-    Parameters
-    ----------
-    stream : LiveStream
-    send : callable
-        Takes a message, in any thread.
-    name : str
-        Of the sensor, where there are two; part of the topics, and the frame they are in.
+    `send`: Takes a message, in any thread.
+    `name`: Of the sensor, where there are two; part of the topics, and the frame they are in.
     """
 
     def __init__(self, stream: LiveStream, send: Callable[[Message], None], name: str = "") -> None:
@@ -69,26 +64,15 @@ class ResultSender:
 
 
 class Publishing(QObject):
-    """Publishes patch, force, pose and diagnostics of every sensor of a run.
+    """Publishes patch, force, pose and diagnostics of every sensor of a run."""
 
-    Attributes
-    ----------
-    changed : Signal
-        It is on, or off.
-    said : Signal
-        A `UserMessage`.
-    on : bool
-    endpoint : str
-        Where to listen the next time.
-    """
-
-    changed = Signal()
-    said = Signal(object)
+    changed = Signal()  # It is on, or off
+    said = Signal(object)  # A `UserMessage`
 
     def __init__(self) -> None:
         super().__init__()
         self.on = False
-        self.endpoint = LOOPBACK
+        self.endpoint = LOOPBACK  # Where to listen the next time
         self._publisher: ZenohPublisher | None = None
         self._senders: list[ResultSender] = []
         self._forget: list[Callable[[], None]] = []

@@ -21,13 +21,7 @@ OWN_FOLDER = Path.home() / "bubbleviz-recordings"
 
 @dataclass(frozen=True)
 class RecordingState:
-    """What is shown of a recording.
-
-    Attributes
-    ----------
-    elapsed_s : float
-    status : RecorderStatus
-    """
+    """What is shown of a recording."""
 
     elapsed_s: float
     status: RecorderStatus
@@ -36,30 +30,17 @@ class RecordingState:
 class Recording(QObject):
     """The record button's work.
 
-    Parameters
-    ----------
-    jobs : Jobs
-        Where it is done.
-
-    Attributes
-    ----------
-    changed : Signal
-        It began or ended.
-    said : Signal
-        A `UserMessage`.
-    folder : Path
-        Where recordings go, each named by its time; `OWN_FOLDER` is made with the first.
-    busy : bool
-        A recording is on, or about to be.
+    `jobs`: Where it is done.
     """
 
-    changed = Signal()
-    said = Signal(object)
+    changed = Signal()  # It began or ended
+    said = Signal(object)  # A `UserMessage`
 
     def __init__(self, jobs: Jobs) -> None:
         super().__init__()
+        # Where recordings go, each named by its time; `OWN_FOLDER` is made with the first
         self.folder = OWN_FOLDER
-        self.busy = False
+        self.busy = False  # A recording is on, or about to be
         self._recorder: Recorder | None = None
         self._began = 0.0
         self._jobs = jobs

@@ -29,28 +29,19 @@ class SensorPair(QObject):
     """The second sensor of a session, while it has one: asked for what is visible in the view.
 
     Time is the session's: while that stands still, it shows the frame of the same moment.
-
-    Attributes
-    ----------
-    failed : Signal
-        A `Failed` of the second sensor.
-    second : SensorClient or None
-        The one the panels do not show.
-    chosen : int
-        Number of the one they show.
     """
 
-    failed = Signal(object)
+    failed = Signal(object)  # A `Failed` of the second sensor
 
     def __init__(self, controller: Controller, scene: Scene, view: View) -> None:
         super().__init__()
         self._controller, self._scene, self._view = controller, scene, view
         self._state = state = controller.state
-        self.second: SensorClient | None = None
+        self.second: SensorClient | None = None  # The one the panels do not show
         self.drawing: SecondScene | None = None
         self._run: LiveRun | None = None
         self._ending: list[Worker] = []
-        self.chosen = 0
+        self.chosen = 0  # Number of the one they show
         self._shown_s = 0.0
         controller.shown.connect(self._on_shown)
         state.frame_changed.connect(self._on_frame)

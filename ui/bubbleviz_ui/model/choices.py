@@ -44,30 +44,15 @@ def solver_title(solver: str | None) -> str:
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting of estimator and patch to compare; None is bubbleviz's default.
-
-    Attributes
-    ----------
-    solver : str or None
-    pressure_scale : float or None
-        Contact pressure expected, in gauge pressures.
-    nodes : int or None
-        How often rays are cast again in a frame.
-    nodes : int or None
-        Of the mesh; None: the sensor's.
-    block : int or None
-        Side of the squares of pixels that are averaged.
-    kappa : float or None
-        As in `Choices`; None: that of the window.
-    friction : float or None
-        Coefficient of friction μ to expect of contacts with the exact membrane; 0: none.
-    """
+    """A setting of estimator and patch to compare; None is bubbleviz's default."""
 
     solver: str | None = None
-    pressure_scale: float | None = None
+    pressure_scale: float | None = None  # Contact pressure expected, in gauge pressures
+    # Of the mesh; None: the sensor's
     nodes: int | None = None
-    block: int | None = None
-    kappa: float | None = None
+    block: int | None = None  # Side of the squares of pixels that are averaged
+    kappa: float | None = None  # As in `Choices`; None: that of the window
+    # Coefficient of friction μ to expect of contacts with the exact membrane; 0: none
     friction: float | None = None
 
     @property
@@ -84,121 +69,76 @@ class Setting:
 
 @dataclass(frozen=True)
 class Choices:
-    """What the user chose; it outlives new data.
+    """What the user chose; it outlives new data."""
 
-    Attributes
-    ----------
-    kappa : float or None
-        Patch threshold, multiple of the mean contact pressure; None for bubbleviz's default.
-    least_area_m2 : float
-        Parts of the patch smaller than this are left out.
-    solver : str or None
-        Solver of the inverse problem, or A or B for a setting of Compare; None for the default.
-    speed : float
-        Playback speed, 1 = as recorded.
-    every_frame : bool
-        Playback waits for each frame, however slow; else it keeps time and leaves some out.
-    loop : bool
-        Begin again after the last frame, or the last of the looped range.
-    layers, panels : frozenset of str
-        What is visible.
-    plots, images : frozenset of str
-        What the panels of these names show.
-    cloud_colour : {"residual", "patch", "plain"}
-        What colours the measured points.
-    cloud_points : int or None
-        Points drawn at most: beyond that, every n-th measured point; None for all. Of 10,000
-        on the dome each has some 4×4 screen pixels, so one sees both them and the membrane.
-    membrane_opacity : float
-        0 … 1.
-    view_from : (float, float, float)
-        Direction in B that a fresh view looks from, towards the middle of the membrane.
-    zoom : float
-        How near a fresh view is; 1 shows the whole box around the membrane.
-    colour_map : str
-        Of the contact pressure, one of `COLOUR_MAPS`.
-    exaggeration : float
-        Drawn displacement in true ones.
-    section_axis : {"x", "y", "z"} or None
-        Normal of the plane that cuts the scene open; None: it is whole.
-    section_at_m : float
-        Where the plane crosses its axis.
-    section_flipped : bool
-        The other side is drawn.
-    pressure_max_pa, residual_max_m : float or None
-        Upper ends of the colour ranges; None: by the frames seen, see `HeldRanges`.
-    pose_object : str or None
-        Object to look for: preset or mesh file; None for none.
-    pose_unit : {"m", "mm"} or None
-        Of the mesh file; None: by its name.
-    pose_start : tuple of 7 float or None
-        T_B_O the search begins at, x y z in m and qx qy qz qw; None: all around.
-    pose_track : bool
-        Follow the object that is chosen in every frame.
-    pose_stage : int
-        Stage whose pose the object is drawn at; 2 for both.
-    flow_preset : {"fast", "balanced", "fine"}
-        Of the optical flow that shear is measured by.
-    friction : float or None
-        Coulomb's bound μ of the tangential over the normal traction; None for no bound.
-    compared : (Setting, Setting)
-        What is measured side by side.
-    picture_size : (int, int)
-        Width and height of pictures of the 3-D view, pixels.
-    pre_roll_s : float
-        How much of what came before the record button is recorded, too.
-    record_folder : str or None
-        Where recordings go; None: a folder of their own in the user's.
-    publish_at : str
-        Where results are published once that is asked for.
-    length_unit, pressure_unit, force_unit, duration_unit : str
-        What numbers are shown in, see `units.SYSTEMS`.
-    theme : {"system", "dark", "light"}
-        Colours of the window.
-    """
-
+    # Patch threshold, multiple of the mean contact pressure; None for bubbleviz's default
     kappa: float | None = _setting(None, "κ", of="patch")
+    # Parts of the patch smaller than this are left out
     least_area_m2: float = _setting(0.0, of="patch")
+    # Solver of the inverse problem, or A or B for a setting of Compare; None for the default
     solver: str | None = None
-    speed: float = _setting(1.0, of="playback")
+    speed: float = _setting(1.0, of="playback")  # Playback speed, 1 = as recorded
+    # Playback waits for each frame, however slow; else it keeps time and leaves some out
     every_frame: bool = _setting(False, of="playback")
+    # Begin again after the last frame, or the last of the looped range
     loop: bool = _setting(True, of="playback")
+    # layers, panels: What is visible
     layers: frozenset[str] = frozenset(name for name, layer in LAYERS.items() if layer.at_first)
     panels: frozenset[str] = frozenset(name for name, panel in ASKING.items() if panel.at_first)
+    # plots, images: What the panels of these names show
     plots: frozenset[str] = frozenset({"force", "gas", "area"})
     images: frozenset[ImageName] = frozenset({"depth", "change", "residual"})
-    cloud_colour: CloudColour = "residual"
+    cloud_colour: CloudColour = "residual"  # What colours the measured points
+    # Points drawn at most: beyond that, every n-th measured point; None for all. Of 10,000 on the
+    # dome each has some 4×4 screen pixels, so one sees both them and the membrane
     cloud_points: int | None = 10_000
-    membrane_opacity: float = 1.0
+    membrane_opacity: float = 1.0  # 0 … 1
+    # Direction in B that a fresh view looks from, towards the middle of the membrane
     view_from: tuple[float, float, float] = _setting((-0.6, -1.0, 1.1), "scene")
-    zoom: float = 1.32
-    colour_map: ColourMap = "inferno"
-    exaggeration: float = 1.0
+    zoom: float = 1.32  # How near a fresh view is; 1 shows the whole box around the membrane
+    colour_map: ColourMap = "inferno"  # Of the contact pressure, one of `COLOUR_MAPS`
+    exaggeration: float = 1.0  # Drawn displacement in true ones
+    # Normal of the plane that cuts the scene open; None: it is whole
     section_axis: Axis | None = None
-    section_at_m: float = 0.0
-    section_flipped: bool = False
+    section_at_m: float = 0.0  # Where the plane crosses its axis
+    section_flipped: bool = False  # The other side is drawn
+    # pressure_max_pa, residual_max_m: Upper ends of the colour ranges; None: by the frames seen,
+    # see `HeldRanges`
     pressure_max_pa: float | None = _setting(None, "pressure range")
     residual_max_m: float | None = _setting(None, "residual range")
+    # Object to look for: preset or mesh file; None for none
     pose_object: str | None = _setting(None, "object", of="pose")
+    # Of the mesh file; None: by its name
     pose_unit: Literal["m", "mm"] | None = _setting(None, of="pose")
+    # T_B_O the search begins at, x y z in m and qx qy qz qw; None: all around
     pose_start: tuple[float, float, float, float, float, float, float] | None = _setting(
         None, "start of the object"
     )
-    pose_track: bool = False
-    pose_stage: int = 2
+    pose_track: bool = False  # Follow the object that is chosen in every frame
+    pose_stage: int = 2  # Stage whose pose the object is drawn at; 2 for both
+    # Of the optical flow that shear is measured by
     flow_preset: Literal["fast", "balanced", "fine"] = _setting("fast", "flow preset")
+    # Coulomb's bound μ of the tangential over the normal traction; None for no bound
     friction: float | None = _setting(None, "friction bound μ")
+    # What is measured side by side
     compared: tuple[Setting, Setting] = _setting(
         (Setting(), Setting(solver="linear")), "compared settings"
     )
+    # Width and height of pictures of the 3-D view, pixels
     picture_size: tuple[int, int] = (1920, 1080)
+    # How much of what came before the record button is recorded, too
     pre_roll_s: float = _setting(PRE_ROLL_S, of="recording")
+    # Where recordings go; None: a folder of their own in the user's
     record_folder: str | None = _setting(None, of="recording own")
+    # Where results are published once that is asked for
     publish_at: str = _setting(LOOPBACK, of="recording own")
+    # length_unit, pressure_unit, force_unit, duration_unit: What numbers are shown in, see
+    # `units.SYSTEMS`
     length_unit: Literal["mm", "m"] = "mm"
     pressure_unit: Literal["kPa", "Pa", "psi"] = "kPa"
     force_unit: Literal["N", "mN"] = "N"
     duration_unit: Literal["ms", "s"] = "ms"
+    # Colours of the window
     theme: Literal["system", "dark", "light"] = _setting("system", of="own")
 
     @property

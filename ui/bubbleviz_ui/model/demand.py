@@ -54,20 +54,12 @@ class ShearOptions:
 
 @dataclass(frozen=True)
 class Demand:
-    """What is asked of a frame; part of every request.
-
-    Attributes
-    ----------
-    products : frozenset of Product
-    options : FrameOptions
-        What makes its patch and its cloud.
-    shear : ShearOptions
-        What makes its traction.
-    """
+    """What is asked of a frame; part of every request."""
 
     products: Products
+    # What makes its patch and its cloud
     options: FrameOptions = field(default_factory=FrameOptions)
-    shear: ShearOptions = field(default_factory=ShearOptions)
+    shear: ShearOptions = field(default_factory=ShearOptions)  # What makes its traction
 
     @classmethod
     def of(cls, choices: Choices) -> Demand:
@@ -172,27 +164,16 @@ ANALYSIS = "analysis of all frames"
 
 @dataclass(frozen=True)
 class Cost:
-    """One line of the table.
-
-    Attributes
-    ----------
-    stage : str
-    title : str
-        What it computes.
-    last_ms, median_ms : float or None
-        Time of the last frame it ran for, and median of the last hundred; None: never ran.
-    runs : int
-        How often it has run for the open source.
-    why : tuple of str
-        Layers and panels that ask for it now; empty: it does not run.
-    """
+    """One line of the table."""
 
     stage: str
-    title: str
+    title: str  # What it computes
+    # last_ms, median_ms: Time of the last frame it ran for, and median of the last hundred; None:
+    # never ran
     last_ms: float | None
     median_ms: float | None
-    runs: int
-    why: tuple[str, ...]
+    runs: int  # How often it has run for the open source
+    why: tuple[str, ...]  # Layers and panels that ask for it now; empty: it does not run
 
 
 class Costs:

@@ -37,23 +37,12 @@ _FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
 
 
 class History:
-    """Numbers of the frames that were computed.
-
-    Parameters
-    ----------
-    frames : int
-        F.
-
-    Attributes
-    ----------
-    values : dict
-        (F,) array of each of `QUANTITIES`; NaN where nothing is known.
-    contact : (F,) int8 array
-        `UNKNOWN`, `FREE`, `CONTACT` or `UNTRUSTED`.
-    """
+    """Numbers of the frames that were computed."""
 
     def __init__(self, frames: int) -> None:
+        # (F,) array of each of `QUANTITIES`; NaN where nothing is known
         self.values = {name: np.full(frames, np.nan) for name in QUANTITIES}
+        # (F,) int8 array: `UNKNOWN`, `FREE`, `CONTACT` or `UNTRUSTED`
         self.contact = np.full(frames, UNKNOWN, np.int8)
         self._has = np.zeros(frames, np.uint8)
         self._wrench = np.full((frames, 3), np.nan)

@@ -12,16 +12,9 @@ from bubbleviz_ui.engine.solver import Opened
 
 
 class Hover(QObject):
-    """Follows the mouse, and the frames while it stands still.
+    """Follows the mouse, and the frames while it stands still."""
 
-    Attributes
-    ----------
-    changed : Signal
-        A `Probed`, or None when the mouse is elsewhere.
-    place : Probed or None
-    """
-
-    changed = Signal(object)
+    changed = Signal(object)  # A `Probed`, or None when the mouse is elsewhere
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()

@@ -19,29 +19,14 @@ MOST_KEPT = 1000
 
 @dataclass(frozen=True)
 class UserMessage:
-    """A sentence for the user.
+    """A sentence for the user."""
 
-    Attributes
-    ----------
-    kind : {"notice", "warning", "error"}
-        Success; done, with a reservation; failure.
-    text : str
-    details : str
-        Of a bug, for a report.
-    file : Path or None
-        What was written: a file or a folder.
-    at : datetime
-        When it was told.
-    topic : str
-        What it is about: once that succeeds, its errors are of no interest any more.
-    """
-
-    kind: MessageKind
+    kind: MessageKind  # Success; done, with a reservation; failure
     text: str
-    details: str = ""
-    file: Path | None = None
-    at: datetime = field(default_factory=datetime.now)
-    topic: str = ""
+    details: str = ""  # Of a bug, for a report
+    file: Path | None = None  # What was written: a file or a folder
+    at: datetime = field(default_factory=datetime.now)  # When it was told
+    topic: str = ""  # What it is about: once that succeeds, its errors are of no interest any more
 
     def line(self) -> str:
         """Time, kind and text, by tabs."""
@@ -53,21 +38,13 @@ class UserMessage:
 
 
 class Messages(QObject):
-    """All messages of a window since it was opened.
+    """All messages of a window since it was opened."""
 
-    Attributes
-    ----------
-    told : Signal
-        A `UserMessage`, the newest.
-    all : deque of UserMessage
-        The oldest first.
-    """
-
-    told = Signal(object)
+    told = Signal(object)  # A `UserMessage`, the newest
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
-        self.all: deque[UserMessage] = deque(maxlen=MOST_KEPT)
+        self.all: deque[UserMessage] = deque(maxlen=MOST_KEPT)  # The oldest first
 
     def tell(self, message: UserMessage) -> None:
         """Keep a message and have it shown."""
@@ -81,10 +58,7 @@ class Messages(QObject):
 class RateMeter:
     """Events per second over a sliding window.
 
-    Parameters
-    ----------
-    window_s : float
-        Length of the window, s.
+    `window_s`: Length of the window, s.
     """
 
     def __init__(self, window_s: float = 1.0) -> None:

@@ -17,22 +17,12 @@ PATCH: Products = frozenset({"estimate", "patch"})
 
 @dataclass(frozen=True)
 class LayerKind:
-    """A layer of the 3-D view.
+    """A layer of the 3-D view."""
 
-    Attributes
-    ----------
-    title, tip : str
-        In the layers panel.
-    needs : frozenset of Product
-        Hidden means not asked for, not computed.
-    at_first : bool
-        Visible in a new window.
-    """
-
-    title: str
+    title: str  # title, tip: In the layers panel
     tip: str
-    needs: Products = NOTHING
-    at_first: bool = True
+    needs: Products = NOTHING  # Hidden means not asked for, not computed
+    at_first: bool = True  # Visible in a new window
 
 
 LAYERS: Mapping[str, LayerKind] = MappingProxyType(
@@ -106,30 +96,16 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
 
 @dataclass(frozen=True)
 class PanelKind:
-    """A panel of the window.
+    """A panel of the window."""
 
-    Attributes
-    ----------
-    title : str
-        Of its dock.
-    choice : str
-        Its name in `Choices.panels`; empty: it shows no results, so it asks for nothing.
-    needs : frozenset of Product
-        Asked for while it is in front.
-    side : {"right", "bottom", "left"} or None
-        Where its dock begins; None: it is no dock.
-    tab_of : str
-        Panel that it opens as a tab of.
-    at_first : bool
-        Open in a new window.
-    """
-
-    title: str
+    title: str  # Of its dock
+    # Its name in `Choices.panels`; empty: it shows no results, so it asks for nothing
     choice: str = ""
-    needs: Products = NOTHING
+    needs: Products = NOTHING  # Asked for while it is in front
+    # Where its dock begins; None: it is no dock
     side: Literal["right", "bottom", "left"] | None = "right"
-    tab_of: str = ""
-    at_first: bool = False
+    tab_of: str = ""  # Panel that it opens as a tab of
+    at_first: bool = False  # Open in a new window
 
 
 PANELS: Mapping[str, PanelKind] = MappingProxyType(

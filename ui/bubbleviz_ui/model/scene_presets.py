@@ -57,25 +57,16 @@ class ViewPoint(_Strict):
 
 
 class ScenePreset(_Strict):
-    """A scene file; what it hides is not computed.
-
-    Attributes
-    ----------
-    title : str
-        In the menu.
-    layers, panels : tuple of str
-        What is visible.
-    cloud, membrane, view
-        Looks.
-    """
+    """A scene file; what it hides is not computed."""
 
     schema_version: Literal[1] = 1
-    title: str = Field(min_length=1)
+    title: str = Field(min_length=1)  # In the menu
+    # layers, panels: What is visible
     layers: tuple[Annotated[str, AfterValidator(_one_of(LAYERS))], ...]
     panels: tuple[Annotated[str, AfterValidator(_one_of(PANELS))], ...] = tuple(
         name for name, panel in PANELS.items() if panel.at_first
     )
-    cloud: CloudStyle = CloudStyle()
+    cloud: CloudStyle = CloudStyle()  # cloud, membrane, view: Looks
     membrane: MembraneStyle = MembraneStyle()
     view: ViewPoint = ViewPoint()
 
@@ -95,10 +86,7 @@ class ScenePreset(_Strict):
 def load_scene(name: str) -> ScenePreset:
     """Scene preset of a name.
 
-    Raises
-    ------
-    InputError
-        There is none of that name, or its file breaks the schema.
+    Raises InputError: There is none of that name, or its file breaks the schema.
     """
     names = preset_names("scenes")
     if name not in names:
@@ -111,9 +99,6 @@ def load_scene(name: str) -> ScenePreset:
 def read_scene(path: Path) -> ScenePreset:
     """Scene of a file.
 
-    Raises
-    ------
-    InputError
-        It is not TOML or breaks the schema; names the key.
+    Raises InputError: It is not TOML or breaks the schema; names the key.
     """
     return checked(ScenePreset, read_toml(path), path, "scene")

@@ -17,72 +17,38 @@ from bubbleviz_ui.model.units import SYSTEMS, Units
 
 
 class SessionState(QObject):
-    """Single place where the window's state lives; a signal tells each change of it.
+    """Single place where the window's state lives; a signal tells each change of it."""
 
-    Attributes
-    ----------
-    source_changed : Signal
-        Another source or sensor is open: its `SourceFacts`.
-    frame_changed : Signal
-        The cursor moved: the frame, and whether playback moved it or a person.
-    playing_changed, frozen_changed : Signal
-        Playback started or stopped; the view of a live source stands still or goes on.
-    link_changed : Signal
-        What is connected is doing otherwise.
-    choices_changed : Signal
-        The user chose something: the names of the fields of `Choices` that differ, a frozenset.
-    range_changed, markers_changed : Signal
-        Another range is played; other frames are marked.
-    history_changed : Signal
-        More is known of some frames, or less.
-    choices : Choices
-    facts : SourceFacts or None
-        None until a source is open.
-    frame : int
-        Cursor: the frame the user wants to see.
-    shown : int
-        Frame in the picture; while playing it is behind the cursor until that is solved.
-    playing : bool
-    frozen : bool
-        The cursor stays while the live source goes on.
-    link : str
-        How what is connected is doing.
-    now : int
-        Frame a live source is at.
-    play_range : (int, int) or None
-        First and last frame to play; None for all.
-    markers : tuple of int
-        Marked frames, in order.
-    history : History
-        What was computed so far.
-    thinned : int
-        One in so many points of the cloud is shown while frames follow each other.
-    units : Units
-    """
-
-    source_changed = Signal(object)
+    source_changed = Signal(object)  # Another source or sensor is open: its `SourceFacts`
+    # The cursor moved: the frame, and whether playback moved it or a person
     frame_changed = Signal(int, bool)
+    # playing_changed, frozen_changed: Playback started or stopped; the view of a live source stands
+    # still or goes on
     playing_changed = Signal(bool)
     frozen_changed = Signal(bool)
-    link_changed = Signal()
+    link_changed = Signal()  # What is connected is doing otherwise
+    # The user chose something: the names of the fields of `Choices` that differ, a frozenset
     choices_changed = Signal(object)
+    # range_changed, markers_changed: Another range is played; other frames are marked
     range_changed = Signal()
     markers_changed = Signal()
-    history_changed = Signal()
+    history_changed = Signal()  # More is known of some frames, or less
 
     def __init__(self, choices: Choices | None = None) -> None:
         super().__init__()
         self.choices = choices or Choices()
-        self.facts: SourceFacts | None = None
+        self.facts: SourceFacts | None = None  # None until a source is open
+        # frame: Cursor: the frame the user wants to see
         self.frame = self.shown = 0
         self.playing = False
-        self.frozen = False
+        self.frozen = False  # The cursor stays while the live source goes on
+        # One in so many points of the cloud is shown while frames follow each other
         self.thinned = 1
-        self.link: Link = "disconnected"
-        self.now = 0
-        self.play_range: tuple[int, int] | None = None
-        self.markers: tuple[int, ...] = ()
-        self.history = History(0)
+        self.link: Link = "disconnected"  # How what is connected is doing
+        self.now = 0  # Frame a live source is at
+        self.play_range: tuple[int, int] | None = None  # First and last frame to play; None for all
+        self.markers: tuple[int, ...] = ()  # Marked frames, in order
+        self.history = History(0)  # What was computed so far
         self.units = Units()
         self.units.use({name: getattr(self.choices, name) for name in SYSTEMS})
 

@@ -24,44 +24,21 @@ NOTHING_OPEN = "nothing open"
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """What the window says about the open source.
+    """What the window says about the open source."""
 
-    Attributes
-    ----------
-    title : str
-        Name of the source.
-    sensor_name : str
-        Name of the sensor.
-    times_s : (F,) array
-        Time of each frame, s.
-    live : bool
-        A live source, not a recording.
-    grows : bool
-        Frames are added while one looks.
-    remark : str
-        What the user should know about it; empty for nothing.
-    marks : tuple of (int, str)
-        Frames marked when it was recorded, with the text of each.
-    simulated : bool
-        Its live frames are a simulation's.
-    outages : tuple of Gap
-        Where a source that grows sent nothing; what a busy solver left out is none.
-    path : str
-        Resolved, of a recording's file or folder; empty for what is none.
-    gas_zero : str
-        What was done to the zero of a recording's gas pressure; empty where none was recorded.
-    """
-
-    title: str
-    sensor_name: str
-    times_s: np.ndarray
-    live: bool = False
-    grows: bool = False
-    remark: str = ""
+    title: str  # Name of the source
+    sensor_name: str  # Name of the sensor
+    times_s: np.ndarray  # (F,) array: Time of each frame, s
+    live: bool = False  # A live source, not a recording
+    grows: bool = False  # Frames are added while one looks
+    remark: str = ""  # What the user should know about it; empty for nothing
+    # Frames marked when it was recorded, with the text of each
     marks: tuple[tuple[int, str], ...] = ()
-    simulated: bool = False
+    simulated: bool = False  # Its live frames are a simulation's
+    # Where a source that grows sent nothing; what a busy solver left out is none
     outages: tuple[Gap, ...] = ()
-    path: str = ""
+    path: str = ""  # Resolved, of a recording's file or folder; empty for what is none
+    # What was done to the zero of a recording's gas pressure; empty where none was recorded
     gas_zero: str = ""
 
     @property

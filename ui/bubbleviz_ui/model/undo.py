@@ -26,26 +26,15 @@ _MERGEABLE = 1  # what Qt asks by before it offers two commands to `mergeWith`
 
 
 class Change(QUndoCommand, Generic[T]):
-    """A value that changes from `old` to `new`.
-
-    Parameters
-    ----------
-    text : str
-        What the Edit menu calls it.
-    apply : callable
-        Makes a value the present one.
-    old, new
-        Values, immutable.
-    gesture : hashable, optional
-        Changes of one gesture (a slider that is dragged) are undone as one.
-    """
+    """A value that changes from `old` to `new`."""
 
     def __init__(
         self,
-        text: str,
-        apply: Callable[[T], None],
-        old: T,
+        text: str,  # What the Edit menu calls it
+        apply: Callable[[T], None],  # Makes a value the present one
+        old: T,  # old, new: Values, immutable
         new: T,
+        # Changes of one gesture (a slider that is dragged) are undone as one
         gesture: Hashable = None,
     ) -> None:
         super().__init__(text)
@@ -82,13 +71,7 @@ class _Watched(Generic[T]):
 
 
 class SettingsHistory:
-    """Puts every setting the user changes on the stack: choices, played range, markers, and more.
-
-    Parameters
-    ----------
-    state : SessionState
-    stack : QUndoStack
-    """
+    """Puts every setting the user changes on the stack: choices, played range, markers, …"""
 
     def __init__(self, state: SessionState, stack: QUndoStack) -> None:
         self._state, self._stack = state, stack
@@ -106,16 +89,9 @@ class SettingsHistory:
     ) -> None:
         """Put changes of something else on the stack, too.
 
-        Parameters
-        ----------
-        text : str
-            What the Edit menu calls it.
-        changed : SignalInstance
-            Tells that it may have changed.
-        value : callable
-            Its present value.
-        apply : callable
-            Makes a value the present one.
+        `text`: What the Edit menu calls it.
+        `changed`: Tells that it may have changed.
+        `apply`: Makes a value the present one.
         """
         self._watched.append(_Watched(text, value, apply, value()))
         changed.connect(self._on_watched)

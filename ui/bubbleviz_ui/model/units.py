@@ -13,21 +13,11 @@ NOTHING = "–"
 
 @dataclass(frozen=True)
 class Unit:
-    """A display unit.
+    """A display unit."""
 
-    Attributes
-    ----------
-    symbol : str
-        What is written behind the number.
-    per_si : float
-        Displayed number of one SI unit.
-    digits : int
-        Decimals shown.
-    """
-
-    symbol: str
-    per_si: float
-    digits: int
+    symbol: str  # What is written behind the number
+    per_si: float  # Displayed number of one SI unit
+    digits: int  # Decimals shown
 
     def of(self, si: float) -> float:
         """Number to display for a value in SI."""
@@ -120,15 +110,10 @@ SYSTEMS: dict[str, dict[str, dict[str, Unit]]] = {
 
 
 class Units:
-    """The units of everything the window shows; who holds it sees what the operator chooses.
+    """The units of everything the window shows; who holds it sees what the operator chooses."""
 
-    Attributes
-    ----------
-    pressure, gas_pressure, force, area, length, fine_length, volume, duration : Unit
-        Of the operator's choice.
-    time, tension, torque, angle, pixels, share, range_share, rate, render_rate : Unit
-    """
-
+    # pressure, gas_pressure, force, area, length, fine_length, volume, duration: Of the operator's
+    # choice
     pressure: Unit
     gas_pressure: Unit
     force: Unit

@@ -70,26 +70,14 @@ class Binding(QObject):
 
 
 def bind(
-    control: Control,
+    control: Control,  # The items of a combo box have the values as their data
     state: SessionState,
-    field: str,
+    field: str,  # Of `Choices`
+    # What the control shows of a value; None leaves a button or a number as it is
     shown: Callable[[Any], Any] = _same,
-    chosen: Callable[[Any], Any] = _same,
+    chosen: Callable[[Any], Any] = _same,  # Value to choose for what the user has set
 ) -> Binding:
-    """Keep a control and a field of the choices the same.
-
-    Parameters
-    ----------
-    control : button, action, slider, spin box or combo box
-        The items of a combo box have the values as their data.
-    state : SessionState
-    field : str
-        Of `Choices`.
-    shown : callable
-        What the control shows of a value; None leaves a button or a number as it is.
-    chosen : callable
-        Value to choose for what the user has set.
-    """
+    """Keep a control and a field of the choices the same."""
     return Binding(control, state, field, shown, chosen)
 
 
@@ -115,27 +103,13 @@ def bind_option(control: Control, state: SessionState, field: str, option: str) 
 def bind_quantity(
     box: QDoubleSpinBox,
     state: SessionState,
-    field: str,
-    unit: Callable[[Units], Unit],
-    most_si: float,
+    field: str,  # Of `Choices`
+    unit: Callable[[Units], Unit],  # Its unit among the operator's
+    most_si: float,  # most_si, step_si: Largest value and a step; the smallest is 0
     step_si: float,
-    zero: float | None = None,
+    zero: float | None = None,  # What is chosen at 0
 ) -> None:
-    """Bind a box to a field in SI, shown in the operator's unit.
-
-    Parameters
-    ----------
-    box : QDoubleSpinBox
-    state : SessionState
-    field : str
-        Of `Choices`.
-    unit : callable
-        Its unit among the operator's.
-    most_si, step_si : float
-        Largest value and a step; the smallest is 0.
-    zero : float or None
-        What is chosen at 0.
-    """
+    """Bind a box to a field in SI, shown in the operator's unit."""
 
     def shown(value: float | None) -> float:
         now = unit(state.units)

@@ -135,13 +135,9 @@ class ComparePanel(QWidget):
     """Two settings A and B; measures whenever the frame or a setting is another.
 
     What it measures it asks of the solver thread, which does it when nobody waits for a frame.
-
-    Attributes
-    ----------
-    measured : Signal
-        What the panel shows of A and of B, each a `Measured`, or anything else for none.
     """
 
+    # What the panel shows of A and of B, each a `Measured`, or anything else for none
     measured = Signal(object)
 
     def __init__(self, state: SessionState, controller: Controller) -> None:

@@ -76,16 +76,7 @@ def colour_map(kind: Kind, colours: theme.Colours) -> Any:
 class ImageCell:
     """An image with a line of text above and marks on it.
 
-    Parameters
-    ----------
-    picture : Picture
-    head : float
-        Room for the text, screen pixels.
-
-    Attributes
-    ----------
-    map : pyqtgraph.ColorMap
-        In the theme's colours.
+    `head`: Room for the text, screen pixels.
     """
 
     def __init__(self, picture: Picture, head: float = 2 * HEAD - 3) -> None:
@@ -97,7 +88,7 @@ class ImageCell:
         self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         self.item = pg.ImageItem(axisOrder="row-major")
-        self.map = colour_map(picture.kind, theme.DARK)
+        self.map = colour_map(picture.kind, theme.DARK)  # In the theme's colours
         self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
         self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")

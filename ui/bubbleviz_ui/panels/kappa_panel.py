@@ -158,15 +158,7 @@ def _to_kappa(steps: int) -> float:
 
 
 class OverKappa:
-    """A plot over log10 κ.
-
-    Attributes
-    ----------
-    frame : PlotFrame
-    box : pyqtgraph.ViewBox
-    line : pyqtgraph.InfiniteLine
-        At log10 κ; can be dragged.
-    """
+    """A plot over log10 κ."""
 
     def __init__(self, line_width: int = 1) -> None:
         import pyqtgraph as pg  # with the first plot
@@ -174,7 +166,7 @@ class OverKappa:
         self.frame = PlotFrame("logarithm")
         self.box = self.frame.box
         self.box.setMouseEnabled(x=False, y=False)
-        self.line = pg.InfiniteLine(movable=True)
+        self.line = pg.InfiniteLine(movable=True)  # At log10 κ; can be dragged
         self.box.addItem(self.line, ignoreBounds=True)
         self._line_width = line_width
 
@@ -198,12 +190,7 @@ def kappa_at(line: Any) -> float:
 
 
 class KappaHistogram(OverKappa):
-    """Area of the membrane by its contact pressure, in multiples of the mean one.
-
-    Attributes
-    ----------
-    bars : pyqtgraph.BarGraphItem
-    """
+    """Area of the membrane by its contact pressure, in multiples of the mean one."""
 
     def __init__(self) -> None:
         import pyqtgraph as pg  # with the first plot
@@ -228,12 +215,7 @@ class KappaHistogram(OverKappa):
 
 
 class KappaPlot(OverKappa):
-    """Patch area that another κ would make of the frame; in a simulation the IoU, too.
-
-    Attributes
-    ----------
-    curve, iou : pyqtgraph.PlotDataItem
-    """
+    """Patch area that another κ would make of the frame; in a simulation the IoU, too."""
 
     def __init__(self) -> None:
         import pyqtgraph as pg  # with the first plot

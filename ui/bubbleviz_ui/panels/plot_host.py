@@ -25,21 +25,11 @@ def import_plots() -> None:
 class PlotHost(QWidget):
     """A canvas of pyqtgraph, made when it is seen first.
 
-    Parameters
-    ----------
-    make : callable
-        Makes the parts, once.
-    spacing : int
-        Between them, screen pixels.
-
-    Attributes
-    ----------
-    seen : Signal
-        It is on the screen from now on.
-    canvas : pyqtgraph.GraphicsLayoutWidget or None
+    `make`: Makes the parts, once.
+    `spacing`: Between them, screen pixels.
     """
 
-    seen = Signal()
+    seen = Signal()  # It is on the screen from now on
 
     def __init__(self, make: Callable[[], Sequence[Part]], spacing: int = 2) -> None:
         super().__init__()
@@ -113,29 +103,17 @@ class PlotFrame:
 
     Of pyqtgraph's parts, without its `PlotItem`, which makes a dozen menus that outlive a window.
 
-    Parameters
-    ----------
-    below : {"seconds", "logarithm", "number"}
-        What the axis below has.
-
-    Attributes
-    ----------
-    item : pyqtgraph.GraphicsLayout
-        To put into a scene.
-    box : pyqtgraph.ViewBox
-        To put curves into.
-    text : str
-        What is written above, as HTML.
+    `below`: What the axis below has.
     """
 
     def __init__(self, below: Literal["seconds", "logarithm", "number"]) -> None:
         import pyqtgraph as pg  # with the first plot
 
-        self.box = pg.ViewBox(enableMenu=False)
+        self.box = pg.ViewBox(enableMenu=False)  # To put curves into
         timed = below == "seconds"
         self._axes = [pg.AxisItem("left"), _seconds() if timed else pg.AxisItem("bottom")]
         self._axes[1].setLogMode(below == "logarithm")
-        self.item = pg.GraphicsLayout()
+        self.item = pg.GraphicsLayout()  # To put into a scene
         self.item.setContentsMargins(0, HEAD, 4, 0)
         self.item.layout.setSpacing(0)
         self.item.layout.setContentsMargins(0, HEAD, 4, 0)
@@ -148,7 +126,7 @@ class PlotFrame:
             axis.setGrid(40)
         self._axes[0].setWidth(LEFT)
         self._axes[1].setHeight(BOTTOM)
-        self.text = ""
+        self.text = ""  # What is written above, as HTML
         self.words = pg.LabelItem(justify="left", size="9pt")
         self.words.setParentItem(self.item)
         self.words.setPos(LEFT - 6.0, -2.0)

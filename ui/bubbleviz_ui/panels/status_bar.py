@@ -79,14 +79,9 @@ class StatusBar(QStatusBar):
     """One label a fact, each as wide as its widest text, so nothing jumps.
 
     A narrow window has the more important ones.
-
-    Attributes
-    ----------
-    asked : Signal
-        A click on what the window measures about itself.
     """
 
-    asked = Signal()
+    asked = Signal()  # A click on what the window measures about itself
 
     def __init__(self, units: Units) -> None:
         super().__init__()

@@ -23,29 +23,15 @@ from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
 
 @dataclass(frozen=True)
 class Trace:
-    """What a plot shows.
-
-    Attributes
-    ----------
-    title : str
-    unit : callable
-        Its unit among the operator's.
-    curves : dict
-        Colour by quantity of the history.
-    words : tuple of str
-        What the curves are called; empty for a single one.
-    bands : mapping
-        Half of the 95 % interval by quantity, drawn as a band around its curve.
-    short : str
-        Title above the plot, where the whole one has no room.
-    """
+    """What a plot shows."""
 
     title: str
-    unit: Callable[[Units], Unit]
-    curves: dict[str, str]
-    words: tuple[str, ...] = ("",)
+    unit: Callable[[Units], Unit]  # Its unit among the operator's
+    curves: dict[str, str]  # Colour by quantity of the history
+    words: tuple[str, ...] = ("",)  # What the curves are called; empty for a single one
+    # Half of the 95 % interval by quantity, drawn as a band around its curve
     bands: Mapping[str, str] = field(default_factory=dict)
-    short: str = ""
+    short: str = ""  # Title above the plot, where the whole one has no room
 
     @property
     def titles(self) -> dict[str, str]:
@@ -101,21 +87,7 @@ TRACES = MappingProxyType(
 
 
 class TimePlot:
-    """Curves of some quantities over time.
-
-    Parameters
-    ----------
-    trace : Trace
-
-    Attributes
-    ----------
-    cursor : pyqtgraph.InfiniteLine
-        Can be dragged.
-    bands : dict of Band
-        By quantity.
-    dots : dict of pyqtgraph.ScatterPlotItem
-        Frames that no line shows, by quantity.
-    """
+    """Curves of some quantities over time."""
 
     def __init__(self, trace: Trace) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
@@ -131,12 +103,14 @@ class TimePlot:
             name: pg.PlotDataItem(pen=pg.mkPen(colour, width=1), connect="finite")
             for name, colour in trace.curves.items()
         }
+        # Frames that no line shows, by quantity
         self.dots = {
             name: pg.ScatterPlotItem(size=4, brush=colour, pen=None)
             for name, colour in trace.curves.items()
         }
+        # By quantity
         self.bands = {name: Band(self.box, trace.curves[name]) for name in trace.bands}
-        self.cursor = pg.InfiniteLine(movable=True)
+        self.cursor = pg.InfiniteLine(movable=True)  # Can be dragged
         for item in (*self.curves.values(), *self.dots.values()):
             self.box.addItem(item)
         self.box.addItem(self.cursor, ignoreBounds=True)
@@ -207,27 +181,16 @@ class TimePlot:
 
 
 class Band:
-    """The 95 % interval around a curve.
-
-    Parameters
-    ----------
-    box : pyqtgraph.ViewBox
-    colour : str
-
-    Attributes
-    ----------
-    low, high : pyqtgraph.PlotDataItem
-        Its edges.
-    fill : QGraphicsPathItem
-        What lies between them. FillBetweenItem would fill gaps beside a single known frame.
-    """
+    """The 95 % interval around a curve."""
 
     def __init__(self, box: Any, colour: str) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
         shade = QColor(colour)
         shade.setAlpha(70)
+        # low, high: Its edges
         self.low, self.high = (pg.PlotDataItem(pen=shade, connect="finite") for _ in range(2))
+        # What lies between them. FillBetweenItem would fill gaps beside a single known frame
         self.fill = QGraphicsPathItem()
         self.fill.setBrush(shade)
         self.fill.setPen(Qt.PenStyle.NoPen)

@@ -16,12 +16,8 @@ from bubbleviz_ui.model.session_state import SessionState
 class PlayClock:
     """Turns wall time into the frame that is due.
 
-    Parameters
-    ----------
-    times_s : (F,) array
-        Time of each frame, s.
-    frames : (int, int), optional
-        First and last frame to play; None for all.
+    `times_s`: (F,) array: Time of each frame, s.
+    `frames`: First and last frame to play; None for all.
     """
 
     def __init__(self, times_s: np.ndarray, frames: tuple[int, int] | None = None) -> None:
@@ -87,18 +83,12 @@ AHEAD_S = 0.025
 
 
 class Player(QObject):
-    """Moves the cursor while a recording is played; live sources move it by themselves.
-
-    Attributes
-    ----------
-    skipped : int
-        Frames passed by because they were over before they could be asked for.
-    """
+    """Moves the cursor while a recording is played; live sources move it by themselves."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.skipped = 0
+        self.skipped = 0  # Frames passed by because they were over before they could be asked for
         self._clock: PlayClock | None = None
         self._read_s = 0.0
         self._came = -1

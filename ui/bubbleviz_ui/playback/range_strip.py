@@ -42,14 +42,9 @@ class RangeStrip(QWidget):
 
     Drag an end to move it; drag over empty frames to add a range. By keyboard: Tab to the strip,
     Space for the next end, arrows to move it, Delete to take its range out.
-
-    Attributes
-    ----------
-    edited : Signal
-        New ranges, and what was done in words.
     """
 
-    edited = Signal(object, str)
+    edited = Signal(object, str)  # New ranges, and what was done in words
 
     def __init__(self) -> None:
         super().__init__()
@@ -213,32 +208,19 @@ COPIED_DIGITS = 6
 
 @dataclass(frozen=True)
 class Curve:
-    """What a column is about.
-
-    Attributes
-    ----------
-    title : str
-    unit : Unit
-    values : (n,) array
-        In SI, of the frames in the range; NaN where nothing is known.
-    """
+    """What a column is about."""
 
     title: str
     unit: Unit
-    values: np.ndarray
+    values: np.ndarray  # (n,) array: In SI, of the frames in the range; NaN where nothing is known
 
 
 class RangeTable(QTableWidget):
-    """A column for each curve; hidden while no range is marked.
-
-    Attributes
-    ----------
-    copy : QPushButton
-        Copies the table; to be put where there is room, and seen as long as the table is.
-    """
+    """A column for each curve; hidden while no range is marked."""
 
     def __init__(self) -> None:
         super().__init__()
+        # Copies the table; to be put where there is room, and seen as long as the table is
         self.copy = QPushButton("Copy table")
         self.copy.setToolTip("Copy mean, spread and extremes over the range, for a spreadsheet")
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)

@@ -47,14 +47,9 @@ class Timeline(QWidget):
     """Frames by their time; click or drag below to seek, drag above for a range to play.
 
     Its cost does not grow with the frames: contact is gathered to one value a screen column.
-
-    Attributes
-    ----------
-    range_drawn : Signal
-        First and last frame of a range that was dragged.
     """
 
-    range_drawn = Signal(object)
+    range_drawn = Signal(object)  # First and last frame of a range that was dragged
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()

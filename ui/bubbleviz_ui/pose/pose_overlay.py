@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 class Gizmo:
     """VTK's box widget: faces turn it, the ball in the middle moves it. GUI thread only.
 
-    Parameters
-    ----------
-    view : View
-    moved : callable
-        Called with T_B_O (4, 4) while the box is dragged.
+    `moved`: Called with T_B_O (4, 4) while the box is dragged.
     """
 
     def __init__(self, view: View, moved: Callable[[np.ndarray], None]) -> None:

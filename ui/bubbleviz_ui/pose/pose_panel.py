@@ -53,10 +53,7 @@ HEIGHT = 109
 class Curves(PlotHost):
     """Fitness and rmse side by side: of the iterations of the fit, and of the frames so far.
 
-    Attributes
-    ----------
-    iterations, frames : (Curve, Curve)
-        Fitness, and rmse in the operator's unit of length.
+    `iterations, frames`: Fitness, and rmse in the operator's unit of length.
     """
 
     def __init__(self, units: Units) -> None:
@@ -106,17 +103,8 @@ def _pair(below: Below) -> tuple[Curve, Curve]:
 class Curve:
     """One quantity in its unit, from 0; its last value is above, a dash where there is none.
 
-    Parameters
-    ----------
-    name, colour : str
-    below : {"number", "seconds"}
-        What the axis below has.
-    top : float, optional
-        Where the axis ends, SI; at the largest value where not given.
-
-    Attributes
-    ----------
-    line : pyqtgraph.PlotDataItem
+    `below`: What the axis below has.
+    `top`: Where the axis ends, SI; at the largest value where not given.
     """
 
     def __init__(self, name: str, colour: str, below: Below, top: float | None = None) -> None:
@@ -160,15 +148,9 @@ NAMES = ("x", "y", "z")
 
 
 class StartBoxes(QWidget):
-    """Position and rotation (about fixed x, then y, then z) of O in B.
+    """Position and rotation (about fixed x, then y, then z) of O in B."""
 
-    Attributes
-    ----------
-    edited : Signal
-        T_B_O (4, 4) as typed.
-    """
-
-    edited = Signal(object)
+    edited = Signal(object)  # T_B_O (4, 4) as typed
 
     def __init__(self, units: Units) -> None:
         super().__init__()
@@ -233,27 +215,17 @@ EVERY_MS = 150
 
 
 class PosePanel(QWidget):
-    """Controls of a `PoseSession`.
+    """Controls of a `PoseSession`."""
 
-    Attributes
-    ----------
-    said : Signal
-        A `UserMessage`.
-    gizmo : Signal
-        Whether the object is to be moved in the view.
-    loading : Jobs
-        Where what draws its curves is loaded.
-    """
-
-    said = Signal(object)
-    gizmo = Signal(bool)
+    said = Signal(object)  # A `UserMessage`
+    gizmo = Signal(bool)  # Whether the object is to be moved in the view
 
     def __init__(self, state: SessionState, session: PoseSession) -> None:
         super().__init__()
         self.setAcceptDrops(True)
         self._state, self.session = state, session
         self._curves: Curves | None = None
-        self.loading = Jobs("plots")
+        self.loading = Jobs("plots")  # Where what draws its curves is loaded
         self.object = QComboBox()
         self.unit = QComboBox()
         self.start = StartBoxes(state.units)

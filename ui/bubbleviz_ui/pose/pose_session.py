@@ -142,36 +142,22 @@ class _Found:
 
 
 class PoseSession(QObject):
-    """The object that is looked for: the one of `Choices`, so that undo and sessions know it.
+    """The object that is looked for: the one of `Choices`, so that undo and sessions know it."""
 
-    Attributes
-    ----------
-    changed : Signal
-        Another object, start or pose, or a fit began or ended.
-    obj : RigidObject or None
-        What the solver thread made of it.
-    start : (4, 4) array or None
-        T_B_O to begin at; None to search.
-    pose : Pose or None
-        Of the frame that is shown, or the last one there was.
-    busy : bool
-        A one-shot fit runs.
-    rows : dict
-        `PoseRow` by frame: every pose since the object was chosen.
-    """
-
-    changed = Signal()
+    changed = Signal()  # Another object, start or pose, or a fit began or ended
 
     def __init__(self, controller: Controller, settings: SettingsHistory) -> None:
         super().__init__()
         self._settings = settings
         self._controller, self._state = controller, controller.state
-        self.obj: RigidObject | None = None
+        self.obj: RigidObject | None = None  # What the solver thread made of it
+        # (4, 4) array or None: T_B_O to begin at; None to search
         self.start: np.ndarray | None = None
         self._loaded: tuple[str | None, FileUnit | None] = (None, None)
-        self.pose: Pose | None = None
+        self.pose: Pose | None = None  # Of the frame that is shown, or the last one there was
         self._shown: Pose | None = None
-        self.busy = False
+        self.busy = False  # A one-shot fit runs
+        # `PoseRow` by frame: every pose since the object was chosen
         self.rows: dict[int, PoseRow] = {}
         controller.opened.connect(self._on_opened)
         controller.followed.connect(self._on_followed)
@@ -240,10 +226,7 @@ class PoseSession(QObject):
     def export(self, path: Path, form: Literal["csv", "tum"]) -> int:
         """Write the poses found so far; count of lines.
 
-        Raises
-        ------
-        InputError
-            The file exists or cannot be written.
+        Raises InputError: The file exists or cannot be written.
         """
         return write_poses(path, [self.rows[k] for k in sorted(self.rows)], form)
 

@@ -39,26 +39,15 @@ NOT_THERE = "not in the file"
 
 @dataclass(frozen=True)
 class Value:
-    """A number of the sensor file.
+    """A number of the sensor file."""
 
-    Attributes
-    ----------
-    key : str
-        As in `bubbleviz.sensor.edited`.
-    title, tip : str
-    si : str
-        Unit in the file.
-    unit : str
-        Of `Units`; empty for a pure number.
-    interval, rests_on : str
-        Keys of `bubbleviz.sensor.Calibration` that tell how it was measured; empty for none.
-    """
-
-    key: str
+    key: str  # As in `bubbleviz.sensor.edited`
     title: str
     tip: str
-    si: str = ""
-    unit: str = ""
+    si: str = ""  # Unit in the file
+    unit: str = ""  # Of `Units`; empty for a pure number
+    # interval, rests_on: Keys of `bubbleviz.sensor.Calibration` that tell how it was measured;
+    # empty for none
     interval: str = ""
     rests_on: str = ""
 
@@ -155,17 +144,12 @@ BOX_WIDTH = 70  # px: less than ten digits, more scroll
 
 
 class ValueRow(QWidget):
-    """Shows one number of a sensor in the operator's unit; edits it in the file's.
-
-    Attributes
-    ----------
-    interval : QLabel
-        The 95 % interval, for a row of its own.
-    """
+    """Shows one number of a sensor in the operator's unit; edits it in the file's."""
 
     def __init__(self, value: Value, units: Units) -> None:
         super().__init__()
         self.value, self._units = value, units
+        # The 95 % interval, for a row of its own
         self.shown, self.unit, self.interval = QLabel(), QLabel(value.si), QLabel()
         self.box = QLineEdit()
         self.box.setMinimumWidth(BOX_WIDTH)
@@ -192,15 +176,9 @@ class ValueRow(QWidget):
 
 
 class SensorPanel(QWidget):
-    """The sensor that the other panels show.
+    """The sensor that the other panels show."""
 
-    Attributes
-    ----------
-    said : Signal
-        A `UserMessage`.
-    """
-
-    said = Signal(object)
+    said = Signal(object)  # A `UserMessage`
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()

@@ -15,14 +15,9 @@ RELOAD = "Reload in the Sensor panel"
 
 
 class SensorWatch(QObject):
-    """Compares a sensor with its file, mesh and pixels whenever they, or their folder, change.
+    """Compares a sensor with its file, mesh and pixels whenever they, or their folder, change."""
 
-    Attributes
-    ----------
-    told : Signal
-        What happened to the file, to be written after its name; empty: it is what is in use.
-    """
-
+    # What happened to the file, to be written after its name; empty: it is what is in use
     told = Signal(str)
 
     def __init__(self, parent: QObject) -> None:

@@ -91,46 +91,25 @@ class SavedCamera(BaseModel):
 
 
 class SavedSession(BaseModel):
-    """What a session file holds; keys of later versions are passed over.
-
-    Attributes
-    ----------
-    source : str or None
-        A recording's path or `synthetic:`; None when a source cannot be opened by name.
-    truth : str or None
-        TRUTH.npz of that recording, where the user has named one.
-    live : SessionPreset or None
-        Live sensors that were connected.
-    sensor : str or None
-        Sensor file or preset.
-    frame : int
-    play_range : (int, int) or None
-    markers : tuple of int
-    choices : dict
-        Fields of `Choices`.
-    camera : SavedCamera or None
-        Where the user has moved the view.
-    geometry, layout : str
-        The window's place and its docks, Base64 of what Qt makes of them.
-    shortcuts : dict
-        Keys by action, where the user has changed them.
-    """
+    """What a session file holds; keys of later versions are passed over."""
 
     model_config = ConfigDict(frozen=True)
 
     schema_version: Literal[1] = 1
+    # A recording's path or `synthetic:`; None when a source cannot be opened by name
     source: str | None = None
-    truth: str | None = None
-    live: SessionPreset | None = None
-    sensor: str | None = None
+    truth: str | None = None  # TRUTH.npz of that recording, where the user has named one
+    live: SessionPreset | None = None  # Live sensors that were connected
+    sensor: str | None = None  # Sensor file or preset
     frame: int = Field(default=0, ge=0)
     play_range: tuple[int, int] | None = None
     markers: tuple[int, ...] = ()
-    choices: dict[str, Any] = {}
-    camera: SavedCamera | None = None
+    choices: dict[str, Any] = {}  # Fields of `Choices`
+    camera: SavedCamera | None = None  # Where the user has moved the view
+    # geometry, layout: The window's place and its docks, Base64 of what Qt makes of them
     geometry: str = ""
     layout: str = ""
-    shortcuts: dict[str, str] = {}
+    shortcuts: dict[str, str] = {}  # Keys by action, where the user has changed them
 
     @property
     def chosen(self) -> Choices:
@@ -139,20 +118,11 @@ class SavedSession(BaseModel):
 
 
 class UserFile(BaseModel):
-    """The user's own file: the last session, and what belongs to no session.
-
-    Attributes
-    ----------
-    session : SavedSession
-    recent : tuple of str
-        Files opened, the newest first.
-    hinted : bool
-        The first-run hint was read.
-    """
+    """The user's own file: the last session, and what belongs to no session."""
 
     session: SavedSession = SavedSession()
-    recent: tuple[str, ...] = ()
-    hinted: bool = False
+    recent: tuple[str, ...] = ()  # Files opened, the newest first
+    hinted: bool = False  # The first-run hint was read
 
 
 def plain_choices(choices: Choices) -> dict[str, Any]:
@@ -233,11 +203,7 @@ def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
 def located(saved: SavedSession, file: Path | None) -> SavedSession:
     """Session whose files are named by where they are; those that are not there keep their name.
 
-    Parameters
-    ----------
-    saved : SavedSession
-    file : Path or None
-        Where it was read from; files are looked for beside it.
+    `file`: Where it was read from; files are looked for beside it.
     """
     return _renamed(saved, lambda name: absolute(name, file))
 
@@ -273,10 +239,7 @@ def found(name: str, file: Path | None) -> Path | None:
 def read_session(path: Path) -> SavedSession:
     """Session of a file.
 
-    Raises
-    ------
-    InputError
-        It cannot be read or is no session.
+    Raises InputError: It cannot be read or is no session.
     """
     return _read(path, SavedSession)
 
@@ -284,10 +247,7 @@ def read_session(path: Path) -> SavedSession:
 def read_user_file(path: Path) -> UserFile:
     """The user's file; a new one where there is none yet.
 
-    Raises
-    ------
-    InputError
-        It cannot be read; it is put aside under another name.
+    Raises InputError: It cannot be read; it is put aside under another name.
     """
     if not path.exists():
         return UserFile()
@@ -327,21 +287,9 @@ def kept_beside(sensor: Sensor, file: Path) -> Path:
     The folder is named after the session and what is in it: another sensor gets another folder,
     and the same one costs nothing.
 
-    Parameters
-    ----------
-    sensor : Sensor
-    file : Path
-        Of the session.
+    Returns Path: The sensor file in that folder.
 
-    Returns
-    -------
-    Path
-        The sensor file in that folder.
-
-    Raises
-    ------
-    InputError
-        A file the sensor names is gone, or the copy cannot be written.
+    Raises InputError: A file the sensor names is gone, or the copy cannot be written.
     """
     content = _content(sensor)
     digest = hashlib.sha256()

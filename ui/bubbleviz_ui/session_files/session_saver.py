@@ -65,25 +65,15 @@ def user_file() -> Path:
 
 
 class SessionSaver(QObject):
-    """Session files of one window.
+    """Session files of one window."""
 
-    Attributes
-    ----------
-    recent_changed : Signal
-        Another file is among the recent ones.
-    recent : tuple of str
-        Files opened, the newest first.
-    hinted : bool
-        The user has read the first-run hint.
-    """
-
-    recent_changed = Signal()
+    recent_changed = Signal()  # Another file is among the recent ones
 
     def __init__(self, frame: QMainWindow, window: WindowParts) -> None:
         super().__init__(frame)
         self._frame, self._window = frame, window
-        self.recent: tuple[str, ...] = ()
-        self.hinted = False
+        self.recent: tuple[str, ...] = ()  # Files opened, the newest first
+        self.hinted = False  # The user has read the first-run hint
         self._opened: Opened | None = None
         self._pending: SavedSession | None = None
         self._absent: SavedSession | None = None  # something else is open in its place
@@ -143,10 +133,7 @@ class SessionSaver(QObject):
     def snapshot(self, file: Path | None = None) -> SavedSession:
         """Session as it is now; a sensor that is in no file of the user's is kept beside `file`.
 
-        Raises
-        ------
-        InputError
-            That sensor cannot be kept.
+        Raises InputError: That sensor cannot be kept.
         """
         window, state = self._window, self._window.state
         sensor = self._sensor_name(file)
@@ -231,26 +218,15 @@ class SessionSaver(QObject):
     def open_source(
         self,
         saved: SavedSession,
-        file: Path | None = None,
-        first: Callable[[], None] | None = None,
+        file: Path | None = None,  # It was read from
+        first: Callable[[], None] | None = None,  # Done before, unless what is open is to stay
     ) -> bool:
         """Ask for the source of a session, to come back to the same frame of it.
 
         What is not there, or not yet, is a message; it is asked for again at the next start,
         unless the user opens something else meanwhile.
 
-        Parameters
-        ----------
-        saved : SavedSession
-        file : Path, optional
-            It was read from.
-        first : callable, optional
-            Done before, unless what is open is to stay.
-
-        Returns
-        -------
-        bool
-            Whether it is being opened.
+        Returns bool: Whether it is being opened.
         """
         saved = located(saved, file)
         gone = missing(saved)
@@ -458,10 +434,7 @@ class SessionSaver(QObject):
 def write_whole(path: Path, what: BaseModel) -> None:
     """Write a file whole or not at all; one that is there is replaced.
 
-    Raises
-    ------
-    InputError
-        It cannot be written.
+    Raises InputError: It cannot be written.
     """
     file = QSaveFile(str(path))
     text = what.model_dump_json(indent=1).encode()

@@ -38,12 +38,7 @@ HEIGHT = 170
 
 
 class ShearPlot(PlotHost):
-    """An arrow's line from no force to the tangential force, and an ellipse around its end.
-
-    Attributes
-    ----------
-    force, outline : pyqtgraph.PlotDataItem
-    """
+    """An arrow's line from no force to the tangential force, and an ellipse around its end."""
 
     def __init__(self) -> None:
         super().__init__(self._fill)

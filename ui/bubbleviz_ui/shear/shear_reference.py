@@ -28,15 +28,10 @@ class ShearReference:
 
     Of a recording from its own contact-free frames; of a long one, and of any other source, from
     the frames without contact that pass, where they have colour images.
-
-    Attributes
-    ----------
-    words : str
-        What there is, or why there is nothing, in one sentence.
     """
 
     def __init__(self) -> None:
-        self.words = ""
+        self.words = ""  # What there is, or why there is nothing, in one sentence
         self._options: ShearOptions | None = None
         self._possible = True
         self._passing: PassingTexture | None = None

@@ -17,10 +17,7 @@ from bubbleviz.errors import InputError
 def has_display(environment: Mapping[str, str] = os.environ) -> bool:
     """Whether there is a screen that answers.
 
-    Raises
-    ------
-    InputError
-        It is a Wayland session without an X server, through which VTK draws.
+    Raises InputError: It is a Wayland session without an X server, through which VTK draws.
     """
     if not sys.platform.startswith("linux") or _answers(environment.get("DISPLAY", "")):
         return True
@@ -40,10 +37,7 @@ def private_display(width: int, height: int) -> Iterator[None]:
     A Qt application stays connected until the process ends, and Xlib would say "fatal IO error"
     if the screen went first. So the screen ends itself with its last client (`-terminate`).
 
-    Raises
-    ------
-    InputError
-        Xvfb is not installed or does not start.
+    Raises InputError: Xvfb is not installed or does not start.
     """
     xvfb = shutil.which("Xvfb")
     if xvfb is None:

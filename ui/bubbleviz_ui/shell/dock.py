@@ -45,11 +45,7 @@ class Dock(QDockWidget):
     def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
         """Open as a tab of another dock, unless the user has moved it elsewhere.
 
-        Parameters
-        ----------
-        neighbour : QDockWidget
-        narrower_than : int, optional
-            Only in a window that is less wide, screen pixels.
+        `narrower_than`: Only in a window that is less wide, screen pixels.
         """
         self._neighbour, self._narrower_than = neighbour, narrower_than
 
@@ -91,15 +87,9 @@ STATUS = "status"
 
 
 class OpenPanels(QObject):
-    """Panels of the window by their names in scene presets.
+    """Panels of the window by their names in scene presets."""
 
-    Attributes
-    ----------
-    changed : Signal
-        A panel was opened or closed.
-    """
-
-    changed = Signal()
+    changed = Signal()  # A panel was opened or closed
     _status_changed = Signal()
 
     def __init__(self, panels: Mapping[str, QWidget], state: SessionState, parent: QObject) -> None:
@@ -150,20 +140,12 @@ B = TypeVar("B", bound=QBoxLayout)
 def fill(
     layout: B,
     *items: Item | tuple[Item, int],
-    margins: tuple[int, int, int, int] | None = None,
-    spacing: int | None = None,
+    margins: tuple[int, int, int, int] | None = None,  # Left, top, right and bottom, screen pixels
+    spacing: int | None = None,  # Between the items, screen pixels
 ) -> B:
     """Fill a row or a column.
 
-    Parameters
-    ----------
-    layout : QBoxLayout
-    items : widgets, layouts and int
-        One after the other; with its stretch where it has one. A number alone is a stretch.
-    margins : tuple of 4 int, optional
-        Left, top, right and bottom, screen pixels.
-    spacing : int, optional
-        Between the items, screen pixels.
+    `items`: One after the other; with its stretch where it has one. A number alone is a stretch.
     """
     if margins is not None:
         layout.setContentsMargins(*margins)
@@ -181,22 +163,14 @@ def fill(
 
 
 class BarLayout(QLayout):
-    """A text with controls beside it; below it, in rows, where both have no room.
-
-    Parameters
-    ----------
-    parent, text : QWidget
-    *controls : QWidget
-    margins : tuple of 4 int
-        Left, top, right and bottom, screen pixels.
-    """
+    """A text with controls beside it; below it, in rows, where both have no room."""
 
     def __init__(
         self,
         parent: QWidget,
         text: QWidget,
         *controls: QWidget,
-        margins: tuple[int, int, int, int],
+        margins: tuple[int, int, int, int],  # Left, top, right and bottom, screen pixels
     ) -> None:
         super().__init__(parent)
         self._items: list[QLayoutItem] = []
@@ -305,12 +279,8 @@ def _height(item: QLayoutItem, width: int) -> int:
 class Elided(QLabel):
     """A label that leaves out some of what does not fit; its tool tip may have all.
 
-    Parameters
-    ----------
-    where : Qt.TextElideMode
-        What is left out.
-    least : str
-        A text that is always whole.
+    `where`: What is left out.
+    `least`: A text that is always whole.
     """
 
     def __init__(self, where: Qt.TextElideMode, least: str = "") -> None:

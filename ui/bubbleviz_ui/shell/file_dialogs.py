@@ -24,16 +24,9 @@ def file_to_open(
 ) -> Path | None:
     """File to read; None to cancel.
 
-    Parameters
-    ----------
-    parent : QWidget
-    title : str
-    kinds : str
-        Filters of file names, as Qt writes them.
-    of : str
-        Kind of the file, whose last folder the dialog shows.
-    at_first : Path, optional
-        Folder to show before there is one.
+    `kinds`: Filters of file names, as Qt writes them.
+    `of`: Kind of the file, whose last folder the dialog shows.
+    `at_first`: Folder to show before there is one.
     """
     name, _ = QFileDialog.getOpenFileName(parent, title, _folder(of, at_first), kinds)
     return _remembered(of, name)

@@ -376,23 +376,14 @@ class CheckMark(QObject):
 
     It lives as long as the action; a lambda that a signal holds would keep the window alive.
 
-    Parameters
-    ----------
-    action : QAction
-        Checkable.
-    is_on : callable
-        Whether what the action stands for is on.
-    turn : callable
-        Turns it on or off.
-    *changed : signals
-        It may have been turned on or off.
+    `*changed`: It may have been turned on or off.
     """
 
     def __init__(
         self,
-        action: QAction,
-        is_on: Callable[[], bool],
-        turn: Callable[[bool], object],
+        action: QAction,  # Checkable
+        is_on: Callable[[], bool],  # Whether what the action stands for is on
+        turn: Callable[[bool], object],  # Turns it on or off
         *changed: SignalInstance,
     ) -> None:
         super().__init__(action)

@@ -52,15 +52,9 @@ class _Bar(QFrame):
 
 
 class MessageBar(_Bar):
-    """Warnings and errors, which stay until they are dismissed: errors first, then the newest.
+    """Warnings and errors, which stay until they are dismissed: errors first, then the newest."""
 
-    Attributes
-    ----------
-    asked : Signal
-        The user wants to read all messages.
-    """
-
-    asked = Signal()
+    asked = Signal()  # The user wants to read all messages
 
     def __init__(self, parent: QWidget) -> None:
         self._open: list[UserMessage] = []
@@ -121,18 +115,9 @@ class NoticeBar(QFrame):
     """What went well, for some seconds; with the file that was written.
 
     It takes what the menus leave of their bar, so that nothing below moves.
-
-    Parameters
-    ----------
-    bar : QMenuBar
-
-    Attributes
-    ----------
-    asked : Signal
-        The user wants to open a file: its path.
     """
 
-    asked = Signal(object)
+    asked = Signal(object)  # The user wants to open a file: its path
 
     def __init__(self, bar: QMenuBar) -> None:
         super().__init__(bar)
@@ -243,22 +228,13 @@ class StepState(Enum):
 class StepButtons(QButtonGroup):
     """A button for each step; one is checked.
 
-    Parameters
-    ----------
-    parent : QWidget
-    titles : mapping
-        In full, by the name on the button.
-
-    Attributes
-    ----------
-    row : QWidget
-        Has the buttons.
+    `titles`: In full, by the name on the button.
     """
 
     def __init__(self, parent: QWidget, titles: Mapping[str, str]) -> None:
         super().__init__(parent)
         self._titles = titles
-        self.row = QWidget()
+        self.row = QWidget()  # Has the buttons
         for number in range(len(titles)):
             button = QToolButton()
             button.setCheckable(True)

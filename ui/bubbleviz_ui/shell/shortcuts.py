@@ -99,21 +99,13 @@ UNLISTED = "unlisted"
 
 
 class Shortcuts(QObject):
-    """Keys of a window's actions.
+    """Keys of a window's actions."""
 
-    Attributes
-    ----------
-    actions : dict
-        Actions of the menus by name: `View › Theme › Dark`.
-    edited : Signal
-        Some action has other keys.
-    """
-
-    edited = Signal()
+    edited = Signal()  # Some action has other keys
 
     def __init__(self, bar: QMenuBar) -> None:
         super().__init__(bar)
-        self.actions = dict(_named(bar, ""))
+        self.actions = dict(_named(bar, ""))  # Actions of the menus by name: `View › Theme › Dark`
         self._defaults = {name: list(a.shortcuts()) for name, a in self.actions.items()}
 
     @property
@@ -142,10 +134,7 @@ class Shortcuts(QObject):
     def set_keys(self, name: str, keys: QKeySequence) -> str:
         """Give an action other keys; empty keys take them away.
 
-        Returns
-        -------
-        str
-            Why not, in one sentence; empty when it is done.
+        Returns str: Why not, in one sentence; empty when it is done.
         """
         other = self.taken_by(keys, name) if not keys.isEmpty() else None
         if other is not None:

@@ -71,15 +71,7 @@ class MessagesDialog(TextDialog):
 
 
 class InformationDialog(TextDialog):
-    """What `bubbleviz info` says of the recording that is open, or what a live source is.
-
-    Parameters
-    ----------
-    parent : QWidget
-    controller : Controller
-    jobs : Jobs
-        Reads the recording.
-    """
+    """What `bubbleviz info` says of the recording that is open, or what a live source is."""
 
     def __init__(self, parent: QWidget, controller: Controller, jobs: Jobs) -> None:
         super().__init__(parent, "Information", "All lines, as bubbleviz info prints them")

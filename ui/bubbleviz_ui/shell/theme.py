@@ -47,52 +47,33 @@ ON_BADGE = "#0b1118"
 
 @dataclass(frozen=True)
 class Colours:
-    """A theme.
+    """A theme."""
 
-    Attributes
-    ----------
-    view, cloud, rim, frustum : str
-        The 3-D view: background, plain points, lines.
-    window, panel, field, border : str
-        Surfaces, from the window's to those one writes on.
-    text, dim, disabled : str
-        Text, and what matters less.
-    accent, on_accent, tick : str
-        What is chosen, text on it, and the picture of a tick on it.
-    button, hover, outline : str
-        Buttons, and the frame of check boxes.
-    error, error_edge, warning, warning_edge : str
-        The message bar.
-    free, marker : str
-        On the timeline: frames without contact, marked frames.
-    good, usable, doubtful : str
-        Grades.
-    """
-
-    view: str
+    view: str  # view, cloud, rim, frustum: The 3-D view: background, plain points, lines
     cloud: str
     rim: str
     frustum: str
-    window: str
+    window: str  # window, panel, field, border: Surfaces, from the window's to those one writes on
     panel: str
     field: str
     border: str
-    text: str
+    text: str  # text, dim, disabled: Text, and what matters less
     dim: str
     disabled: str
+    # accent, on_accent, tick: What is chosen, text on it, and the picture of a tick on it
     accent: str
     on_accent: str
     tick: str
-    button: str
+    button: str  # button, hover, outline: Buttons, and the frame of check boxes
     hover: str
     outline: str
-    error: str
+    error: str  # error, error_edge, warning, warning_edge: The message bar
     error_edge: str
     warning: str
     warning_edge: str
-    free: str
+    free: str  # free, marker: On the timeline: frames without contact, marked frames
     marker: str
-    good: str
+    good: str  # good, usable, doubtful: Grades
     usable: str
     doubtful: str
 

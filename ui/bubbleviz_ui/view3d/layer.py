@@ -23,35 +23,22 @@ from bubbleviz_ui.view3d.render_view import LIGHTS, View
 
 @dataclass(frozen=True)
 class Shape:
-    """The displayed shape of the membrane, shared by the layers that lie on it.
+    """The displayed shape of the membrane, shared by the layers that lie on it."""
 
-    Attributes
-    ----------
-    nodes_m, normals : (n, 3) arrays
-        Deformed nodes and their normals in B.
-    pressure_pa : (n,) array
-        Contact pressure.
-    """
-
-    nodes_m: np.ndarray
+    nodes_m: np.ndarray  # nodes_m, normals: (n, 3) arrays: Deformed nodes and their normals in B
     normals: np.ndarray
-    pressure_pa: np.ndarray
+    pressure_pa: np.ndarray  # (n,) array: Contact pressure
 
 
 class Surface:
-    """Holds the vertices; changed in place, never replaced.
-
-    Attributes
-    ----------
-    poly : pyvista.PolyData
-        Nodes in B, m; point data `PRESSURE` in displayed units.
-    """
+    """Holds the vertices; changed in place, never replaced."""
 
     PRESSURE = "contact pressure"
 
     def __init__(self, units: Units) -> None:
         self._units = units
         self._mesh: MembraneMesh | None = None
+        # Nodes in B, m; point data `PRESSURE` in displayed units
         self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
         self._make_arrays(np.eye(3), np.eye(3))
 
@@ -170,28 +157,14 @@ class Picture:
 
 
 class Layer:
-    """One thing in the 3-D view. Its actors are made once and live as long as the view.
+    """One thing in the 3-D view. Its actors are made once and live as long as the view."""
 
-    Parameters
-    ----------
-    canvas : Canvas
-
-    Attributes
-    ----------
-    name : str
-        Of `registry.LAYERS`.
-    cut : bool
-        The section plane cuts it open.
-    actors : list
-        What VTK draws of it, the main one first.
-    """
-
-    name = ""
-    cut = False
+    name = ""  # Of `registry.LAYERS`
+    cut = False  # The section plane cuts it open
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
-        self.actors: list[Any] = []
+        self.actors: list[Any] = []  # What VTK draws of it, the main one first
         self._visible, self._any = True, True
 
     @property

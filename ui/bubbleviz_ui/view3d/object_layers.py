@@ -21,13 +21,7 @@ OPACITY = 0.45  # so that the membrane shows behind it
 
 
 class ObjectLayer(Layer):
-    """One actor; its mesh changes with the object, its matrix with the pose.
-
-    Attributes
-    ----------
-    place : (4, 4) array or None
-        Where it is drawn now; None while it is not.
-    """
+    """One actor; its mesh changes with the object, its matrix with the pose."""
 
     name = "object"
 
@@ -36,6 +30,7 @@ class ObjectLayer(Layer):
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
         self.add(self._poly, color=FOUND, opacity=OPACITY, ambient=0.3).SetPickable(False)
         self._has_mesh = False
+        # (4, 4) array or None: Where it is drawn now; None while it is not
         self.place: np.ndarray | None = None
         self._has(False)
 
@@ -182,12 +177,7 @@ def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 
 class ProbeMarks:
-    """Two dots and a line, in front of everything; hidden while nothing is pointed at.
-
-    Attributes
-    ----------
-    actors : list of actors
-    """
+    """Two dots and a line, in front of everything; hidden while nothing is pointed at."""
 
     def __init__(self, view: View) -> None:
         self._view = view

@@ -14,15 +14,7 @@ EVERY_MS = 30
 
 
 class Pointing(QObject):
-    """Picks while the mouse moves over the view; during playback only for the images panel.
-
-    Parameters
-    ----------
-    state : SessionState
-    view : View
-    scene : Scene
-    hover : Hover
-    """
+    """Picks while the mouse moves over the view; during playback only for the images panel."""
 
     def __init__(self, state: SessionState, view: View, scene: Scene, hover: Hover) -> None:
         super().__init__(view)

@@ -58,30 +58,15 @@ _BRIGHT = {"ambient": 0.5, "diffuse": 0.6, "specular": 0.0}
 
 @dataclass(frozen=True)
 class RenderQuality:
-    """What the 3-D view spends on a picture.
+    """What the 3-D view spends on a picture."""
 
-    Attributes
-    ----------
-    name : str
-        What `BUBBLEVIZ_RENDERING` calls it.
-    samples : int
-        Samples a pixel, for smooth edges; 0 for none.
-    round_points : bool
-        Points are shaded balls instead of flat squares.
-    thinned : int
-        One in so many points of the cloud is drawn while frames follow each other.
-    own_swap : bool
-        The view puts its pictures on the screen itself, see `direct_swap`; else Qt does.
-    renderer : str
-        What the driver calls itself; empty where it was not asked.
-    """
-
-    name: str
-    samples: int
-    round_points: bool
-    thinned: int
+    name: str  # What `BUBBLEVIZ_RENDERING` calls it
+    samples: int  # Samples a pixel, for smooth edges; 0 for none
+    round_points: bool  # Points are shaded balls instead of flat squares
+    thinned: int  # One in so many points of the cloud is drawn while frames follow each other
+    # The view puts its pictures on the screen itself, see `direct_swap`; else Qt does
     own_swap: bool
-    renderer: str = ""
+    renderer: str = ""  # What the driver calls itself; empty where it was not asked
 
     @property
     def points(self) -> dict[str, Any]:
@@ -103,17 +88,10 @@ SMOOTH = RenderQuality("smooth", samples=SAMPLES, round_points=True, thinned=1, 
 def quality_for(renderer: str, wanted: str = "") -> RenderQuality:
     """Fast for software or an unknown renderer, smooth for any other, unless one is wanted.
 
-    Parameters
-    ----------
-    renderer : str
-        OpenGL's name of it.
-    wanted : str
-        Name of a quality; empty for the renderer's.
+    Raises InputError: There is no such quality.
 
-    Raises
-    ------
-    InputError
-        There is no such quality.
+    `renderer`: OpenGL's name of it.
+    `wanted`: Name of a quality; empty for the renderer's.
     """
     known = {quality.name: quality for quality in (FAST, SMOOTH)}
     if wanted and wanted not in known:
@@ -127,10 +105,7 @@ def quality_for(renderer: str, wanted: str = "") -> RenderQuality:
 def quality_here() -> RenderQuality:
     """The quality for this machine's renderer, or the one `BUBBLEVIZ_RENDERING` names.
 
-    Raises
-    ------
-    InputError
-        The variable names none.
+    Raises InputError: The variable names none.
     """
     return quality_for(renderer_name(), os.environ.get(VARIABLE, ""))
 
@@ -159,55 +134,28 @@ class View(QtInteractor):  # type: ignore[misc]
 
     VTK's own renders on mouse moves are such requests too, so any number of changes between two
     pictures costs one render.
-
-    Parameters
-    ----------
-    parent : QWidget
-    quality : RenderQuality
-
-    Attributes
-    ----------
-    quality : RenderQuality
-    dropped_files : Signal
-        List of paths the user dropped on the view.
-    moved : Signal
-        Where the mouse is, in Qt's pixels, while no button is held.
-    clicked : Signal
-        Where the left button was pressed and let go without moving, in Qt's pixels.
-    left : Signal
-        The mouse is elsewhere.
-    resized : Signal
-        The view has another size.
-    rendering : Signal
-        A picture is about to be made, perhaps of another size: what is laid out by pixels is now.
-    rendered : Signal
-        A new picture is on the screen.
-    renders : RateMeter
-        Real renders of VTK.
-    render_count : int
-        Renders since the view exists.
-    of_the_mouse : list
-        Props that say what the mouse points at: seen in the window, not in pictures of the view.
-    busy_s : float
-        Time the GUI thread has spent on pictures: changing the scene and rendering it, s.
     """
 
-    dropped_files = Signal(list)
+    dropped_files = Signal(list)  # List of paths the user dropped on the view
+    # A picture is about to be made, perhaps of another size: what is laid out by pixels is now
     rendering = Signal()
-    rendered = Signal()
-    moved = Signal(float, float)
+    rendered = Signal()  # A new picture is on the screen
+    moved = Signal(float, float)  # Where the mouse is, in Qt's pixels, while no button is held
+    # Where the left button was pressed and let go without moving, in Qt's pixels
     clicked = Signal(float, float)
-    left = Signal()
-    resized = Signal()
+    left = Signal()  # The mouse is elsewhere
+    resized = Signal()  # The view has another size
 
     def __init__(self, parent: QWidget, quality: RenderQuality) -> None:
         super().__init__(parent, auto_update=False, multi_samples=quality.samples, lighting="none")
         self.quality = quality
         if quality.own_swap:
             direct_swap.prepare(self)
-        self.renders = RateMeter()
-        self.render_count = 0
+        self.renders = RateMeter()  # Real renders of VTK
+        self.render_count = 0  # Renders since the view exists
+        # Props that say what the mouse points at: seen in the window, not in pictures of the view
         self.of_the_mouse: list[Any] = []
+        # Time the GUI thread has spent on pictures: changing the scene and rendering it, s
         self.busy_s = 0.0
         self._due = QTimer(self, singleShot=True)
         self._due.timeout.connect(self._draw)
@@ -465,12 +413,8 @@ def render(render_window: Any) -> None:
 def show(widget: QOpenGLWidget, render_window: Any) -> None:
     """Put what VTK has rendered on the screen.
 
-    Parameters
-    ----------
-    widget : QOpenGLWidget
-        Of which `can_show` is true.
-    render_window : vtkGenericOpenGLRenderWindow
-        Has rendered with the widget's context.
+    `widget`: Of which `can_show` is true.
+    `render_window`: Has rendered with the widget's context.
     """
     context, window = widget.context(), widget.windowHandle()
     context.makeCurrent(window)

@@ -66,32 +66,16 @@ L = TypeVar("L", bound=Layer)
 
 
 class DrawnLayers:
-    """Actors are made once; a result changes arrays in place.
-
-    Parameters
-    ----------
-    view : View
-    units : Units
-    ranges : HeldRanges
-        Scales to draw with.
-    names : collection of str
-        Layers to make, of the registry.
-
-    Attributes
-    ----------
-    by_name : dict of Layer
-    surface : Surface
-        The membrane as it is drawn.
-    """
+    """Actors are made once; a result changes arrays in place."""
 
     def __init__(
         self,
         view: View,
         units: Units,
-        ranges: HeldRanges,
-        names: frozenset[str] = frozenset(LAYERS),
+        ranges: HeldRanges,  # Scales to draw with
+        names: frozenset[str] = frozenset(LAYERS),  # Layers to make, of the registry
     ) -> None:
-        self.surface, self._ranges = Surface(units), ranges
+        self.surface, self._ranges = Surface(units), ranges  # The membrane as it is drawn
         canvas = Canvas(view, self.surface, units)
         self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
         for layer in self.by_name.values():
@@ -297,12 +281,7 @@ BESIDE = frozenset({"membrane", "contour", "cloud", "force", "rim"})
 class SecondScene:
     """Draws the results of a second sensor into the view, on the scales of the first.
 
-    Parameters
-    ----------
-    view : View
-    units : Units
-    ranges : HeldRanges
-        Of the scene, which has the colour bars.
+    `ranges`: Of the scene, which has the colour bars.
     """
 
     def __init__(self, view: View, units: Units, ranges: HeldRanges) -> None:

@@ -57,17 +57,7 @@ class ScaleBar:
 
     It is true in the depth of the point about which the view turns.
 
-    Parameters
-    ----------
-    view : View
-    units : Units
-    left : float
-        Where it begins, pixels.
-
-    Attributes
-    ----------
-    actors : list
-        To be shown or hidden together.
+    `left`: Where it begins, pixels.
     """
 
     def __init__(self, view: View, units: Units, left: float) -> None:
@@ -78,7 +68,7 @@ class ScaleBar:
         self._line, self._label = vtkActor2D(), vtkTextActor()
         self._line.SetMapper(mapper)
         write_in(view, self._label.GetTextProperty(), TEXT)
-        self.actors = [self._line, self._label]
+        self.actors = [self._line, self._label]  # To be shown or hidden together
         for actor in self.actors:
             view.renderer.AddViewProp(actor)
         view.follow_theme(self._paint)

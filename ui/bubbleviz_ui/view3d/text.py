@@ -69,12 +69,7 @@ SIZE = 13  # px
 
 
 class PlaceText:
-    """A few short lines that stay at their place however the scene is turned.
-
-    Attributes
-    ----------
-    actor : vtkTextActor
-    """
+    """A few short lines that stay at their place however the scene is turned."""
 
     def __init__(self, view: View, units: Units) -> None:
         self._view, self._units = view, units
@@ -151,15 +146,7 @@ def beside_bars(width: float) -> float:
 
 
 class ColourBar:
-    """Colour bar in the upper or the lower half of the right edge of the view.
-
-    Parameters
-    ----------
-    view : View
-    table : pyvista.LookupTable
-    quantity : str
-    upper : bool
-    """
+    """Colour bar in the upper or the lower half of the right edge of the view."""
 
     def __init__(self, view: View, table: Any, quantity: str, *, upper: bool) -> None:
         bar = vtkScalarBarActor()

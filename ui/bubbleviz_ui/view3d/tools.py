@@ -24,17 +24,11 @@ from bubbleviz_ui.view3d.text import beside_bars
 
 
 class Distance:
-    """Two points and the line between them; a third click begins anew.
-
-    Attributes
-    ----------
-    points_m : list of (3,) arrays
-        What was clicked, in B.
-    """
+    """Two points and the line between them; a third click begins anew."""
 
     def __init__(self, view: View) -> None:
         self._view = view
-        self.points_m: list[np.ndarray] = []
+        self.points_m: list[np.ndarray] = []  # list of (3,) arrays: What was clicked, in B
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         dots = {"point_size": 10, **view.quality.points}
         self._line = add_mark(view, self._poly, color=theme.GREEN, line_width=2, lighting=False)
@@ -81,11 +75,6 @@ class Picker:
     """Finds the place on a surface, or the point of a cloud where no surface is.
 
     What is hidden, or cut away by clipping planes, is not found.
-
-    Parameters
-    ----------
-    view : View
-    surface, cloud : actor
     """
 
     def __init__(self, view: View, surface: Any, cloud: Any) -> None:
@@ -131,12 +120,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class Section:
     """Clips actors and draws the line along which the plane cuts the membrane.
 
-    Parameters
-    ----------
-    view : View
-    surface : Surface
-    actors : sequence of actors
-        Those that are cut.
+    `actors`: Those that are cut.
     """
 
     def __init__(self, view: View, surface: Surface, actors: list[Any]) -> None:
@@ -258,14 +242,9 @@ def look_along(
 ) -> None:
     """Look at points (k, 3) in B, all of which have room beside the colour bars.
 
-    Parameters
-    ----------
-    view : View
-    towards, up : (3,) array_like
-        From the middle of the points to the eye, and what is up, in B.
-    points_m : (k, 3) array
-    zoom : float
-        How near; 1 shows the whole box around the points.
+    `towards, up`: (3,) array_like: From the middle of the points to the eye, and what is up, in B.
+    `points_m`: (k, 3) array.
+    `zoom`: How near; 1 shows the whole box around the points.
     """
     low, high = points_m.min(axis=0), points_m.max(axis=0)
     middle, camera = (low + high) / 2, view.camera

@@ -61,15 +61,9 @@ WIDTH = 286
 
 
 class ViewTools(QWidget):
-    """Controls of the 3-D view that are no layers.
+    """Controls of the 3-D view that are no layers."""
 
-    Attributes
-    ----------
-    said : Signal
-        A `UserMessage`.
-    """
-
-    said = Signal(object)
+    said = Signal(object)  # A `UserMessage`
 
     def __init__(
         self, state: SessionState, controller: Controller, view: View, scene: Scene
