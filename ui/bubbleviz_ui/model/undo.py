@@ -71,7 +71,7 @@ class _Watched(Generic[T]):
 
 
 class SettingsHistory:
-    """Puts every setting the user changes on the stack: choices, played range, markers, …"""
+    """Puts every setting the user changes on the stack: choices, range and markers."""
 
     def __init__(self, state: SessionState, stack: QUndoStack) -> None:
         self._state, self._stack = state, stack
