@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 import bubbleviz as bv
+from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import build_mesh
 from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
@@ -84,7 +85,7 @@ def _row(press_name: str, kind: str, seed: int, number: int) -> list[FaultRow]:
     except bv.InputError:
         return [FaultRow(press_name, kind, size, unit, count, count, 0, 0.0)]
     force, status = np.linalg.norm(run.force_n, axis=1), run.status
-    half = np.array([found.result.estimate.force_half_width_n for found in run])
+    half = np.array([found.estimate.force_half_width_n for found in run])
     half = np.where(status == "no_contact", _NO_CONTACT_N, half)
     error = np.abs(force - np.linalg.norm(press.force_n, axis=1))
     told = ~np.isin(status, ("ok", "no_contact")) | bool(run.said["warning"])
@@ -160,7 +161,7 @@ def _focal_length(press: Press, rng: np.random.Generator) -> tuple[float, str, C
     by = rng.uniform(-0.05, 0.05)
 
     def change(frame: Frame, _: int) -> Frame:
-        own = frame.intrinsics or load_sensor(press.sensor).camera.intrinsics
+        own = frame.intrinsics or DepthCamera.of(load_sensor(press.sensor).camera).intrinsics
         other = replace(own, fx=(1.0 + by) * own.fx, fy=(1.0 + by) * own.fy)
         return replace(frame, intrinsics=other)
 
@@ -239,7 +240,9 @@ _COLUMNS = (
 
 def report_of(rows: Sequence[FaultRow]) -> Report:
     """Shares of the frames of each kind of error on each press."""
-    records = [_record(*key, own) for key, own in groups(rows, "kind", "press").items()]
+    records = [
+        _record(kind, press, own) for (kind, press), own in groups(rows, "kind", "press").items()
+    ]
     everything = _record("all", "", rows)
     right = 1.0 - everything["wrong"]
     targets = [at_least("refused, warned of or inside the interval", right, 0.97)]
