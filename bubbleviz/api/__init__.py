@@ -1,1 +1,1 @@
-"""The face of the library: what `import bubbleviz` offers, and the values its functions return."""
+"""Public functions of the library, and the types that they return."""

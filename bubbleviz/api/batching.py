@@ -1,4 +1,4 @@
-"""Many recordings to results and one table, in processes here or on a Dask cluster."""
+"""Estimate many recordings, in processes here or on a Dask cluster, into one table."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Row:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Row:
-        """Row from its JSON object; TypeError where that is another's."""
+        """Row from its JSON object; TypeError if its fields are not those of a row."""
         if set(values) != {field.name for field in fields(cls)}:
             raise TypeError("not the fields of a row")
         known: Any = {k: _NAN if v is None and k != "kappa" else v for k, v in values.items()}
@@ -145,7 +145,7 @@ class BatchSummary(Summary):
     rows: list[Row]  # in the order of the recordings' paths
 
     def to_text(self) -> str:
-        """Aligned table with units, what went wrong, and where the table is."""
+        """Aligned table with units, errors, and the path of the table."""
         kept = sum(row.outcome == "kept" for row in self.rows)
         have = sum(row.has_result for row in self.rows)
         was = f", {kept} of them kept from before" if kept else ""
@@ -229,7 +229,7 @@ def batch(
         wrong with single recordings is in their rows.
     """
     if jobs is not None and scheduler is not None:
-        raise InputError("--jobs is for processes here; the cluster has its own")
+        raise InputError("--jobs counts processes on this machine; leave it out with --scheduler")
     found, out = find_recordings(folder), Path(out)
     if str(sensor) != AUTO:
         load_sensor(sensor)  # else every recording would fail for the same reason

@@ -1,4 +1,4 @@
-"""Whether a sensor file still holds."""
+"""Check whether a sensor file still fits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST = 60  # frames: more of them only take time
 
 @dataclass(frozen=True)
 class CheckSummary(SensorCheck, Summary):
-    """What contact-free frames say of a sensor file, SI units."""
+    """Result of comparing contact-free frames with a sensor file, SI units."""
 
     recording: str = ""
     sensor: str = ""
@@ -43,17 +43,17 @@ def check(
 ) -> CheckSummary:
     """Check whether contact-free frames still fit a sensor file.
 
-    Compares rest shape, bias of the pixels, camera info and gas pressure. A change is told where
-    χ² of the mean image is beyond what the sensor file's own noise explains.
+    Compares rest shape, bias of the pixels, camera info and gas pressure. A change is reported if
+    χ² of the mean image exceeds what the noise in the sensor file explains.
 
     Parameters
     ----------
     frames : sequence of Frame or path
-        That begin without contact.
+        Beginning without contact.
     sensor : str, path or Sensor
         As of `estimate`.
     contact_free : sequence of int or str, optional
-        Indices into `frames`, or "A:B"; found where not given.
+        Indices into `frames`, or "A:B"; found by default.
     progress : Progress
 
     Returns
@@ -90,7 +90,7 @@ def check(
 
 
 def _temperature(source: Any) -> list[Checked]:
-    """The camera's temperature at the end of a recording, where it is there."""
+    """Temperature of the camera at the end of a recording, if recorded."""
     if not isinstance(source, Recording):
         return []
     topics = [each for each in source.bag.topics if each.type == _TEMPERATURE and each.count]

@@ -1,4 +1,4 @@
-"""Live frames: a robot's, a camera's, a recording's as if it were live, or simulated ones."""
+"""Live frames of a robot, a camera, a replayed recording or a simulation."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 
 class Stream:
-    """The newest frames of a live source; a frame that nobody took in time is left out.
+    """Newest frames of a live source; a frame that is not taken in time is skipped.
 
-    A context manager; iterating gives frames until the source ends. It raises `InputError` where
-    the first does not come in 10 s, and `StreamStoppedError` where a later one does not in
-    `timeout_s`; both say what is missing.
+    A context manager; iterating yields frames until the source ends. It raises `InputError` if the
+    first frame does not come within 10 s, and `StreamStoppedError` if a later one does not come
+    within `timeout_s`; both say what is missing.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Stream:
     sensor : Sensor
         Of the source.
     timeout_s : float, optional
-        How long a frame may take while it is iterated, s; None waits for ever.
+        Longest wait for a frame while iterating, s; None waits for ever.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Stream:
         self.live, self.uri, self.sensor, self.timeout_s = live, uri, sensor, timeout_s
 
     def take(self, timeout_s: float = 0.0) -> Frame | None:
-        """The newest frame that was not taken yet, waiting for one; None when none came."""
+        """Newest frame that was not taken yet, waiting for one; None if none came in time."""
         return self.live.take(timeout_s)
 
     @property
@@ -58,7 +58,7 @@ class Stream:
 
     @property
     def counters(self) -> Counters:
-        """What arrived, what was left out, and what is wrong with it."""
+        """Counts of received, skipped and faulty messages."""
         return self.live.counters()
 
     def sensor_or(self, sensor: str | Path | Sensor) -> Sensor:
@@ -102,9 +102,9 @@ def connect(
         `zenoh:tcp/HOST:7447` (ROS 2 messages, no ROS here), `realsense:[serial]`, `replay:REC`,
         `synthetic:[object]`, each with options, `scheme:place?option=value&…`.
     sensor : str, path or Sensor
-        Sensor file or preset; `auto` waits for the first image and is the preset of its size.
+        Sensor file or preset; `auto` waits for the first image and takes the preset of its size.
     timeout_s : float, optional
-        How long a frame may take while the stream itself is iterated, s; None waits for ever.
+        Longest wait for a frame while iterating the stream itself, s; None waits for ever.
         `estimate` and `track` have their own.
 
     Returns
@@ -115,8 +115,8 @@ def connect(
     Raises
     ------
     InputError
-        The source is not well-formed, or what it names is not there. A robot that does not answer
-        yet is waited for.
+        The source is malformed, or names something that does not exist. It waits for a robot that
+        does not answer yet.
 
     Examples
     --------
@@ -140,10 +140,12 @@ def sensor_of(source: str, sensor: str | Path | Sensor) -> Sensor:
 def nothing_arrived(stream: LiveStream, source: str) -> InputError:
     """The error to raise about a source without a depth image; says why where that is known."""
     seen = stream.source.problem or stream.counters().problem or offered(stream)
-    return InputError(f"--source {source}: no depth image arrived; {seen}")
+    return InputError(
+        f"--source {source}: no depth image arrived: {seen}; check the place and the depth topic"
+    )
 
 
 def offered(stream: LiveStream) -> str:
     """Topics that a source has, in words."""
     topics = ", ".join(topic.name for topic in stream.source.topics)
-    return f"topics there: {topics}" if topics else "no topics were found"
+    return f"topics found: {topics}" if topics else "no topics were found"

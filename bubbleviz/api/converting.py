@@ -1,4 +1,4 @@
-"""Other recordings, and folders of depth images, as recordings."""
+"""Convert other recordings, and folders of depth images, to MCAP."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def convert(
     progress: Progress = quiet,
     **beside: str | Path | float | None,
 ) -> ConvertSummary:
-    """Write the frames of a recording or of a folder of depth images as a recording.
+    """Convert a recording or a folder of depth images to MCAP.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def convert(
     out : path
         `X.mcap`, or a new folder for a rosbag2.
     overwrite : bool
-        Replace what exists.
+        Replace existing files.
     progress : Progress
     **beside
         Of a folder of images: files `intrinsics`, `times`, `gas_pressure` and `wrench` (see
@@ -93,7 +93,8 @@ def convert(
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
     if beside:
         raise InputError(
-            f"{source}: is no folder of images; intrinsics, times and measured values are its own"
+            f"{source}: is a recording with its own intrinsics, times and measurements; leave "
+            "those options out"
         )
     with Recording(source) as recording:
         whole_millimetres = recording.encoding == "16UC1"
@@ -111,7 +112,7 @@ def _images_of(
     metres_per_unit: float | None = None,
 ) -> ImageFolder:
     if rate_hz is not None and times is not None:
-        raise InputError(f"{folder}: give either a rate of the images or their times")
+        raise InputError(f"{folder}: give either a rate or times of the images, not both")
     camera = intrinsics or _there(folder, *INTRINSICS)
     times = times or (None if rate_hz else _there(folder, "times.csv"))
     return ImageFolder(

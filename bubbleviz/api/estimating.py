@@ -1,4 +1,4 @@
-"""Estimating contact and following objects, in a frame, in frames, and live."""
+"""Estimate contact and follow objects, in one frame, in many, and live."""
 
 from __future__ import annotations
 
@@ -103,40 +103,38 @@ def estimate(
 ) -> FrameResult | Run | Iterator[FrameResult]:
     """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
 
-    Every frame is started where the last one ended.
+    Each frame starts from the solution of the last one.
 
     Parameters
     ----------
     frames : Frame, sequence of Frame, path or Stream
-        What `open`, `simulate` or `connect` gave, a part of it, or the path of a recording. To
-        arrays of your own: `Estimator`.
+        What `open`, `simulate` or `connect` returned, a slice of it, or the path of a recording.
+        For arrays use `Estimator`.
     sensor : str, path or Sensor
         Sensor file or preset; `auto` is the preset with the images' size, or the stream's sensor.
     kappa : float, optional
-        Patch threshold over the mean contact pressure (V-C), in place of the physical one.
+        Threshold of the patch over the mean contact pressure (V-C); automatic by default.
     solver : str, optional
         `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear` and
         `paper` (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
     friction : float, optional
-        Coefficient of friction to expect of contacts with the exact membrane, 1 by default; 0 for
-        contacts without friction. With `shear` it also bounds the traction along the membrane over
-        that across it.
+        Expected coefficient of friction on the exact membrane, 1 by default; 0 for no friction.
+        With `shear` it also limits tangential over normal traction.
     zero_gas : bool
-        Shift the measured gas pressure so that at a rest it is the sensor file's; without a rest
-        it is known within the weather's ±2 kPa, which the force's interval holds. If not, it is
-        believed as it is.
+        Shift the measured gas pressure so that contact-free frames have that of the sensor file.
+        Without such frames the interval of the force contains the ±2 kPa of the weather. False:
+        use it as recorded.
     shear : bool
-        Traction with friction and slip, too, from the colour images.
+        Also estimate friction at every node, and slip, from colour images.
     colour_delay_s : float, optional
         Stamp of a colour image minus that of the depth image of the same moment, s: negative where
         colour leads depth. By default the sensor file's.
     out, csv : path, optional
-        RESULT.npz, and RESULT.csv beside it, written as frames are found; these are not kept in
-        memory then.
+        RESULT.npz and RESULT.csv, written frame by frame; results are then not kept in memory.
     overwrite : bool
-        Replace files that exist.
+        Replace existing files.
     timeout_s : float, optional
-        How long a frame of a stream may take, s; None waits for ever.
+        Longest wait for a frame of a stream, s; None waits for ever.
     progress : Progress
 
     Returns
@@ -161,7 +159,7 @@ def estimate(
     """
     options = patch_options(kappa)
     if isinstance(frames, np.ndarray):
-        raise InputError("estimate takes frames or a recording; give arrays to bv.Estimator")
+        raise InputError("estimate takes frames or a recording; use bv.Estimator for arrays")
     if not isinstance(frames, Frame | Sequence | Path):
         from bubbleviz.api.watching import Watcher  # opens networks and cameras
 
@@ -171,7 +169,7 @@ def estimate(
         watcher = Watcher.on(frames.live, frames.uri, frames.sensor_or(sensor), **how)
         return watcher.results(timeout_s)
     if csv is not None and out is None:
-        raise InputError(f"{csv}: is written beside RESULT.npz; give out, too")
+        raise InputError(f"{csv}: is written together with RESULT.npz; give out, too")
     _check_outputs(out, csv, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
@@ -348,7 +346,7 @@ def as_frames(frames: Frame | Recorded) -> Frames:
         return open(frames)
     held = [frames] if isinstance(frames, Frame) else frames
     if not len(held):
-        raise InputError("no frames were given; choose some")
+        raise InputError("no frames were given; choose at least one")
     return held if isinstance(held, Frames) else Frames(HeldFrames(held))
 
 
@@ -389,14 +387,17 @@ def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
 
 def _refuse_files(*paths: str | Path | None) -> None:
     for path in filter(None, paths):
-        raise InputError(f"{path}: results of a stream are written by watch(source, out=…)")
+        raise InputError(f"{path}: estimate of a stream writes no files; use watch(source, out=…)")
 
 
 def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
     from bubbleviz.shear import watch_recorded_texture  # needs OpenCV
 
     if not isinstance(frames.source, Recording):
-        raise InputError(f"{frames.name}: shear needs the colour images of a recording; save it")
+        raise InputError(
+            f"{frames.name}: shear needs the colour images of a recording; save the frames and "
+            "open that file"
+        )
     source = frames.source
     return watch_recorded_texture(
         pipeline, source, lambda: find_contact_free(source).frames, friction
@@ -415,12 +416,12 @@ def _made_by(pipeline: Pipeline, solver: str | None, zero: PressureZero | None) 
 
 
 def _note(frames: Frames) -> str:
-    """What is missing of the recording, if it is one."""
+    """Note on missing parts of a recording; empty for other frames."""
     return frames.source.bag.note if isinstance(frames.source, Recording) else ""
 
 
 def _camera_warning(pipeline: Pipeline) -> str:
-    """What to say where a calibrated camera has other intrinsics by more than its noise."""
+    """Warning where the intrinsics differ from the calibrated ones by more than the noise."""
     model, moved = pipeline.model, pipeline.model.camera_change_m
     if model.pixels is None or moved == 0.0:
         return ""
@@ -435,7 +436,7 @@ def _camera_warning(pipeline: Pipeline) -> str:
 
 
 def _drift_warning(pipeline: Pipeline, image_errors: Sequence[np.ndarray]) -> str:
-    """What to say where whole depth images are off by more than three standard deviations."""
+    """Warning where the mean depth is off by more than three standard deviations."""
     if not image_errors:
         return ""
     estimator = pipeline.estimator
@@ -444,30 +445,30 @@ def _drift_warning(pipeline: Pipeline, image_errors: Sequence[np.ndarray]) -> st
     if abs(off_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
         return ""
     return (
-        f"depth is {1e3 * off_m:+.2f} mm off since the sensor was calibrated; forces are corrected "
-        "for that: let the camera warm up, or identify anew"
+        f"depth has drifted by {1e3 * off_m:+.2f} mm since the calibration; forces are corrected "
+        "for that. Let the camera warm up, or identify anew"
     )
 
 
 def _check_any_data(run: Run, seen: bool) -> None:
-    """Refuse frames of which none has an estimate; `seen`: some have returns."""
+    """InputError if no frame has an estimate; `seen`: some have depth."""
     statuses, name = set(run.status.tolist()), run.said["recording"]
     if statuses & set(TRUSTED):
         return
     if "implausible" in statuses:
         raise InputError(
-            f"{name}: no frame asked for looks like this sensor's membrane; choose its own sensor "
-            "file, and check that depths are in metres (32FC1) or millimetres (16UC1)"
+            f"{name}: no frame looks like the membrane of this sensor; choose the sensor file of "
+            "this camera, and check that depths are in metres (32FC1) or millimetres (16UC1)"
         )
     if "not_converged" in statuses:
         raise InputError(
-            f"{name}: no frame asked for could be solved; compare with --solver linear, and check "
-            "the sensor file's tension and prestretch"
+            f"{name}: no frame could be solved; compare with --solver linear, and check tension "
+            "and prestretch in the sensor file"
         )
     if not seen:
-        raise InputError(f"{name}: no depth in any frame asked for; uncover or check the camera")
+        raise InputError(f"{name}: no depth in any frame; uncover or check the camera")
     raise InputError(
-        f"{name}: no measured pixel lies on the membrane in any frame asked for; "
+        f"{name}: no depth pixel lies on the membrane in any frame; "
         "choose the sensor file of this recording"
     )
 
@@ -475,7 +476,7 @@ def _check_any_data(run: Run, seen: bool) -> None:
 _REASONS: dict[PoseStatus, str] = {
     "no_contact": "nothing touches the membrane; choose frames with contact",
     "few_points": "the contact patch has fewer points than a pose needs; press deeper",
-    "no_data": "no estimate of the membrane to trust; try bubbleviz estimate first",
+    "no_data": "the membrane could not be estimated; try bubbleviz estimate first",
     "lost": "the object does not fit the contact; check the object, its unit and --init",
 }
 
@@ -484,4 +485,4 @@ def _check_any_pose(run: TrackedRun) -> None:
     statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
         why = _REASONS[statuses.most_common(1)[0][0]]
-        raise InputError(f"{run.said['recording']}: no pose in any frame asked for: {why}")
+        raise InputError(f"{run.said['recording']}: no pose in any frame: {why}")

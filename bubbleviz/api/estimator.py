@@ -1,4 +1,4 @@
-"""One sensor's estimator: depth image in, contact and force out, each started from the last."""
+"""Estimator of one sensor: depth image in, contact and force out."""
 
 from __future__ import annotations
 
@@ -94,7 +94,8 @@ class Estimator:
     ) -> None:
         if str(sensor) == AUTO:
             raise InputError(
-                f"sensor {AUTO}: an estimator is built before the first image; name its sensor"
+                f"sensor {AUTO}: an Estimator does not know the images yet; give a sensor file or "
+                "preset"
             )
         start = parse_pose(init) if isinstance(init, str) else init
         self._followed = None if object is None else (load_object(object, unit), start)
@@ -157,7 +158,7 @@ class Estimator:
         """
         if isinstance(depth, Frame):
             if any(each is not None for each in (gas_pressure_pa, colour, time_s)):
-                raise InputError("a Frame has its own gas pressure, colour and time; give it alone")
+                raise InputError("a Frame contains gas pressure, colour and time; give no others")
             frame, lens = depth, depth.intrinsics
             if not self._count and lens not in (None, self._pipeline.camera.intrinsics):
                 self._build(lens)

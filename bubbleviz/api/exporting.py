@@ -1,4 +1,4 @@
-"""Frames as files for other programs."""
+"""Export frames as files for other programs."""
 
 from __future__ import annotations
 

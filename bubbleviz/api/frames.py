@@ -1,4 +1,4 @@
-"""Frames of a source, chosen as from a list, and the facts of a recording."""
+"""Frames of a source, indexed like a list, and facts about a recording."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Frames(Sequence[Frame]):
         return self.source.times_s[self.chosen]
 
     def close(self) -> None:
-        """Let go of the file, which all slices share."""
+        """Close the file, which all slices share."""
         self.source.close()
 
     def __enter__(self) -> Self:
@@ -181,7 +181,7 @@ def parse_frames(text: str | None, count: int, name: str, option: str = "--frame
         there = count_of(count, "frame")
         raise InputError(f"{name}: {asked} is outside its {there}; choose within 0:{count}")
     if start >= stop:
-        raise InputError(f"{asked}: holds no frame; choose A below B")
+        raise InputError(f"{asked}: contains no frame; choose A below B")
     return range(start, stop, step)
 
 
@@ -304,7 +304,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
             return info(opened)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
-        raise InputError(f"{source.name}: is no recording; save it first")
+        raise InputError(f"{source.name}: is not a recording; save it first")
     times = source.times_s
     gaps, period = find_gaps(times), usual_step(np.diff(times))
     pressures = source.gas_pressures_pa()

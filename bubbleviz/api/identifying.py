@@ -1,4 +1,4 @@
-"""From contact-free frames to a sensor file."""
+"""Identify a sensor file from contact-free frames."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Identified(Summary):
 
     @property
     def prestretch(self) -> float | None:
-        """Pre-stretch λ of the rubber; None where neither levels nor a press tell it."""
+        """Pre-stretch λ of the rubber; None if neither levels nor a press determine it."""
         return self.found.sensor.membrane.prestretch
 
     def save(

@@ -1,4 +1,4 @@
-"""What is installed on this machine: presets, and the facts that a bug report needs."""
+"""Presets, and facts about this machine for bug reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live sources recorded, and published, until they end or ^C."""
+"""Record and publish live sources until they end or ^C."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def record(
     duration_s : float, optional
         Counted from the first message, s.
     overwrite : bool
-        Replace what exists.
+        Replace existing files.
 
     Raises
     ------
@@ -210,11 +210,11 @@ def publish(
         Endpoint that subscribers connect to, `tcp/127.0.0.1:7447` by default, or router to publish
         through.
     layout : {"rmw", "dds"}
-        Names of keys.
+        Names of Zenoh keys, as of `rmw_zenoh` or the DDS bridge.
     domain : int
         ROS_DOMAIN_ID.
     wait : bool
-        Start once somebody subscribes.
+        Start when a subscriber connects.
     **credentials
         As of `watch`.
 
@@ -232,7 +232,9 @@ def publish(
     live.follow_colour()
     topics = live.topics
     if wait and not topics:
-        raise InputError(f"--source {source}: its topics come with its messages; leave --wait out")
+        raise InputError(
+            f"--source {source}: its topics are not known before its messages; leave out --wait"
+        )
     with (
         stopped_by_signals() as stop,
         ZenohPublisher(place, layout=layout, domain=domain, wait=True) as publisher,
@@ -278,7 +280,7 @@ def zenoh_place(
     )
 
     if listen is not None and connect is not None:
-        raise InputError("--listen and --connect: publish at a place or through a router, not both")
+        raise InputError("give either --listen (subscribers connect here) or --connect (a router)")
     if connect is None:
         listen = listen or ROUTER
     option = "--connect" if listen is None else "--listen"
@@ -292,7 +294,7 @@ def zenoh_place(
 
 @contextmanager
 def room_for(out: str | Path, *, overwrite: bool) -> Iterator[None]:
-    """Room for a recording, which is written in place."""
+    """Set aside what a recording replaces, as it is written in place."""
     if overwrite:
         refuse_existing(out, overwrite=True)
     with set_aside(*([Path(out)] if overwrite else [])):

@@ -1,4 +1,4 @@
-"""What was found in a frame and in many: arrays, tables, plots, pictures and files."""
+"""Results of one frame and of many: arrays, tables, plots, pictures and files."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _NO_IMAGE = np.empty((0, 0), np.float32)
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What was found in one frame; NaN wherever `status` says that there is no number to trust.
+    """Result of one frame; numbers are NaN unless `status` is `ok` or `no_contact`.
 
     Units are SI, positions in the bubble frame B: origin at the centre of the rim plane, z outward.
 
@@ -93,26 +93,26 @@ class FrameResult:
 
     @property
     def age_s(self) -> float:
-        """Time from when the image was taken to now, s; NaN of a recording's.
+        """Time since the image was taken, s; NaN for recordings.
 
-        It counts from the image's stamp or, where that is of another clock, from its arrival.
+        Since its stamp or, if that is of another clock, since its arrival.
         """
         taken_ns = self.result.frame.taken_ns
         return math.nan if taken_ns is None else 1e-9 * (time.time_ns() - taken_ns)
 
     @property
     def status(self) -> str:
-        """`ok`, `no_contact`, or why there is no number to trust (`Status`)."""
+        """`ok`, `no_contact`, or the reason why there are no numbers (`Status`)."""
         return self.estimate.status
 
     @property
     def force_n(self) -> np.ndarray:
-        """Resultant of the contact pressure on the membrane in B, (3,), N."""
+        """Force of the whole contact on the membrane in B, friction included, (3,), N."""
         return self._numbers("force_n")
 
     @property
     def force_sigma_n(self) -> np.ndarray:
-        """Standard deviation of the force, (3,), N; NaN where the linear model was solved."""
+        """Standard deviation of the force, (3,), N; NaN with the solver `paper`."""
         return self._numbers("force_sigma_n")
 
     @property
@@ -147,18 +147,18 @@ class FrameResult:
 
     @property
     def nodes_m(self) -> np.ndarray:
-        """Nodes of the membrane where they are now, (n, 3), m."""
+        """Nodes of the deformed membrane, (n, 3), m."""
         return self.model.mesh.nodes + self._nodal("displacement_3d_m")
 
     @property
     def pixel_mask(self) -> np.ndarray:
-        """Pixels that see the contact patch, (H, W) bool; found when asked for."""
+        """Pixels of the contact patch, (H, W) bool; computed on first use."""
         found = self.patch.pixel_mask
         return self.model.view.patch_pixels(self.estimate, self.patch) if found is None else found
 
     @property
     def pose(self) -> Pose | None:
-        """Pose of the object with its covariance, where one was looked for."""
+        """Pose of the object with its covariance; None if no object is tracked."""
         return self.result.pose
 
     @property
@@ -272,7 +272,7 @@ class Run(Sequence[FrameResult], Summary):
             It was written to a file and not kept.
         """
         if len(self) and not self._results:
-            raise InputError(f"{self.said['out']}: has the frames; give it to load_run")
+            raise InputError(f"{self.said['out']}: holds the results; read them with load_run")
         if not isinstance(index, slice):
             return self._results[index]
         part = type(self)(self.model, self.said, self.made_by)
@@ -466,7 +466,9 @@ def load_run(path: str | Path) -> Run:
         mesh = MembraneMesh(arrays["nodes_m"], arrays["triangles"], arrays["rim"])
         results = results_of(arrays)
     except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(f"{path}: not a RESULT.npz of estimate ({error}); give one") from error
+        raise InputError(
+            f"{path}: not a RESULT.npz of bubbleviz estimate ({error}); choose one"
+        ) from error
     lost = "traction and slip are in the file, not in this run"
     said = {
         "recording": str(path),

@@ -170,7 +170,7 @@ def simulate(
             elif poses.ndim == 2:
                 poses = np.repeat(poses[None], frames, axis=0)
         if moved:
-            raise InputError("drag and twist: give one pose to press to, not a path")
+            raise InputError("drag and twist need one pose to press to; a path has its own motion")
         source = SyntheticSource(
             sensor,
             obj,

@@ -206,7 +206,9 @@ def validate(
                 overwrite=overwrite, progress=progress,
             )  # fmt: skip
     if wrench is not None:
-        raise InputError(f"wrench {wrench}: frames are open already; give wrench_topic to open")
+        raise InputError(
+            f"wrench {wrench}: the recording is open already; give wrench_topic to bv.open instead"
+        )
     how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     run = estimate(frames, sensor, progress=progress, **how)
     measured = np.array([row["wrench_n"] for row in run.rows()])

@@ -171,7 +171,7 @@ def watch(
     colour_delay_s: float | None = None,
     **credentials: str | None,
 ) -> WatchSummary:
-    """Solve a live source until the duration is over, it ends, or ^C.
+    """Estimate a live source until the duration is over, it ends, or ^C.
 
     To get the results in Python: `connect`, then `estimate` or `track`.
 
@@ -180,7 +180,7 @@ def watch(
     source, sensor
         As of `connect`.
     out : path, optional
-        Recording of what arrives and what comes out; `overwrite` replaces it where it exists.
+        Recording of messages and results; `overwrite` replaces an existing one.
     listen, connect : str, optional
         Publish results over Zenoh: subscribers connect to this endpoint, or through this router.
     duration_s : float, optional

@@ -88,7 +88,7 @@ def test_type_information_is_shipped():
 def test_a_camera_that_drifted_is_told(frames, sensor, estimated):
     drifted = [replace(frame, depth_m=frame.depth_m - 1e-3) for frame in frames]
     run = bv.estimate(drifted, sensor)
-    told = re.match(r"depth is (\S+) mm off since the sensor was calibrated", run.warning)
+    told = re.match(r"depth has drifted by (\S+) mm since the calibration", run.warning)
     assert float(told[1]) == pytest.approx(-1.0, abs=0.4)  # its noise hides some
     assert estimated.warning is None
 
@@ -205,7 +205,7 @@ def test_what_is_no_result_is_refused_in_one_sentence(tmp_path):
 
 def test_the_real_press_is_saved_and_loaded(punyo_press, tmp_path):
     run = bv.estimate(bv.open(punyo_press)[76:80], out=tmp_path / "press.npz")
-    with pytest.raises(bv.InputError, match="give it to load_run"):
+    with pytest.raises(bv.InputError, match="read them with load_run"):
         run[0]
     got = bv.load_run(tmp_path / "press.npz")
     np.testing.assert_array_equal(got.force_n, run.force_n)

@@ -340,7 +340,11 @@ def test_a_recording_itself(recordings):
         ("in", ["--sensor", "nope.toml"], "nope.toml: no such sensor file"),
         ("in", ["--out", "there"], "exists already"),
         ("in", ["--jobs", "0"], "--jobs"),
-        ("in", ["--jobs", "2", "--scheduler", "tcp://x:1"], "--jobs is for processes here"),
+        (
+            "in",
+            ["--jobs", "2", "--scheduler", "tcp://x:1"],
+            "--jobs counts processes on this machine",
+        ),
     ],
 )
 def test_wrong_words(folder, more, words, recordings, sensor, tmp_path):

@@ -72,7 +72,7 @@ def test_without_a_rest_the_interval_holds_the_force(twin, shift_pa):
 
 def test_the_switch_believes_what_was_recorded(twin):
     sensor, frames, _ = twin
-    with pytest.raises(InputError, match="no frame asked for looks like"):
+    with pytest.raises(InputError, match="no frame looks like the membrane"):
         bv.estimate(shifted(frames, 1000.0), sensor, zero_gas=False)
 
 

@@ -243,7 +243,7 @@ def test_a_recording_is_zeroed_unless_told_not_to(small_sensor, small_sensor_fil
             frame = source[k]
             assert frame.gas_pressure_pa is not None
             writer.write(replace(frame, gas_pressure_pa=frame.gas_pressure_pa - 800.0))
-    with pytest.raises(InputError, match="no frame asked for looks like"):
+    with pytest.raises(InputError, match="no frame looks like the membrane"):
         bv.estimate(bv.open(path), small_sensor_file, zero_gas=False)
     run = bv.estimate(bv.open(path, "18:"), small_sensor_file, out=tmp_path / "zeroed.npz")
     assert run.facts()["status"] == {"no_contact": 2, "ok": 10}
