@@ -5,25 +5,26 @@ from .contact_free import (
     held_frames as held_frames,
     tile_depths as tile_depths,
 )
+from .ellipsoid import (
+    Ellipsoid as Ellipsoid,
+    fit_ellipsoid as fit_ellipsoid,
+    fit_sphere as fit_sphere,
+)
 from .errors import (
     covariances as covariances,
-    tile_numbers as tile_numbers,
-    tile_scores as tile_scores,
-    tile_side as tile_side,
 )
 from .identification import (
     Identification as Identification,
     assemble as assemble,
     collect_press as collect_press,
-    rest_gauge_pressure as rest_gauge_pressure,
-    rest_gauge_sigma as rest_gauge_sigma,
+    rest_gauge as rest_gauge,
     with_rubber as with_rubber,
 )
 from .material import (
     RubberEstimate as RubberEstimate,
     Vented as Vented,
 )
-from .pixel_images import (
+from .pictures import (
     before_after as before_after,
     local_tension_image as local_tension_image,
 )
@@ -34,15 +35,12 @@ from .pressure_zero import (
     zero_of as zero_of,
     zeroed as zeroed,
 )
-from .rectification import (
-    Level as Level,
-    fit_lines as fit_lines,
-    rectify as rectify,
-)
 from .report import (
     check_outputs as check_outputs,
+    file_hash as file_hash,
     save as save,
     summary as summary,
+    write_sensor as write_sensor,
 )
 from .rest_frames import (
     CollectedFrames as CollectedFrames,
@@ -68,25 +66,15 @@ from .sensor_comparison import (
     Kind as Kind,
     compare as compare,
 )
-from .sensor_writer import (
-    Origin as Origin,
-    file_hash as file_hash,
-    write_sensor as write_sensor,
-)
 from .surface import (
     NAMES as NAMES,
-    Ellipsoid as Ellipsoid,
     Name as Name,
     Surfaces as Surfaces,
-    fit_ellipsoid as fit_ellipsoid,
-    fit_sphere as fit_sphere,
     mean_points as mean_points,
 )
 from .tension import (
     Quantity as Quantity,
     balance_gradient as balance_gradient,
-    cap_tension as cap_tension,
-    ellipsoid_curvature as ellipsoid_curvature,
     local_tension as local_tension,
 )
 from .validation import (

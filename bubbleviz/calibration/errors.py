@@ -35,7 +35,6 @@ class Covariances(NamedTuple):
 
     @property
     def total(self) -> np.ndarray:
-        """Both together."""
         return self.tiles + self.frames
 
 

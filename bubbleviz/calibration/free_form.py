@@ -32,31 +32,12 @@ class FreeForm:
     """A free-form surface and the numbers behind it."""
 
     mesh: MembraneMesh  # the corrected surface in B
-    # (n,), motion of each node from the cap, along the line from the origin of B, m
-    correction_m: np.ndarray
-    smoothing: float  # λ, relative to the one at which data and prior weigh alike
     left_out_rms_m: float  # robust rms error of ranges in tiles left out of the fit, m
     # (H, W), measured minus cast range, m; NaN where there is no return or the ray misses the mesh
     residual_m: np.ndarray
     # (H, W), measured minus predicted range of pixels whose tile was left out, m; NaN elsewhere
     left_out_m: np.ndarray
-    system: System
-
-    def influence(
-        self,
-        # (n, Q), change of each number per motion of each node along its arm, unit/m
-        gradients: np.ndarray,
-    ) -> np.ndarray:
-        """Change of numbers per change of each pixel's range, (P, Q), unit/m."""
-        system = self.system
-        adjoint = symmetric_lu(system.matrix).solve(np.ascontiguousarray(gradients))
-        return system.efficiency * system.weights[:, None] * (system.D @ adjoint)
-
-
-@dataclass(frozen=True)
-class System:
-    """The fit's last linear system, in the pixels that took part."""
-
+    # the fit's last linear system, in the pixels that took part
     pixels: np.ndarray  # (P,) int, flat indices
     # (P, n) sparse, derivative of their ranges for motion of the nodes along the arms
     D: sparse.csr_array
@@ -66,13 +47,18 @@ class System:
     # takes to move the fit
     efficiency: float
 
+    def influence(
+        self,
+        # (n, Q), change of each number per motion of each node along its arm, unit/m
+        gradients: np.ndarray,
+    ) -> np.ndarray:
+        """Change of numbers per change of each pixel's range, (P, Q), unit/m."""
+        adjoint = symmetric_lu(self.matrix).solve(np.ascontiguousarray(gradients))
+        return self.efficiency * self.weights[:, None] * (self.D @ adjoint)
 
-@dataclass(frozen=True)
-class _Normal:
-    """Normal equations of one fold (or of all pixels): matrix n×n and right side (n,)."""
 
-    matrix: sparse.csc_array
-    right: np.ndarray
+Normal = tuple[sparse.csc_array, np.ndarray]
+"""Normal equations of some pixels: matrix n×n and right side (n,)."""
 
 
 def fit_free_form(
@@ -107,21 +93,25 @@ def fit_free_form(
         weights = tukey_weights(about, sigma)
         unit = _balance(D, weights, prior)
         if k < 2:  # later rounds move by micrometres: the choice stands
-            smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit)
+            near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse choice
+            tried = _DECADES[near] if k else _DECADES[::2]
+            smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit, tried)
             left_out_image[hits.ray] = missed
-        normal = _normal(D, target, weights)
-        matrix = (normal.matrix + prior * (smoothing * unit)).tocsc()
-        correction = symmetric_lu(matrix).solve(normal.right)
+        of_data, right = _normal(D, target, weights)
+        matrix = (of_data + prior * (smoothing * unit)).tocsc()
+        correction = symmetric_lu(matrix).solve(right)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
     return FreeForm(
         mesh=mesh,
-        correction_m=correction,
-        smoothing=smoothing,
         left_out_rms_m=left_out,
         residual_m=range_residual(mesh, camera, range_m),
         left_out_m=left_out_image.reshape(range_m.shape),
-        system=System(hits.ray, D, weights, matrix, _efficiency(about, sigma)),
+        pixels=hits.ray,
+        D=D,
+        weights=weights,
+        matrix=matrix,
+        efficiency=_efficiency(about, sigma),
     )
 
 
@@ -152,18 +142,14 @@ def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
     return (row // tile_px * 2 + column // tile_px) % FOLDS
 
 
-def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> _Normal:
+def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> Normal:
     weighted = D.multiply(weights[:, None]).tocsr()
-    return _Normal((weighted.T @ D).tocsc(), weighted.T @ target)
+    return (weighted.T @ D).tocsc(), weighted.T @ target
 
 
 def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) -> float:
     """λ at which data and prior have equal trace."""
     return float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
-
-
-def _solve(normal: _Normal, prior: sparse.csc_array) -> np.ndarray:
-    return symmetric_lu((normal.matrix + prior).tocsc()).solve(normal.right)
 
 
 def _choose(
@@ -173,19 +159,21 @@ def _choose(
     fold: np.ndarray,
     prior: sparse.csc_array,
     unit: float,
+    decades: np.ndarray,  # of λ to try
 ) -> tuple[float, float, np.ndarray]:
     """λ / unit that predicts the tiles left out best, its rms error and errors (k,), m."""
     parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(FOLDS)]
     whole = _normal(D, target, weights)
-    errors = np.zeros(len(_DECADES))
-    missed = np.empty((len(_DECADES), len(target)), np.float32)
+    errors = np.zeros(len(decades))
+    missed = np.empty((len(decades), len(target)), np.float32)
     for k, part in enumerate(parts):
-        rest = _Normal(whole.matrix - part.matrix, whole.right - part.right)
+        matrix, right = whole[0] - part[0], whole[1] - part[1]
         rows, wanted, weight = D[fold == k], target[fold == k], weights[fold == k]
-        for j, decade in enumerate(_DECADES):
-            error = wanted - rows @ _solve(rest, prior * (10.0**decade * unit))
+        for j, decade in enumerate(decades):
+            left = (matrix + prior * (10.0**decade * unit)).tocsc()
+            error = wanted - rows @ symmetric_lu(left).solve(right)
             errors[j] += float(np.sum(weight * error**2))
             missed[j, fold == k] = error
     errors /= float(weights.sum())
     best = int(np.argmin(errors))
-    return float(10.0 ** _DECADES[best]), float(np.sqrt(errors[best])), missed[best]
+    return float(10.0 ** decades[best]), float(np.sqrt(errors[best])), missed[best]

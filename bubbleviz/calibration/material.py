@@ -100,9 +100,9 @@ class RubberEstimate:
     gauge: Quantity | None
     # by levels and by a press it is weighed with the sensor file's
     gauge_from: Literal["vented", "levels", "press", "given"]
-    levels: tuple[str, ...] = ()  # names of the recordings
-    press: str = ""  # that of the press, where it was asked; empty where not
-    vented: str = ""  # that of the open chamber; empty where there is none
+    shapes: str = ""  # the recordings of levels or press, in words
+    told_by: Literal["press", "levels"] = "levels"  # what these are
+    vented: str = ""  # name of the recording of the open chamber; empty where there is none
     why_not: str = ""  # why λ is not determined; empty where it is
     # the gauge pressure by the shapes alone, and by the sensor file, Pa; None where not weighed
     both: tuple[Quantity, Quantity] | None = None
@@ -120,32 +120,20 @@ class RubberEstimate:
         return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
 
     @property
-    def told_by(self) -> Literal["press", "levels"]:
-        """What was asked."""
-        return "press" if self.press else "levels"
-
-    @property
     def gauge_rests_on(self) -> str:
         """What the gauge pressure comes from, in words."""
-        return {
-            "vented": f"the open chamber of {self.vented}",
-            "levels": f"{self._shapes}; the sensor file",
-            "press": f"{self._shapes}; the sensor file",
-            "given": "the sensor file's atmospheric pressure",
-        }[self.gauge_from]
+        if self.gauge_from == "vented":
+            return f"the open chamber of {self.vented}"
+        if self.gauge_from == "given":
+            return "the sensor file's atmospheric pressure"
+        return f"{self.shapes}; the sensor file"
 
     @property
     def prestretch_rests_on(self) -> str:
         """What λ comes from, in words."""
         if self.gauge_from in ("levels", "press"):
-            return self._shapes
-        return f"{self._shapes}; the gauge pressure by {self.gauge_rests_on}"
-
-    @property
-    def _shapes(self) -> str:
-        if self.levels:
-            return f"inflation levels: {', '.join(self.levels)}"
-        return f"the press in {self.press}"
+            return self.shapes
+        return f"{self.shapes}; the gauge pressure by {self.gauge_rests_on}"
 
 
 @dataclass(frozen=True)
@@ -173,7 +161,6 @@ class Vented:
         return cls(source.name, float(np.mean(known)), error_of_mean(known))
 
     def set_in(self, sensor: Sensor) -> Sensor:
-        """The sensor with this atmospheric pressure."""
         section = sensor.pneumatics.model_copy(
             update={
                 "atmospheric_pressure_pa": round(self.pressure_pa, 1),
@@ -201,9 +188,11 @@ def estimate_rubber(
     """λ and gauge pressure; None where there are no levels, no press and no open chamber."""
     if vented is None and not levels and held is None:
         return None
-    names = tuple(each.source_name for each in levels)
-    press = "" if held is None or levels else held.source_name
-    known = RubberEstimate(None, None, "given", names, press)
+    if levels:
+        words = f"inflation levels: {', '.join(each.source_name for each in levels)}"
+    else:
+        words = "" if held is None else f"the press in {held.source_name}"
+    known = RubberEstimate(None, None, "given", words, "levels" if levels else "press")
     gauge, gas = tension.gauge_pressure_pa, samples.gas_pressure_pa
     sigma = gauge_sigma_pa or WEATHER_SIGMA_PA
     if vented is not None:
@@ -213,25 +202,20 @@ def estimate_rubber(
                 " of its gauge pressure; leave --vented out, or record the pressure"
             )
         sigma = float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
-        known = replace(
-            known,
-            gauge=Quantity.normal(gauge, sigma),
-            gauge_from="vented",
-            vented=vented.source_name,
-        )
-    if not levels and held is None:
+        name, by_chamber = vented.source_name, Quantity.normal(gauge, sigma)
+        known = replace(known, gauge=by_chamber, gauge_from="vented", vented=name)
+    seen = levels or ([] if held is None else [held])
+    if not seen:
         return replace(known, why_not="no inflation level was recorded")
+    relative = tension.of_shape.sigma / tension.of_shape.value
+    told = model, samples, seen, other_mesh, gauge, relative
     try:
-        seen = levels or [held for held in (held,) if held is not None]
-        relative = tension.of_shape.sigma / tension.of_shape.value
-        told = model, samples, seen, other_mesh, gauge, relative
         problem = _Problem(*told, level_sigma_pa, pressed=not levels)
         alone = problem.fit()
         fit = problem.fit(sigma / gauge, alone)
     except InputError as error:
         return replace(known, why_not=str(error))
-    by_file = Quantity.normal(gauge, sigma)
-    return _judged(alone, fit, by_file, known)
+    return _judged(alone, fit, Quantity.normal(gauge, sigma), known)
 
 
 def _judged(
@@ -249,18 +233,11 @@ def _judged(
     intervals explain one of them is wrong, and the interval holds both of theirs.
     Whether λ is determined is asked at the gauge pressure that was found.
     """
-    known = replace(
-        known,
-        rises_pa=fit.rises_pa,
-        change_rms_m=fit.change_rms_m,
-        unexplained_rms_m=fit.unexplained_rms_m,
-    )
-    if fit.unexplained_rms_m > _UNEXPLAINED * fit.change_rms_m:
-        why = (
-            f"rubber of this shape misses by {1e3 * fit.unexplained_rms_m:.2g} mm what changes by"
-            f" {1e3 * fit.change_rms_m:.2g} mm"
-        )
-        return replace(known, why_not=why)
+    changed, left = fit.change_rms_m, fit.unexplained_rms_m
+    known = replace(known, rises_pa=fit.rises_pa, change_rms_m=changed, unexplained_rms_m=left)
+    if left > _UNEXPLAINED * changed:
+        misses, what = f"misses by {1e3 * left:.2g} mm", f"what changes by {1e3 * changed:.2g} mm"
+        return replace(known, why_not=f"rubber of this shape {misses} {what}")
     covariance, found = fit.covariance, known
     if known.gauge is None:
         by_shapes = Quantity.normal(alone.gauge_pa, alone.gauge_sigma_pa)
@@ -276,12 +253,12 @@ def _judged(
         found = replace(found, gauge=Quantity.normal(fit.gauge_pa, sigma))
         covariance = covariance * (sigma / fit.gauge_sigma_pa) ** 2
     held = fit.covariance[0, 0] - fit.covariance[0, 1] ** 2 / fit.covariance[1, 1]
-    q = Quantity.normal(fit.q, float(np.sqrt(max(held, 0.0))))
+    q = Quantity.normal(float(fit.vector[0]), float(np.sqrt(max(held, 0.0))))
     if not 0.0 < q.low <= q.high < 1.0:
-        what = "press is too shallow" if found.press else "levels differ too little"
+        what = "press is too shallow" if found.told_by == "press" else "levels differ too little"
         why = f"the {what}, or constant tension explains as much"
         return replace(found, why_not=why)
-    wide = Quantity.normal(fit.q, float(np.sqrt(covariance[0, 0])))
+    wide = Quantity.normal(float(fit.vector[0]), float(np.sqrt(covariance[0, 0])))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     return replace(found, prestretch=Quantity(*(x ** (-1.0 / 6.0) for x in (q.value, high, low))))
 
@@ -292,29 +269,19 @@ class _RestRubber:
     def __init__(
         self,
         mesh: MembraneMesh,
+        observer: RangeObserver,
         # how far the rim gives, as of `RubberMembrane`: a press bends the membrane at its clamp
         rim_slack_m: float | None,
         degree: int = STRESS_DEGREE,
     ) -> None:
         self.mesh, self._rim_slack_m = mesh, rim_slack_m
+        self.seen_m = observer.around(mesh.nodes).model_m  # (B,), range of the blocks
         self._tension = 1.0 / mean_curvature(mesh)  # γ0, m
-        self._stress = _Stress(Prestress.of(mesh, 1.0, degree).on(mesh))
+        self._stress = Prestress.of(mesh, 1.0, degree).on(mesh)
 
     def with_q(self, q: float) -> RubberMembrane:
         mu_h = self._tension / (1.0 - q)
         return prestressed(self.mesh, 1.0, mu_h, self._stress, self._rim_slack_m)
-
-
-class _Stress(Prestress):
-    """Stress of one mesh, found once for all q."""
-
-    def __init__(self, tau: np.ndarray) -> None:
-        super().__init__(np.zeros((3, 0)))
-        object.__setattr__(self, "_tau", tau)
-        self._tau: np.ndarray
-
-    def on(self, mesh: MembraneMesh) -> np.ndarray:
-        return self._tau
 
 
 class _SeenShape:
@@ -383,8 +350,6 @@ class _SeenShape:
 
 
 class _Predicted(NamedTuple):
-    """A shape in equilibrium."""
-
     x: np.ndarray  # (n, 3), m
     inside: float | np.ndarray  # pressure from inside over that from outside, over G
     factor: Factor  # of the tangent
@@ -405,10 +370,6 @@ class _Fit:
     rises_pa: tuple[float, ...]
     change_rms_m: float
     unexplained_rms_m: float
-
-    @property
-    def q(self) -> float:
-        return float(self.vector[0])
 
 
 class _Problem:
@@ -434,7 +395,7 @@ class _Problem:
         self._observer = observer = replace(model, pixels=pixels).observer()
         self._rest, self._gauge_pa, self._stress_sigma = rest, gauge_pa, stress_sigma
         slack = RIM_SLACK_M if pressed else None
-        self._rubber = _RestRubber(model.mesh, slack)
+        self._rubber = _RestRubber(model.mesh, observer, slack)
         self._other_mesh, self._slack = other_mesh, slack
         self._shapes = [_SeenShape(observer, rest, each, pressed=pressed) for each in seen]
         for shape in self._shapes:
@@ -459,8 +420,8 @@ class _Problem:
         self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
         self._change_m = np.concatenate([shape.change_m for shape in self._shapes])
         self._near = [model.mesh.nodes] * len(self._shapes)
-        start = self._rubber.with_q(_STARTS[0])
-        self._factoriser = Factoriser(start.tangent(model.mesh.nodes, 1.0))
+        tangent = self._rubber.with_q(_STARTS[0]).tangent(model.mesh.nodes, 1.0)
+        self._factoriser = Factoriser(tangent)
         self._last: tuple[bytes, list[_Predicted] | None] = (b"", None)
 
     # -- model ----------------------------------------------------------------------------------
@@ -478,7 +439,7 @@ class _Problem:
     def _predicted(self, vector: np.ndarray, rubber: _RestRubber) -> list[_Predicted] | None:
         membrane, out = rubber.with_q(float(vector[0])), []
         gauge_pa, rises_pa = self._gauge_pa * float(vector[1]), self._rises_pa(vector)
-        at_rest = self._observer.around(rubber.mesh.nodes).model_m
+        at_rest = rubber.seen_m
         moved = rubber.mesh.nodes - self._observer.mesh.nodes
         for shape, place, rise_pa, x in zip(
             self._shapes, self._places, rises_pa, self._near, strict=True
@@ -575,22 +536,21 @@ class _Problem:
         InputError: no rubber is near what is seen.
         """
         if alone is not None:
-            vector = self._descend(alone.vector, alone.scale, prior_sigma, alone.temper)
-            return self._with_errors(vector, prior_sigma, alone.temper)
-        slid = None
+            end = self._descend(alone.vector, alone.scale, prior_sigma, alone.temper)
+            return self._with_errors(end, prior_sigma, alone.temper)
+        vector: np.ndarray | None = None
         for q in _STARTS:
-            vector = np.zeros(self._size)
-            vector[:2] = q, 1.0
+            start = np.zeros(self._size)
+            start[:2] = q, 1.0
             self._near = [self._observer.mesh.nodes] * len(self._shapes)
-            if self._at(vector) is None:
+            if self._at(start) is None:
                 continue
-            vector = self._descend(vector, None, np.inf, 1.0)
+            vector = self._descend(start, None, np.inf, 1.0)
             vector = self._descend(vector, self._scale(vector), np.inf, 1.0)
             if vector[0] > 1.01 * SMALLEST_Q:
-                return self._with_errors(vector, np.inf, 1.0)
-            slid = vector
-        if slid is not None:
-            return self._with_errors(slid, np.inf, 1.0)
+                break
+        if vector is not None:
+            return self._with_errors(vector, np.inf, 1.0)
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape explains what"
             f" {', '.join(shape.samples.source_name for shape in self._shapes)} shows; check the"
@@ -677,7 +637,7 @@ class _Problem:
             (self._rubber.mesh, STRESS_DEGREE - 2),
             (self._other_mesh, STRESS_DEGREE),
         ):
-            other = self._predicted(vector, _RestRubber(mesh, self._slack, degree))
+            other = self._predicted(vector, _RestRubber(mesh, self._observer, self._slack, degree))
             if other is not None:
                 moved = np.concatenate([each.change_m for each in other])
                 ways.append(-influence.T @ np.nan_to_num(moved - self._change_m + missed))

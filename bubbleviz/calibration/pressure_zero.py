@@ -28,23 +28,16 @@ class PressureZero:
     What is constant without contact says nothing, hence it is taken away. Until it is known, frames
     have the weather's standard deviation in `gas_sigma_pa`.
 
-    Parameters
-    ----------
-    reference_pa : float
-        Absolute gas pressure of the inflated, untouched bubble in the sensor file, Pa.
-
-    Attributes
-    ----------
-    offset_pa : float or None
-        Taken from every measured pressure, Pa; None until it is known, and nothing is shifted.
-    frames : int
-        Contact-free ones that it was taken from.
     """
 
-    def __init__(self, reference_pa: float) -> None:
+    def __init__(
+        self,
+        reference_pa: float,  # absolute pressure of the inflated, untouched bubble in the file, Pa
+    ) -> None:
         self.reference_pa = reference_pa
+        # taken from every measured pressure, Pa; None until it is known, and nothing is shifted
         self.offset_pa: float | None = None
-        self.frames = 0
+        self.frames = 0  # contact-free ones that it was taken from
         self._free: list[float] = []
         self._asked = True
         self._passing = 0

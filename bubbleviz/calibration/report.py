@@ -1,10 +1,12 @@
-"""Report of an identification: numbers as JSON, and a self-contained HTML file."""
+"""What is written of an identification: sensor file, mesh and pixels, and a report."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
+from contextlib import ExitStack
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -15,13 +17,119 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.material import RubberEstimate
-from bubbleviz.calibration.sensor_writer import Origin, file_hash, output_files, write_sensor
 from bubbleviz.calibration.validation import Validation
-from bubbleviz.calibration.verdict import judge, validation_advice
-from bubbleviz.files import refuse_existing, whole_file
+from bubbleviz.calibration.verdict import judge, parameters, validation_advice
+from bubbleviz.errors import InputError
+from bubbleviz.files import refuse_existing, whole_file, write_ply
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource
+from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
+
+_MESH_COMMENT = "membrane in the bubble frame B, metres"
+
+Origin = dict[str, Any]
+"""Of an identification: `recording`, `recording_sha256`, `sensor_file`, `date` (ISO 8601, UTC) and
+`report`, its path from the sensor file's folder."""
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, or of the files in a folder one after the other by name."""
+    path = Path(path)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for each in files:
+        with each.open("rb") as stream:
+            while chunk := stream.read(1 << 20):
+                digest.update(chunk)
+    return digest.hexdigest()
+
+
+def output_files(out_toml: str | Path) -> tuple[Path, Path, Path]:
+    """Paths of the sensor file, its mesh and its pixel images; InputError where one is taken."""
+    path = Path(out_toml)
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
+    paths = path, path.with_suffix(".ply"), path.with_suffix(".npz")
+    for each in paths:
+        refuse_existing(each)
+    return paths
+
+
+def write_sensor(
+    found: Identification, out_toml: str | Path, origin: Origin | None = None
+) -> Sensor:
+    r"""Write `X.toml`, `X.npz` and, where it has one, `X.ply`, all or none; return the sensor.
+
+    The shipped Punyo preset is made by (move the old files away first)::
+
+        bubbleviz identify punyo_press_a --sensor OLD/punyo_oval_d405.toml \
+            --out presets/sensors/punyo_oval_d405.toml
+
+    which keeps the rim plane, camera axes and name of the old one.
+
+    Raises
+    ------
+    InputError
+        A file exists, or cannot be written; nothing is written then.
+    """
+    path, mesh_path, pixels_path = output_files(out_toml)
+    origin = origin or {"recording": found.samples.source_name}
+    sensor = _described(found, path, origin)
+    with ExitStack() as files:
+        # Published last to first: the sensor file comes last, when what it names is there.
+        toml = files.enter_context(whole_file(path))
+        if sensor.membrane.mesh_file is not None:
+            mesh, ply = found.mesh, files.enter_context(whole_file(mesh_path))
+            write_ply(ply, mesh.nodes, {}, mesh.triangles, _MESH_COMMENT)
+        found.pixels.save(files.enter_context(whole_file(pixels_path)))
+        toml.write_text(_comment(found) + sensor_to_toml(sensor), encoding="utf-8")
+    return sensor
+
+
+def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
+    sensor, tension = found.sensor, found.tension.tension
+    membrane = sensor.membrane
+    if membrane.mesh_file is not None:
+        membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
+    calibration = Calibration(
+        pixels_file=path.with_suffix(".npz").name,
+        tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
+        **{key: value for key, value in origin.items() if key != "sensor_file"},
+        **_intervals(found),
+    )
+    where = {"folder": path.parent, "file": path.name}
+    return sensor.model_copy(update={"membrane": membrane, "calibration": calibration, **where})
+
+
+def _intervals(found: Identification) -> dict[str, Any]:
+    """What the file keeps of gauge pressure and λ beside their values."""
+    keys: dict[str, Any] = {}
+    if (gauge := found.gauge) is not None:
+        keys["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
+        keys["gauge_from"] = found.gauge_rests_on
+    if (rubber := found.rubber) is not None and (stretch := rubber.prestretch) is not None:
+        keys["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
+        keys["prestretch_from"] = rubber.prestretch_rests_on
+    return keys
+
+
+def _comment(found: Identification) -> str:
+    """Where the numbers come from, as comment lines."""
+    surfaces, tension, free = found.surfaces, found.tension, found.samples.frames
+    axes = "/".join(f"{1e3 * x:.1f}" for x in surfaces.cap.semi_axes_m)
+    misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
+    lines = [
+        f"Identified from {found.samples.source_name}, contact-free frames {free[0]}–{free[-1]}.",
+        "B: origin at the centre of the rim plane; the rim plane and the axes are the drawing's.",
+        "Rms by which parts of the cloud that a fit had not seen are missed: sphere"
+        f" {misses['sphere']},",
+        f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"
+        f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
+        "γ0 is Young–Laplace's, summed over the surface so that its bumps do not bias it;",
+        f"100 Pa more of gauge pressure would make it {100 * tension.per_pascal:.2f} N/m larger.",
+    ]
+    lines += [f"{each.name}: {each.value} ({each.told_by})." for each in parameters(found)]
+    return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
 def summary(
@@ -31,37 +139,32 @@ def summary(
 ) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
-    statistics, fits = found.statistics, found.fits
+    statistics, cap = found.statistics, surfaces.cap
     return {
         "verdict": asdict(verdict) | {"advice": [*verdict.advice, *validation_advice(validation)]},
-        "origin": asdict(origin),
+        "origin": origin,
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
         | {"frames": statistics.frames, "effective_frames": statistics.effective_frames},
-        "tension_n_per_m": _interval(tension.tension),
+        "tension_n_per_m": asdict(tension.tension),
         "tension_parts_n_per_m": tension.parts,
         "tension_by_surface_n_per_m": tension.by_surface,
         "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
         "tension_per_pascal_m": tension.per_pascal,
         "validation": _validation(validation),
         "rectification": _rectification(found),
-        "rubber": _rubber(found.rubber),
+        "rubber": _rubber(found),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
-        "dimensions": {name: _interval(each) for name, each in tension.dimensions.items()},
+        "dimensions": {name: asdict(each) for name, each in tension.dimensions.items()},
         "left_out_rms_m": surfaces.left_out_rms_m,
         "residual_rms_m": float(np.sqrt(np.mean(surfaces.residual_m[found.pixels.mask] ** 2))),
-        "ellipsoid": {
-            "semi_axes_m": fits.ellipsoid.semi_axes_m.tolist(),
-            "centre_m": fits.ellipsoid.centre_m.tolist(),
-            "tilt_rad": fits.ellipsoid.tilt_rad,
-            "rms_m": fits.ellipsoid.rms_m,
-        },
-        "rim_height_m": fits.rim_height_m,
-        "rim_height_sigma_m": fits.rim_height_sigma_m,
-        "seen": found.seen,
-        "wander_m": found.wander_m,
+        "ellipsoid": {name: value.tolist() for name, value in vars(cap).items()},
+        "rim_height_m": surfaces.rim_height_m,
+        "rim_height_sigma_m": surfaces.rim_height_sigma_m,
+        "seen": surfaces.seen,
+        "wander_m": surfaces.wander_m,
         "pixels": {"used": int(found.pixels.mask.sum()), "removed": found.pixels.removed}
         | {"correlated": statistics.correlated_pixels, "quantum_m": statistics.quantum_m}
         | {"noise_median_m": float(np.median(found.pixels.noise_m[found.pixels.mask]))},
@@ -69,7 +172,6 @@ def summary(
 
 
 def versions() -> dict[str, str]:
-    """Versions of what computed the numbers."""
     packages = {name: version(name) for name in ("numpy", "scipy")}
     return {"bubbleviz": bubbleviz.__version__, "python": platform.python_version(), **packages}
 
@@ -87,7 +189,7 @@ def write_report(
     # 0.4 s, which the window starts without
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    from bubbleviz.calibration.report_pictures import pictures
+    from bubbleviz.calibration.pictures import pictures
 
     pages = Environment(
         loader=PackageLoader(__package__, ""),
@@ -106,10 +208,6 @@ def write_report(
         (temporary / "report.html").write_text(page, encoding="utf-8")
 
 
-def _interval(quantity: Any) -> dict[str, float]:
-    return {"value": quantity.value, "low": quantity.low, "high": quantity.high}
-
-
 def _rectification(found: Identification) -> dict[str, Any]:
     """Levels, and what the line through them says; an offset from one level has no limits."""
     line, mask = found.pixels.line, found.pixels.mask
@@ -123,11 +221,13 @@ def _rectification(found: Identification) -> dict[str, Any]:
     }
 
 
-def _rubber(rubber: RubberEstimate | None) -> dict[str, Any] | None:
+def _rubber(found: Identification) -> dict[str, Any] | None:
     """λ and gauge pressure with intervals and what they rest on, SI units, ready for JSON."""
+    rubber = found.rubber
     if rubber is None:
         return None
     told = np.isfinite(rubber.unexplained_rms_m)
+    names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
         "prestretch": rubber.prestretch and asdict(rubber.prestretch),
         "prestretch_from": rubber.prestretch_rests_on if rubber.prestretch else None,
@@ -135,18 +235,11 @@ def _rubber(rubber: RubberEstimate | None) -> dict[str, Any] | None:
         "gauge_pressure_pa": rubber.gauge and asdict(rubber.gauge),
         "gauge_from": rubber.gauge_rests_on,
         "from": rubber.told_by if told else None,
-        "levels": {
-            "rises_pa": list(rubber.rises_pa),
-            "change_rms_m": rubber.change_rms_m,
-            "unexplained_rms_m": rubber.unexplained_rms_m,
-        }
-        if told
-        else None,
+        "levels": {name: getattr(rubber, name) for name in names} if told else None,
     }
 
 
 def _validation(validation: Validation | None) -> dict[str, Any] | None:
-    """Numbers for JSON, SI units; None where nothing was validated."""
     if validation is None:
         return None
     overlap = validation.patch_overlap
@@ -159,9 +252,6 @@ def _validation(validation: Validation | None) -> dict[str, Any] | None:
         "predicted_force_n": validation.predicted_force_n.tolist(),
         "measured_force_n": validation.measured_force_n.tolist(),
     }
-
-
-# Save an identification: sensor file, mesh, pixels and report, all of them or none.
 
 
 def check_outputs(out: Path, report: Path | None) -> None:
@@ -187,13 +277,13 @@ def save(
     """
     check_outputs(out, report)
     path = getattr(source, "path", None)
-    origin = Origin(
-        recording=source.name,
-        recording_sha256=None if path is None else file_hash(path),
-        sensor_file=sensor_file,
-        date=datetime.now(UTC).isoformat(timespec="seconds"),
-        report=None if report is None else _from(out.parent, report / "report.html"),
-    )
+    origin: Origin = {
+        "recording": source.name,
+        "recording_sha256": None if path is None else file_hash(path),
+        "sensor_file": sensor_file,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "report": None if report is None else _from(out.parent, report / "report.html"),
+    }
     numbers = summary(found, origin, validation)
     progress("writing", 0.0)
     write_sensor(found, out, origin)

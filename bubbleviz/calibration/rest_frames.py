@@ -226,11 +226,9 @@ class CollectedFrames:
         self.times_s = np.array([frame.time_s for frame in frames])
 
     def __len__(self) -> int:
-        """Count the frames."""
         return len(self._frames)
 
     def __getitem__(self, index: int) -> Frame:
-        """Frame number `index`; IndexError outside 0 … F−1."""
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
         return self._frames[index]
@@ -266,12 +264,10 @@ def without(ranges: Ranges, start: int, stop: int) -> Ranges:
 
 
 def numbers(ranges: Ranges) -> list[int]:
-    """Every frame in the ranges."""
     return [k for start, stop in ranges for k in range(start, stop)]
 
 
 def as_ranges(frames: Iterable[int]) -> Ranges:
-    """Ranges of single frames."""
     listed = list(frames)
     return tidy([(k, k + 1) for k in listed], max(listed, default=-1) + 1)
 

@@ -52,7 +52,7 @@ def compare(old: Sensor, new: Identification) -> Comparison:
 
     Raises InputError: the old sensor's files are unreadable, or of another camera.
     """
-    intrinsics, mask = new.camera.intrinsics, new.pixels.mask
+    intrinsics, mask = new.model.camera.intrinsics, new.pixels.mask
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
         raise InputError(f"{old.name}: of another camera; nothing to compare by pixel")
     model = SensorModel.of(old, intrinsics)
@@ -60,15 +60,14 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     before = _expected(model.view.rest_range, pixels)
     after = _expected(new.modelled_range_m, new.pixels)
     measured = np.where(mask, new.statistics.range_m, np.nan)
-    misfits = [
-        Row(name, "fine length", _rms(measured - was), _rms(measured - now))
-        for name, was, now in zip(("rms misfit", "rms with bias"), before, after, strict=True)
-    ]
     noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))
     used = None if pixels is None else float(pixels.mask.sum())
     rows = (
         *_numbers(model, new),
-        *misfits,
+        *(
+            Row(name, "fine length", _rms(measured - was), _rms(measured - now))
+            for name, was, now in zip(("rms misfit", "rms with bias"), before, after, strict=True)
+        ),
         Row("noise of a pixel", "fine length", noise, float(np.median(new.pixels.noise_m[mask]))),
         Row("pixels used", "count", used, float(mask.sum())),
     )
@@ -84,52 +83,33 @@ def _expected(surface_m: np.ndarray, pixels: PixelModel | None) -> tuple[np.ndar
 
 def _numbers(old: SensorModel, new: Identification) -> list[Row]:
     """Rows that need no images."""
-    mesh, tension = old.mesh, new.tension
-    was, now = old.sensor.pneumatics, new.sensor.pneumatics
-    known, rubber = old.sensor.calibration, new.rubber
-    own = tension.tension
-    height = tension.dimensions["height_m"].half_width
-    sizes = _sizes(mesh)
-    return [
-        Row(
-            "γ0",
-            "tension",
-            old.tension_n_per_m,
-            own.value,
-            own.half_width,
-            None if known is None else _half_of(known.tension_interval_n_per_m),
-        ),
-        Row(
-            "λ",
-            "number",
-            old.sensor.membrane.prestretch,
-            new.sensor.membrane.prestretch,
-            None if rubber is None else _half(rubber.prestretch),
-            None if known is None else _half_of(known.prestretch_interval),
-        ),
-        Row(
-            "gauge pressure",
-            "pressure",
-            was.gauge_pressure_pa,
-            now.gauge_pressure_pa,
-            _half(new.gauge),
-            None if known is None else _half_of(known.gauge_interval_pa),
-        ),
-        *(
-            Row(name, "length", sizes[name], size, height if name == "height" else None)
-            for name, size in _sizes(new.mesh).items()
-        ),
-        Row("membrane area", "area", float(mesh.areas.sum()), float(new.mesh.areas.sum())),
-        Row("cap volume", "volume", mesh.cap_volume(), new.mesh.cap_volume()),
-    ]
+    was, now, known = old.sensor, new.sensor, old.sensor.calibration
+    before: tuple[tuple[float, float] | None, ...] = (
+        (None,) * 3
+        if known is None
+        else (known.tension_interval_n_per_m, known.prestretch_interval, known.gauge_interval_pa)
+    )
+    tension, stretch = new.tension.tension, None if new.rubber is None else new.rubber.prestretch
+    told = tension.half_width, _half(stretch), _half(new.gauge)
+    values: tuple[tuple[str, Kind, float | None, float | None], ...] = (
+        ("γ0", "tension", old.tension_n_per_m, tension.value),
+        ("λ", "number", was.membrane.prestretch, now.membrane.prestretch),
+        ("gauge pressure", "pressure", was.pneumatics.gauge_pressure_pa,
+         now.pneumatics.gauge_pressure_pa),
+    )  # fmt: skip
+    intervals = [None if each is None else 0.5 * (each[1] - each[0]) for each in before]
+    rows = [Row(*row, *half) for row, *half in zip(values, told, intervals, strict=True)]
+    height = new.tension.dimensions["height_m"].half_width
+    sizes = zip(_sizes(old.mesh).items(), _sizes(new.mesh).values(), strict=True)
+    for (name, size), other in sizes:
+        rows.append(Row(name, "length", size, other, height if name == "height" else None))
+    rows.append(Row("membrane area", "area", *(float(m.areas.sum()) for m in (old.mesh, new.mesh))))
+    rows.append(Row("cap volume", "volume", old.mesh.cap_volume(), new.mesh.cap_volume()))
+    return rows
 
 
 def _half(found: Quantity | None) -> float | None:
     return None if found is None else found.half_width
-
-
-def _half_of(interval: tuple[float, float] | None) -> float | None:
-    return None if interval is None else 0.5 * (interval[1] - interval[0])
 
 
 def _sizes(mesh: MembraneMesh) -> dict[str, float]:

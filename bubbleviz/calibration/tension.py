@@ -8,18 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.calibration.ellipsoid import Ellipsoid, cap_over_rim, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.errors import samples_covariances
 from bubbleviz.calibration.rest_frames import Samples
-from bubbleviz.calibration.surface import (
-    Ellipsoid,
-    Freedom,
-    Name,
-    Surfaces,
-    cap_over_rim,
-    fit_ellipsoid,
-    fit_sphere,
-    mean_points,
-)
+from bubbleviz.calibration.surface import Name, Surfaces, mean_points
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane import (
     Inflation,
@@ -138,7 +130,7 @@ def ellipsoid_curvature(ellipsoid: Ellipsoid, points: np.ndarray) -> np.ndarray:
     2H = (Σa² − Σx²) / (Πa² (Σx²/a⁴)^{3/2}) (Gray, Modern Differential Geometry, 3rd ed., 13.5).
     """
     a = ellipsoid.semi_axes_m
-    local = (points - ellipsoid.centre_m) @ ellipsoid.axes
+    local = points - ellipsoid.centre_m
     local = local / np.linalg.norm(local / a, axis=1, keepdims=True)
     q = np.sum(local**2 / a**4, axis=1)
     return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
@@ -174,7 +166,6 @@ class Quantity:
 
     @property
     def half_width(self) -> float:
-        """Half of the interval's width."""
         return 0.5 * (self.high - self.low)
 
     @property
@@ -190,7 +181,6 @@ class Quantity:
 
     @classmethod
     def normal(cls, value: float, sigma: float) -> Quantity:
-        """The number with a normal error of standard deviation `sigma`."""
         half = HALF_95 * sigma
         return cls(value, value - half, value + half)
 
@@ -301,10 +291,10 @@ def estimate_tension(
 
 def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Name, float]:
     """γ0 of every surface, N/m."""
-    fits = surfaces.fits
+    sphere, cap = surfaces.sphere, surfaces.cap
     return {
-        "sphere": 0.5 * gauge_pressure_pa * float(fits.sphere.semi_axes_m[0]),
-        "ellipsoid": _cap_numbers(fits.cap, gauge_pressure_pa)(fits.cap)["tension_n_per_m"],
+        "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
+        "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
         "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
     }
 
@@ -317,17 +307,16 @@ fitted parameters."""
 def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     if surfaces.chosen == "free-form":
         return _linear_free_form(surfaces, gauge_pressure_pa)
-    freedom: Freedom = "sphere" if surfaces.chosen == "sphere" else "aligned"
-    own = surfaces.fits.sphere if freedom == "sphere" else surfaces.fits.cap
-    numbers = _cap_numbers(own, gauge_pressure_pa, freedom)
+    own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
+    numbers = _cap_numbers(own, gauge_pressure_pa, sphere=sphere)
     pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
     points = mean_points(samples, surfaces.camera, pixels)
-    distance, J = own.distance(points), own.derivatives(points, freedom)
+    distance, J = own.distance(points), own.derivatives(points, sphere=sphere)
     sigma = robust_sigma(distance, center=0.0)
     weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
     facing = np.einsum("ij,ij->i", own.normals(points), surfaces.camera.directions[pixels])
     rows = -np.linalg.solve(J.T @ (J * slopes[:, None]), J.T).T * (weights * facing)[:, None]
-    influence = rows @ _gradient(numbers, own, freedom)
+    influence = rows @ _gradient(numbers, own, J.shape[1])
     return numbers(own), pixels, influence, distance / facing, rows.shape[1]
 
 
@@ -338,7 +327,7 @@ def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     gradients = np.zeros((len(mesh.nodes), 2))
     gradients[:, 0] = balance_gradient(mesh, gauge_pressure_pa, arms)
     gradients[apex, 1] = arms[apex, 2]
-    pixels = free_form.system.pixels
+    pixels = free_form.pixels
     influence = free_form.influence(gradients)
     influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
     now = {
@@ -359,7 +348,7 @@ def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float)
     mesh = free_form.mesh
     arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
     gradient = balance_gradient(mesh, gauge_pressure_pa, arms)
-    variance = float(gradient @ symmetric_lu(free_form.system.matrix).solve(gradient))
+    variance = float(gradient @ symmetric_lu(free_form.matrix).solve(gradient))
     together = max(1.0, samples.statistics.correlated_pixels)
     return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
 
@@ -372,15 +361,14 @@ def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) 
     """
     points = mean_points(samples, surfaces.camera, np.flatnonzero(surfaces.usable))
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
-    chosen = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper, np.eye(3))
-    at = surfaces.fits.sphere if surfaces.chosen == "sphere" else surfaces.fits.cap
-    return _cap_numbers(at, gauge_pressure_pa)(chosen)["tension_n_per_m"]
+    refit = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper)
+    return _cap_numbers(surfaces.chosen_cap, gauge_pressure_pa)(refit)["tension_n_per_m"]
 
 
 Numbers = Callable[[Ellipsoid], dict[str, float]]
 
 
-def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, freedom: Freedom = "aligned") -> Numbers:
+def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, *, sphere: bool = False) -> Numbers:
     """γ0 first, and the dimensions of caps near one."""
     mesh = mesh_cap(cap_over_rim(at), _FINE_NODES)
     facets = mesh.nodes[mesh.triangles].mean(axis=1) + at.centre_m * (1.0, 1.0, 0.0)
@@ -392,7 +380,7 @@ def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, freedom: Freedom = "al
             "tension_n_per_m": cap_tension(cap, facets, mesh.facet_areas, gauge_pressure_pa),
             "height_m": float(cap.centre_m[2]) + z,
         }
-        if freedom == "sphere":
+        if sphere:
             return found | {"radius_m": x, "rim_radius_m": x * at_rim}
         axes = {"semi_axis_x_m": x, "semi_axis_y_m": y, "semi_axis_z_m": z}
         return found | axes | {"rim_semi_axis_x_m": x * at_rim, "rim_semi_axis_y_m": y * at_rim}
@@ -400,12 +388,11 @@ def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, freedom: Freedom = "al
     return numbers
 
 
-def _gradient(numbers: Numbers, at: Ellipsoid, freedom: Freedom) -> np.ndarray:
+def _gradient(numbers: Numbers, at: Ellipsoid, parameters: int) -> np.ndarray:
     """Derivative of the numbers with respect to the parameters, (p, Q), by central differences."""
-    parameters = 4 if freedom == "sphere" else 6
     columns = []
     for step in 1e-6 * np.eye(parameters):
-        up, down = numbers(at.moved(step, freedom)), numbers(at.moved(-step, freedom))
+        up, down = numbers(at.moved(step)), numbers(at.moved(-step))
         columns.append((np.array(list(up.values())) - np.array(list(down.values()))) / 2e-6)
     return np.array(columns)
 

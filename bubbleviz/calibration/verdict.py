@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.surface import NAMES
 from bubbleviz.calibration.tension import Quantity
 from bubbleviz.calibration.validation import Validation
 
@@ -72,26 +73,23 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
 
 def _surface(found: Identification) -> str:
     surfaces = found.surfaces
-    miss = {name: 1e3 * rms for name, rms in surfaces.left_out_rms_m.items()}
+    sphere, cap, free = (f"{1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in NAMES)
     if surfaces.chosen == "sphere":
         return (
-            f"The dome is spherical: nothing else predicts it better than the sphere, which"
-            f" misses by {miss['sphere']:.2g} mm rms."
+            "The dome is spherical: nothing else predicts it better than the sphere, which"
+            f" misses by {sphere} rms."
         )
     if surfaces.chosen == "ellipsoid":
-        return (
-            f"Dome not spherical: the sphere misses by {miss['sphere']:.2g} mm; use the"
-            f" ellipsoid ({miss['ellipsoid']:.2g} mm)."
-        )
+        return f"Dome not spherical: the sphere misses by {sphere}; use the ellipsoid ({cap})."
     return (
-        f"Dome not spherical: the sphere misses by {miss['sphere']:.2g} mm, the ellipsoid by"
-        f" {miss['ellipsoid']:.2g} mm; use the free-form surface ({miss['free-form']:.2g} mm)."
+        f"Dome not spherical: the sphere misses by {sphere}, the ellipsoid by {cap};"
+        f" use the free-form surface ({free})."
     )
 
 
 def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     """Reasons to grade an identification below good."""
-    tension, fits = found.tension, found.fits
+    tension, surfaces = found.tension, found.surfaces
     out = []
     if found.samples.gas_pressure_pa is None:
         out.append(
@@ -113,15 +111,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: inflate alike, and make sure that nothing touches the sensor."
         )
-    if found.seen < _WELL_SEEN:
+    if surfaces.seen < _WELL_SEEN:
         out.append(
-            f"{_percent(1.0 - found.seen)} of the dome is not seen: there the surface is the"
+            f"{_percent(1.0 - surfaces.seen)} of the dome is not seen: there the surface is the"
             " fitted cap's continuation, and contact is only inferred."
         )
     height = tension.dimensions["height_m"].value
-    if abs(fits.rim_height_m) > max(3.0 * fits.rim_height_sigma_m, _GOOD * height):
+    rim = surfaces.rim_height_m
+    if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
-            f"The edge of the cloud lies {1e3 * fits.rim_height_m:+.1f} mm from the drawing's rim"
+            f"The edge of the cloud lies {1e3 * rim:+.1f} mm from the drawing's rim"
             " plane: either the rim is hidden, or the camera's position is off by as much."
         )
     value, least = tension.tension.value, tension.least_squares_n_per_m
@@ -142,11 +141,10 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     tension, rubber, gauge = found.tension, found.rubber, found.gauge
     vented = rubber is not None and rubber.gauge_from == "vented"
     chamber = "record the open chamber for ten seconds (--vented)"
-    if gauge is None:
-        gauge_text = f"{pressure(tension.gauge_pressure_pa)}, error unknown"
-    else:
-        low, high = pressure(gauge.low), pressure(gauge.high)
-        gauge_text = f"{pressure(gauge.value)}, 95 % interval {low} to {high}"
+    gauge_text = f"{pressure(tension.gauge_pressure_pa)}, error unknown"
+    if gauge is not None:
+        interval = f"{pressure(gauge.low)} to {pressure(gauge.high)}"
+        gauge_text = f"{pressure(gauge.value)}, 95 % interval {interval}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
         "pixels": "more frames, or a better rectification, against noise and pattern of the pixels",
@@ -165,19 +163,10 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         told = rubber.prestretch_rests_on
         narrower = "record levels farther apart" if vented else chamber
     stretch = None if rubber is None else rubber.prestretch
+    chamber_text = "record it for longer" if vented else chamber
     return (
-        Parameter(
-            "γ0",
-            _range(tension.tension, 2, " N/m"),
-            "shape and gauge pressure",
-            of_tension,
-        ),
-        Parameter(
-            "gauge pressure",
-            gauge_text,
-            found.gauge_rests_on,
-            "record it for longer" if vented else chamber,
-        ),
+        Parameter("γ0", _range(tension.tension, 2, " N/m"), "shape and gauge pressure", of_tension),
+        Parameter("gauge pressure", gauge_text, found.gauge_rests_on, chamber_text),
         Parameter("λ", "not determined" if stretch is None else _range(stretch, 3), told, narrower),
     )
 

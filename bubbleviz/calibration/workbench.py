@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -17,14 +17,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.contact_free import check_still, find_contact_free
+from bubbleviz.calibration.contact_free import find_contact_free
 from bubbleviz.calibration.identification import (
     Identification,
     assemble,
-    check_dome,
     collect_press,
-    rest_gauge_pressure,
-    rest_gauge_sigma,
+    rest_gauge,
     with_rubber,
 )
 from bubbleviz.calibration.material import Vented
@@ -49,16 +47,10 @@ if TYPE_CHECKING:
     from bubbleviz.calibration.contact_free import ContactFree
     from bubbleviz.calibration.rest_frames import Ranges
     from bubbleviz.calibration.surface import Name, Surfaces
-    from bubbleviz.calibration.tension import TensionEstimate
     from bubbleviz.calibration.validation import KnownPress
 
 
-# What a person decides of an identification, and what is known after each of its steps.
-
-
 class Step(IntEnum):
-    """The steps in their order."""
-
     START = 0
     FRAMES = 1
     PIXELS = 2
@@ -101,18 +93,15 @@ class Draft:
     # of the step SURFACE on less its bias; before, by validity and noise alone
     pixels: PixelStatistics | None = None
     surfaces: Surfaces | None = None
-    tension: TensionEstimate | None = None
     found: Identification | None = None  # rectified by the other levels, where there are
     validation: Validation | None = None
 
 
 _KEPT = 3  # results of a step: the present one, the one undone, and one more
-
-T = TypeVar("T")
-
-
 _SHARES = {Step.FRAMES: 0.1, Step.PIXELS: 0.1, Step.SURFACE: 0.2, Step.TENSION: 0.6}
 """Of the time that the steps take, about."""
+
+T = TypeVar("T")
 
 
 class Workbench:
@@ -129,17 +118,16 @@ class Workbench:
         Cancelled: by `progress`; what was finished before is remembered, nothing else has changed.
         """
         draft, done = Draft(settings), 0.0
-        steps = {
-            Step.FRAMES: self._frames,
-            Step.PIXELS: self._pixels,
-            Step.SURFACE: self._surface,
-            Step.TENSION: self._tension,
-        }
-        wanted = [step for step in steps if settings.reached >= step]
+        steps = self._frames, self._pixels, self._surface, self._tension
+        wanted = [step for step in _SHARES if settings.reached >= step]
         total = sum(_SHARES[step] for step in wanted)
-        for step in wanted:
+        for step, do in zip(wanted, steps, strict=False):
             before, done = done, done + _SHARES[step] / total
-            draft = steps[step](draft, part_of(progress, before, done))
+            own = (
+                _errors_name(self.source) if step < Step.TENSION else nullcontext()
+            )  # others follow
+            with own:
+                draft = do(draft, part_of(progress, before, done))
         progress("done", 1.0)
         return draft
 
@@ -147,10 +135,7 @@ class Workbench:
         chosen, found = draft.settings.ranges, None
         if chosen is None or draft.settings.scored:
             try:
-                with _errors_name(self.source):
-                    found = self._once(
-                        "contact free", (), lambda: find_contact_free(self.source, progress)
-                    )
+                found = self._once("rest", (), lambda: find_contact_free(self.source, progress))
             except InputError:
                 if chosen is None:
                     raise  # else the operator knows better, and has said so
@@ -158,39 +143,31 @@ class Workbench:
         return replace(draft, ranges=ranges or (), contact_free=found)
 
     def _pixels(self, draft: Draft, progress: Progress) -> Draft:
-        chosen = draft.ranges
-        with _errors_name(self.source):
-            samples = self._once(
-                "samples",
-                chosen,
-                lambda: collect(self.source, self.sensor, numbers(chosen), progress),
-            )
-            if draft.settings.reached > Step.PIXELS:
-                return replace(draft, samples=samples)  # pixels are chosen by the surface
-            membrane, _ = self._once("membrane", chosen, lambda: segment_membrane(samples))
-        nothing = np.where(membrane, 0.0, np.nan)  # no surface yet to be off from
-        return replace(
-            draft, samples=samples, pixels=self._select(draft, samples, membrane, nothing)
+        chosen = numbers(draft.ranges)
+        samples = self._once(
+            "samples", draft.ranges, lambda: collect(self.source, self.sensor, chosen, progress)
         )
+        draft = replace(draft, samples=samples)
+        if draft.settings.reached > Step.PIXELS:
+            return draft  # pixels are chosen by the surface
+        membrane, _ = self._once("membrane", draft.ranges, lambda: segment_membrane(samples))
+        nothing = np.where(membrane, 0.0, np.nan)  # no surface yet to be off from
+        return self._select(draft, samples, membrane, nothing)
 
     def _surface(self, draft: Draft, progress: Progress) -> Draft:
         settings, samples = draft.settings, _known(draft.samples)
-        key = (draft.ranges, settings.nodes, settings.surface)
-        with _errors_name(self.source):
-            self._once("still", draft.ranges, lambda: check_still(samples))
-            surfaces = self._once(
-                "surfaces",
-                key,
-                lambda: fit_surfaces(samples, settings.nodes, settings.surface, progress),
-            )
-        pixels = self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
-        return replace(draft, surfaces=surfaces, pixels=pixels)
+        surfaces = self._once(
+            "surfaces",
+            (draft.ranges, settings.nodes, settings.surface),
+            lambda: fit_surfaces(samples, settings.nodes, settings.surface, progress),
+        )
+        draft = replace(draft, surfaces=surfaces)
+        return self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
 
     def _tension(self, draft: Draft, progress: Progress) -> Draft:
-        settings = draft.settings
+        settings, onwards = draft.settings, part_of(progress, 0.5, 0.6)
         vented = None if settings.vented is None else self._vented(settings.vented)
         found = self._at_rest(draft, vented, part_of(progress, 0.0, 0.5))
-        onwards = part_of(progress, 0.5, 0.6)
         levels = [self._level(each, settings.nodes, onwards) for each in settings.levels]
         found = rectify(found, levels)
         found = self._once(
@@ -198,25 +175,26 @@ class Workbench:
             replace(settings, press=None),
             lambda: self._with_rubber(found, levels, vented, settings, part_of(progress, 0.6, 0.9)),
         )
-        draft = replace(draft, tension=found.tension, pixels=found.pixels, found=found)
-        last = part_of(progress, 0.9, 1.0)
-        return replace(draft, validation=self._validation(found, settings, last))
+        draft = replace(draft, pixels=found.pixels, found=found)
+        if (press := settings.press) is None:
+            return draft
+        progress("predicting the known press", 0.9)
+        validation = self._once(
+            "validation", settings, lambda: press.validate(found.model, self.source)
+        )
+        return replace(draft, validation=validation)
 
     def _at_rest(self, draft: Draft, vented: Vented | None, progress: Progress) -> Identification:
-        settings, samples = draft.settings, _known(draft.samples)
-        surfaces, pixels = _known(draft.surfaces), _known(draft.pixels)
-        key = (draft.ranges, settings.nodes, settings.surface)
+        settings, samples, surfaces = draft.settings, _known(draft.samples), _known(draft.surfaces)
         sensor = self.sensor if vented is None else vented.set_in(self.sensor)
         with _errors_name(self.source):
-            gauge = rest_gauge_pressure(samples, sensor), rest_gauge_sigma(samples, sensor)
-            seen = self._once("seen", key, lambda: check_dome(samples, surfaces))
-            wander = self._once("still", draft.ranges, lambda: check_still(samples))
+            gauge = rest_gauge(samples, sensor)
             tension = self._once(
                 "tension",
-                (*key, settings.vented),
+                (draft.ranges, settings.nodes, settings.surface, settings.vented),
                 lambda: estimate_tension(samples, surfaces, *gauge, progress),
             )
-            return assemble(sensor, samples, surfaces, pixels, tension, seen, wander)
+        return assemble(sensor, samples, surfaces, _known(draft.pixels), tension)
 
     def _with_rubber(
         self,
@@ -229,7 +207,7 @@ class Workbench:
         asked = settings.held_press and not levels
         held = collect_press(self.source, found, progress) if asked else None
         progress("stretching rubber", 0.0)
-        seen = [each.samples for each in levels if each.samples]
+        seen = [samples for samples, _, _ in levels]
         return with_rubber(found, seen, vented, held, settings.level_sigma_pa)
 
     def _vented(self, frames: FrameSource | Path) -> Vented:
@@ -240,32 +218,23 @@ class Workbench:
         return self._once(f"vented {frames}", (), measure)
 
     def _level(self, frames: FrameSource | Path, nodes: int, progress: Progress) -> Level:
+        """The level's own surface, by the same steps; its gauge pressure need not be known."""
+
         def measure() -> Level:
-            with _opened(frames) as level, _errors_name(level):
-                return Level.measure(level, self.sensor, nodes, progress)
+            with _opened(frames) as level:
+                draft = Workbench(level, self.sensor).work(
+                    Settings(Step.SURFACE, nodes=nodes), progress
+                )
+            return _known(draft.samples), _known(draft.surfaces), _known(draft.pixels)
 
         return self._once(f"level {frames}", nodes, measure)
 
-    def _validation(
-        self, found: Identification, settings: Settings, progress: Progress
-    ) -> Validation | None:
-        press = settings.press
-        if press is None:
-            return None
-
-        def validate() -> Validation:
-            progress("predicting the known press", 0.0)
-            return press.validate(found.model, self.source)
-
-        return self._once("validation", settings, validate)
-
     def _select(
         self, draft: Draft, samples: Samples, membrane: np.ndarray, residual_m: np.ndarray
-    ) -> PixelStatistics:
-        settings = draft.settings
-        return select_pixels(
-            samples.statistics, membrane, residual_m, settings.min_validity, settings.deviations
-        )
+    ) -> Draft:
+        limits = draft.settings.min_validity, draft.settings.deviations
+        pixels = select_pixels(samples.statistics, membrane, residual_m, *limits)
+        return replace(draft, pixels=pixels)
 
     def _once(self, step: str, key: Hashable, make: Callable[[], T]) -> T:
         """Result of a step for what it rests on: remembered, or made now."""

@@ -164,13 +164,13 @@ def prestressed(
     # μh. Where the stress is more than rubber of it can carry, as noise of a surface may ask of
     # far-stretched rubber, it is larger.
     mu_h_n_per_m: float,
-    # found from the mesh where not given: one of a coarser mesh saves time
-    field: Prestress | None = None,
+    # found from the mesh where not given: one of a coarser mesh saves time, and so do its values
+    field: Prestress | np.ndarray | None = None,
     rim_slack_m: float | None = None,
 ) -> RubberMembrane:
     """Rubber membrane whose stress at rest follows from its shape and pressure."""
-    field = field or Prestress.of(mesh, gauge_pressure_pa)
-    tau = field.on(mesh)
+    field = Prestress.of(mesh, gauge_pressure_pa) if field is None else field
+    tau = field.on(mesh) if isinstance(field, Prestress) else field
     edges = _edges(mesh)
     metric = edges @ edges.swapaxes(1, 2)
     least = np.sqrt(np.maximum(np.linalg.det(metric @ tau), 0.0) / (1.0 - FAR_STRETCHED**-3))

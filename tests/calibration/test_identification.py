@@ -42,14 +42,14 @@ def test_surface_explains_frames_it_has_not_seen(twin, found):
 
 def test_surface_is_the_true_one_and_better_than_the_ellipsoid(twin, found):
     """Against the twin's dome without noise, holes or bias, seen and unseen alike."""
-    sideways = found.camera.T_B_C[:2, 3] - twin.camera.T_B_C[:2, 3]
+    sideways = found.model.camera.T_B_C[:2, 3] - twin.camera.T_B_C[:2, 3]
     assert np.abs(sideways).max() < 5e-4
     modelled = found.modelled_range_m[found.pixels.mask]
     truth = cast(twin.truth, twin.camera, np.zeros(len(twin.truth.nodes)))[found.pixels.mask]
     error = modelled - truth
     rms = np.sqrt(np.nanmean(error**2))
     assert rms < 0.1e-3
-    assert rms < 0.5 * found.fits.cap.rms_m
+    assert rms < 0.5 * found.surfaces.left_out_rms_m["ellipsoid"]
 
 
 def test_pixels_that_lie_are_out(twin, found):
@@ -62,8 +62,8 @@ def test_pixels_that_lie_are_out(twin, found):
 def test_mesh_keeps_its_rim_plane_and_shape(found):
     np.testing.assert_allclose(found.mesh.nodes[found.mesh.rim, 2], 0.0, atol=1e-12)
     assert np.degrees(found.mesh.angles.min()) > 25.0
-    unseen = found.mesh.nodes[:, 0] < -0.05
-    assert np.abs(found.surface.correction_m[unseen]).max() < 1e-3
+    unseen = found.mesh.nodes[found.mesh.nodes[:, 0] < -0.05]
+    assert np.abs(found.surfaces.cap.distance(unseen)).max() < 1e-3
 
 
 def test_tension_and_noise(twin, found):

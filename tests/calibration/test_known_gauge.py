@@ -16,8 +16,7 @@ from bubbleviz.calibration import (
     collect,
     identify,
     judge,
-    rest_gauge_pressure,
-    rest_gauge_sigma,
+    rest_gauge,
     with_rubber,
     write_sensor,
 )
@@ -85,9 +84,9 @@ def identified(dome):
 
     def of(**pneumatics):
         sensor = told(**pneumatics)
-        gauge = rest_gauge_pressure(once.samples, sensor)
+        gauge, _ = rest_gauge(once.samples, sensor)
         tension = once.tension.under(Quantity(gauge, gauge, gauge))
-        parts = once.samples, once.surfaces, once.pixels, tension, once.seen, once.wander_m
+        parts = once.samples, once.surfaces, once.pixels, tension
         return with_rubber(assemble(sensor, *parts), levels)
 
     return of
@@ -204,22 +203,22 @@ def rest_samples():
 def test_gauge_pressure_at_rest_and_how_well_it_is_known(rest_samples):
     """The file's σ holds for its own inflation and weather; another one leaves the difference."""
     weather = told(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
-    assert rest_gauge_pressure(rest_samples, weather) == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
-    assert rest_gauge_sigma(rest_samples, weather) == pytest.approx(WEATHER)
+    assert rest_gauge(rest_samples, weather)[0] == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
+    assert rest_gauge(rest_samples, weather)[1] == pytest.approx(WEATHER)
     known = told(gauge_sigma_pa=50.0)
-    assert rest_gauge_pressure(rest_samples, known) == GAUGE_PA
-    assert rest_gauge_sigma(rest_samples, known) == pytest.approx(50.0, abs=0.2)
+    assert rest_gauge(rest_samples, known)[0] == GAUGE_PA
+    assert rest_gauge(rest_samples, known)[1] == pytest.approx(50.0, abs=0.2)
     moved = told(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
-    assert rest_gauge_pressure(rest_samples, moved) == GAUGE_PA
-    assert rest_gauge_sigma(rest_samples, moved) == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
+    assert rest_gauge(rest_samples, moved)[0] == GAUGE_PA
+    assert rest_gauge(rest_samples, moved)[1] == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
     far = told(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 9000.0)
-    assert rest_gauge_sigma(rest_samples, far) == pytest.approx(np.hypot(50.0, WEATHER))
+    assert rest_gauge(rest_samples, far)[1] == pytest.approx(np.hypot(50.0, WEATHER))
     silent = replace(rest_samples, gas_pressure_pa=None)
-    assert rest_gauge_sigma(silent, told()) is None
-    assert rest_gauge_sigma(silent, known) == 50.0
+    assert rest_gauge(silent, told())[1] is None
+    assert rest_gauge(silent, known)[1] == 50.0
     gauge_only = replace(rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA)
     with pytest.raises(InputError, match="no atmospheric pressure; record the absolute one"):
-        rest_gauge_pressure(gauge_only, known)
+        rest_gauge(gauge_only, known)
 
 
 def test_open_chamber_takes_the_place_of_what_the_file_knew():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.calibration import Level, identify, rectify, write_sensor
+from bubbleviz.calibration import Settings, Step, Workbench, identify, write_sensor
 from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
@@ -53,8 +53,12 @@ def stretched(height):
 def found():
     dome = stretched(0.05)
     plain = identify(dome, dome.sensor, range(12), nodes=500)
-    levels = [Level.measure(stretched(height), dome.sensor, 500) for height in (0.045, 0.055)]
-    return plain, rectify(plain, levels)
+    return plain, with_levels(dome, stretched(0.045), stretched(0.055))
+
+
+def with_levels(dome, *levels, nodes=500):
+    settings = Settings(Step.TENSION, ((0, 12),), nodes=nodes, levels=levels)
+    return Workbench(dome, dome.sensor).work(settings).found
 
 
 def test_levels_bring_the_stretch_out(found):
@@ -111,10 +115,16 @@ def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found, tmp_path
     assert np.median(np.abs(moved - wanted)) < 0.3 * STRETCH
 
 
-def test_levels_alike_are_refused(found):
-    plain, _ = found
-    with pytest.raises(InputError, match="within the noise"):
-        rectify(plain, [Level.of(plain)])
+@pytest.mark.parametrize(
+    ("level", "why"),
+    [
+        (lambda: stretched(0.0501), "within the noise"),
+        (lambda: Dome((0.08125,) * 3, 0.045, QUIET, 0, frames=12, scale=0.3), "differ in size"),
+    ],
+)
+def test_useless_levels_are_refused(level, why):
+    with pytest.raises(InputError, match=why):
+        with_levels(stretched(0.05), level(), nodes=200)
 
 
 @pytest.fixture(scope="module")

@@ -71,7 +71,7 @@ def full(**more):
 
 def test_steps_give_what_identify_gives(bench, found):
     draft = bench.work(full())
-    assert draft.tension.tension == found.tension.tension
+    assert draft.found.tension.tension == found.tension.tension
     np.testing.assert_array_equal(draft.found.pixels.mask, found.pixels.mask)
     assert draft.found.sensor == found.sensor
 
@@ -87,7 +87,7 @@ def test_steps_give_what_identify_gives(bench, found):
 )
 def test_nothing_is_done_beyond_the_step_reached(bench, step, known):
     draft = bench.work(Settings(step, nodes=NODES))
-    names = ("contact_free", "samples", "pixels", "surfaces", "tension", "found")
+    names = ("contact_free", "samples", "pixels", "surfaces", "found")
     assert [name for name in names if getattr(draft, name) is not None] == known
 
 
@@ -95,16 +95,16 @@ def test_a_sample_out_and_in_again(bench):
     whole = bench.work(full(ranges=((0, 20),)))
     less = bench.work(full(ranges=((0, 8), (12, 20))))
     assert less.samples.frames == (*range(8), *range(12, 20))
-    assert less.tension.tension.value != whole.tension.tension.value
+    assert less.found.tension.tension.value != whole.found.tension.tension.value
     reads = bench.source.reads
     again = bench.work(full(ranges=((0, 20),)))
-    assert again.tension is whole.tension and bench.source.reads == reads
+    assert again.found.tension is whole.found.tension and bench.source.reads == reads
 
 
 def test_a_threshold_touches_only_the_pixels(bench):
     before = bench.work(full())
     after = bench.work(full(deviations=1.0))
-    assert after.surfaces is before.surfaces and after.tension is before.tension
+    assert after.surfaces is before.surfaces and after.found.tension is before.found.tension
     assert after.pixels.mask.sum() < before.pixels.mask.sum()
 
 
@@ -116,7 +116,7 @@ def test_cancelled_anywhere_it_can_be_done_after_all(bench, dome):
         calls += 1
         shares.append(done)
 
-    wanted = Workbench(dome, dome.sensor).work(full(), count).tension.tension
+    wanted = Workbench(dome, dome.sensor).work(full(), count).found.tension.tension
     # once from nothing to all, however many steps there are
     assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0
     for stop in (calls // 3, 2 * calls // 3) if LONG else (calls // 2,):
@@ -131,7 +131,7 @@ def test_cancelled_anywhere_it_can_be_done_after_all(bench, dome):
         fresh = Workbench(dome, dome.sensor)
         with pytest.raises(Cancelled):
             fresh.work(full(), cancel)
-        assert fresh.work(full()).tension.tension == wanted
+        assert fresh.work(full()).found.tension.tension == wanted
 
 
 def test_too_few_frames_are_refused_with_the_source(bench):

@@ -123,6 +123,6 @@ def cast(mesh, camera, displacement):
 def residuals_and_bias(found, frames):
     """Measured minus modelled range (F, k) of the pixels in use, and the bias (k,) of each, m."""
     used = found.pixels.mask
-    per_depth, model = found.camera.range_per_depth[used], found.modelled_range_m[used]
+    per_depth, model = found.model.camera.range_per_depth[used], found.modelled_range_m[used]
     residual = np.stack([frame.depth_m[used] * per_depth - model for frame in frames])
     return residual, found.pixels.bias_m[used]

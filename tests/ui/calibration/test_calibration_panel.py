@@ -29,7 +29,7 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
         bench.click(panel.next)
         assert bench.answer.work.settings.reached == step
         assert panel.page.view.image is not None
-    estimate = bench.draft.tension
+    estimate = bench.draft.found.tension
     value, half = estimate.tension.value, estimate.tension.half_width
     assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"
     assert estimate.tension.low < TENSION < estimate.tension.high
@@ -49,12 +49,12 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
     for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
         bench.undo()
         assert panel.calibration.settings.reached == step
-        assert bench.draft.tension is None and not panel.verdict.isVisible()
+        assert bench.draft.found is None and not panel.verdict.isVisible()
     assert not panel.strip.isVisible()
     for _ in range(4):
         bench.redo()
     assert bench.answer.work == last.work
-    assert bench.draft.tension.tension == last.draft.tension.tension
+    assert bench.draft.found.tension.tension == last.draft.found.tension.tension
     # a number is undone from within its box
     bench.step(2)
     nodes = panel.surface.nodes
@@ -112,7 +112,7 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     assert after.ranges == ((0, 5), (10, before.ranges[0][1]))
     assert not set(range(5, 10)) & set(after.samples.frames)
     assert after.contact_free is before.contact_free
-    assert after.tension.tension.value != before.tension.tension.value
+    assert after.found.tension.tension.value != before.found.tension.tension.value
     assert frames.said.text().startswith("frames 0–4, 10–")
 
     def replace(first, last):
@@ -124,8 +124,8 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     replaced = bench.answer
     assert replaced.draft.ranges == ((3, 15),) == panel.strip.ranges
     assert replaced.work.settings.nodes == 150
-    value = replaced.draft.tension.tension.value
-    assert value != after.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
+    value = replaced.draft.found.tension.tension.value
+    assert value != after.found.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
     replace("3", "5")
     assert "at least 5" in bench.said
     assert panel.verdict.text().startswith("Out of date, of what was chosen before: ")
@@ -152,7 +152,7 @@ def test_cancel_leaves_everything_as_it_was(drive):
     assert bench.answer is before and panel.calibration.work == work
     assert bench.window.undo_stack.index() == index and not panel.progress.isVisible()
     bench.click(panel.all)  # it can be done after all, in the same thread: the other job is over
-    assert bench.draft.tension is not None
+    assert bench.draft.found is not None
     assert bench.window.undo_stack.index() == index + 1  # and nothing was heard of that one
 
 
@@ -234,7 +234,7 @@ def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_
     after, used = bench.draft, bench.draft.pixels.mask.sum()
     assert used < before.pixels.mask.sum() and page.view.image.sum() == used
     assert page.numbers.text("used") == f"{used} of {after.pixels.mask.size} pixels"
-    assert after.surfaces is before.surfaces and after.tension is before.tension
+    assert after.surfaces is before.surfaces and after.found.tension is before.found.tension
     page.validity.box.setValue(100.0)
     bench.done()
     assert panel.calibration.settings.min_validity == pytest.approx(1.0)
@@ -321,4 +321,4 @@ def test_real_press(drive, punyo_press):
     bench = Bench(drive(lambda _: Recording(punyo_press), sensor=sensor))
     bench.identify()
     assert len(bench.draft.ranges) == 1 and abs(bench.draft.ranges[0][1] - 60) <= 3
-    assert bench.draft.tension.tension.value == pytest.approx(219.3, rel=0.03)
+    assert bench.draft.found.tension.tension.value == pytest.approx(219.3, rel=0.03)

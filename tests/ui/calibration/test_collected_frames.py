@@ -39,7 +39,7 @@ def test_frames_are_collected_live_until_the_interval_is_small(drive):
     bench.wait(lambda: not box.collector.active)
     bench.done()
     assert 10 <= len(bench.draft.samples.frames) < 400
-    tension = bench.draft.tension.of_shape
+    tension = bench.draft.found.tension.of_shape
     assert tension.half_width <= 0.05 * tension.value
     assert tension.value == pytest.approx(TENSION, rel=0.02)
     collected = panel.calibration.work.collected
@@ -100,8 +100,8 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive):
     bench.wait(lambda: len(bench.answer.draft.samples.frames) == 9)
     new = bench.answer
     assert new.work.settings.deviations == 4.0
-    assert new.draft.tension.tension.value != old.draft.tension.tension.value
-    assert f"{new.draft.tension.tension.value:.1f} N/m" in panel.verdict.text()
+    assert new.draft.found.tension.tension.value != old.draft.found.tension.tension.value
+    assert f"{new.draft.found.tension.tension.value:.1f} N/m" in panel.verdict.text()
     assert "Out of date" not in panel.verdict.text()
 
 

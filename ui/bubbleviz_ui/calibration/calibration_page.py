@@ -17,25 +17,13 @@ from bubbleviz_ui.shell.dock import fill
 
 
 class Page(QWidget):
-    """One step: its picture, its numbers and what can be changed.
+    """One step: its picture, its numbers and what can be changed."""
 
-    Attributes
-    ----------
-    name, title : str
-        On its button, and in full.
-    todo : str
-        What to do here, in one sentence.
-    sets : tuple of str
-        Settings that are changed here.
-    next_title : str
-        What the button that leads on to this page says.
-    """
-
-    name = ""
+    name = ""  # on its button
     title = ""
-    todo = ""
-    sets: tuple[str, ...] = ()
-    next_title = ""
+    todo = ""  # what to do here, in one sentence
+    sets: tuple[str, ...] = ()  # settings that are changed here
+    next_title = ""  # what the button that leads on to this page says
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__()
@@ -78,7 +66,6 @@ class Numbers(QWidget):
         self._labels[name].setText(NOTHING if text is None else text)
 
     def text(self, name: str) -> str:
-        """What is written for a name."""
         return self._labels[name].text()
 
 
@@ -130,7 +117,6 @@ class ImageView(QWidget):
         self._bar.getAxis("bottom").setLabel(unit.symbol)
 
     def at(self, row: int, column: int) -> str:
-        """Number of a pixel, in words."""
         if self.image is None:
             return ""
         height, width = self.image.shape
@@ -139,7 +125,6 @@ class ImageView(QWidget):
         return f"({column}, {row}) {self._unit.text(float(self.image[row, column]))}"
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
         self._cell.paint(dim, text)
         self._bar.setColorMap(self._cell.map)
         axis = self._bar.getAxis("bottom")

@@ -46,23 +46,9 @@ WIDTH = 380  # px: two columns of numbers with units
 
 
 class Gamma0Panel(QWidget):
-    """Steps, the page of one of them, verdict, progress.
+    """Steps, the page of one of them, verdict, progress."""
 
-    Parameters
-    ----------
-    calibration : Calibration
-        The panel closes it.
-    units : Units
-    strip : RangeStrip
-        The one on the playback's timeline.
-
-    Attributes
-    ----------
-    painted : Signal
-        Points (k, 3) and numbers (k,), both in m, for the 3-D view.
-    """
-
-    painted = Signal(object, object)
+    painted = Signal(object, object)  # points (k, 3) and numbers (k,), both in m, for the 3-D view
 
     def __init__(self, calibration: Calibration, units: Units, strip: RangeStrip) -> None:
         super().__init__()
@@ -98,11 +84,9 @@ class Gamma0Panel(QWidget):
 
     @property
     def page(self) -> Page:
-        """The page that is shown."""
         return self.pages[self.stack.currentIndex()]
 
     def go_to(self, number: int) -> None:
-        """Show a page."""
         self.stack.setCurrentIndex(number)
         self.steps.button(number).setChecked(True)
         self.title.setText(f"{number + 1} · {self.page.title}")
@@ -166,17 +150,14 @@ class Gamma0Panel(QWidget):
             folder.cleanup()
 
     def showEvent(self, event: QShowEvent) -> None:
-        """The panel was opened."""
         super().showEvent(event)
         self._show_strip()
 
     def hideEvent(self, event: QHideEvent) -> None:
-        """The panel was closed."""
         super().hideEvent(event)
         self._show_strip()
 
     def changeEvent(self, event: QEvent) -> None:
-        """Follow the window's theme."""
         super().changeEvent(event)
         if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
             self._show()

@@ -37,49 +37,27 @@ PICTURES = 0.95
 
 @dataclass(frozen=True)
 class Work:
-    """All that a person decided; undo puts an older one back.
-
-    Attributes
-    ----------
-    settings : Settings
-    collected : CollectedFrames or None
-        Frames of a live source; None: the recording itself.
-    """
+    """All that a person decided; undo puts an older one back."""
 
     settings: Settings = field(default_factory=Settings)
-    collected: CollectedFrames | None = None
+    collected: CollectedFrames | None = None  # frames of a live source; None: the recording itself
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of it.
-
-    Attributes
-    ----------
-    work : Work
-    draft : Draft
-    axis : TimeAxis
-        Where the frames of the source lie on the timeline.
-    last : pair of (H, W) arrays or None
-        The last frame less the surface before and after rectification, m.
-    local_tension : (H, W) array or None
-        N/m.
-    comparison : Comparison or None
-        Against the sensor that was in use.
-    compared_with : Sensor or None
-    """
+    """What came of it."""
 
     work: Work
     draft: Draft
-    axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))
+    axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))  # of the source's frames
+    # the last frame less the surface before and after rectification, (H, W) each, m
     last: tuple[np.ndarray, np.ndarray] | None = None
-    local_tension: np.ndarray | None = None
-    comparison: Comparison | None = None
+    local_tension: np.ndarray | None = None  # (H, W), N/m
+    comparison: Comparison | None = None  # against the sensor that was in use
     compared_with: Sensor | None = None
 
     @property
     def frames(self) -> int:
-        """Count the frames of the source."""
         return len(self.axis)
 
     def verdict(self, units: Units) -> Verdict | None:
@@ -119,40 +97,23 @@ REMEMBERED = 4
 
 
 class Calibration(QObject):
-    """What the γ0 panel shows and changes.
+    """What the γ0 panel shows and changes."""
 
-    Attributes
-    ----------
-    changed : Signal
-        Another choice, another answer, or work began or ended.
-    restarted : Signal
-        Another source is open.
-    progressed : Signal
-        Step in plain words and the share of it that is done.
-    said : Signal
-        A `UserMessage`.
-    work : Work
-        What is decided.
-    answer : Answer
-        What is shown: of `work` unless something is being computed or has failed.
-    saved : Work or None
-        Of which a sensor file was written last.
-    """
-
-    changed = Signal()
-    restarted = Signal()
-    progressed = Signal(str, float)
-    said = Signal(object)
+    changed = Signal()  # another choice, another answer, or work began or ended
+    restarted = Signal()  # another source is open
+    progressed = Signal(str, float)  # step in plain words and the share of it that is done
+    said = Signal(object)  # a `UserMessage`
 
     def __init__(self, controller: Controller, stack: QUndoStack) -> None:
         super().__init__()
         self.controller, self.stack = controller, stack
         self.work = Work()
+        # of `work` unless something is being computed or has failed
         self.answer = self._nothing = Answer(self.work, Draft(self.settings))
         self.live = False
         self.name = ""
         self.given: Sensor | None = None
-        self.saved: Work | None = None
+        self.saved: Work | None = None  # of which a sensor file was written last
         self._opener: Callable[[Sensor], FrameSource] | None = None
         self._shown: Callable[[Sensor], FrameSource] | None = None
         self._holding = False
@@ -164,7 +125,6 @@ class Calibration(QObject):
 
     @property
     def busy(self) -> bool:
-        """Something is being computed."""
         return self._jobs.busy
 
     @property
@@ -190,7 +150,6 @@ class Calibration(QObject):
 
     @property
     def settings(self) -> Settings:
-        """What is decided of the steps."""
         return self.work.settings
 
     def edit(self, text: str, gesture: Hashable = None, **changes: Any) -> None:
@@ -199,7 +158,6 @@ class Calibration(QObject):
         self._push(text, new, gesture)
 
     def use_collected(self, frames: CollectedFrames, settings: Settings) -> None:
-        """Work on frames of a live source."""
         self._push(f"Collect {count_of(len(frames), 'frame')}", Work(settings, frames), None)
 
     def reach(self, step: Step, text: str) -> None:

@@ -23,28 +23,16 @@ FIRST_LOOK, LOOK_EVERY = 10, 10
 
 
 class Collector(QObject):
-    """Takes frames as they are shown.
+    """Takes frames as they are shown."""
 
-    Attributes
-    ----------
-    changed : Signal
-        Another frame, another estimate, or collecting began or ended.
-    complete : Signal
-        The `CollectedFrames`: enough of them, or γ0's interval is as small as wanted.
-    name : str
-        Of the source.
-    frames : list of Frame
-    tension : Quantity or None
-        γ0 so far, N/m.
-    """
-
-    changed = Signal()
+    changed = Signal()  # another frame, another estimate, or collecting began or ended
+    # the `CollectedFrames`: enough of them, or γ0's interval is as small as wanted
     complete = Signal(object)
 
     def __init__(self) -> None:
         super().__init__()
         self.frames: list[Frame] = []
-        self.tension: Quantity | None = None
+        self.tension: Quantity | None = None  # γ0 so far, N/m
         self.active = False
         self.message = ""
         self._count, self._target, self._only_untouched = 0, 0.0, True
@@ -54,23 +42,13 @@ class Collector(QObject):
         self._jobs = Jobs("calibration")
 
     def start(
-        self, name: str, sensor: Sensor, count: int, target: float | None, only_untouched: bool
+        self,
+        name: str,  # of the source
+        sensor: Sensor,  # to start from
+        count: int,  # frames to collect at most
+        target: float | None,  # half of γ0's 95 % interval over γ0 at which to stop before
+        only_untouched: bool,  # leave out frames in which the sensor in use sees a contact
     ) -> None:
-        """Begin anew.
-
-        Parameters
-        ----------
-        name : str
-            Of the source.
-        sensor : Sensor
-            To start from.
-        count : int
-            Frames to collect at most.
-        target : float or None
-            Half of γ0's 95 % interval over γ0 at which to stop before.
-        only_untouched : bool
-            Leave out frames in which the sensor in use sees a contact.
-        """
         self.name, self._sensor = name, sensor
         self._count, self._target, self._only_untouched = count, target or 0.0, only_untouched
         self._fits = False
@@ -98,21 +76,19 @@ class Collector(QObject):
         self.changed.emit()
 
     def finish(self) -> None:
-        """Use what is there."""
+        """Stop and use these frames."""
         frames = self.frames
         self.cancel()
         if frames:
             self.complete.emit(CollectedFrames(self.name, frames))
 
     def cancel(self) -> None:
-        """Forget what was collected."""
         self._jobs.cancel()
         self.active = False
         self.frames = []
         self.changed.emit()
 
     def close(self) -> None:
-        """Stop the thread."""
         self._jobs.cancel()
         self._jobs.close()
 
@@ -138,15 +114,13 @@ class Collector(QObject):
 
 
 def _estimate(frames: CollectedFrames, sensor: Sensor) -> Callable[[Progress], Quantity | None]:
-    """Job that estimates γ0 from the frames so far."""
-
     def job(progress: Progress) -> Quantity | None:
         nodes = sensor.membrane.nodes
         settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
         from bubbleviz.calibration import Workbench  # the window starts without
 
-        tension = Workbench(frames, sensor).work(settings, progress).tension
+        found = Workbench(frames, sensor).work(settings, progress).found
         # more frames do not narrow what comes of the gauge pressure
-        return tension.of_shape if tension is not None else None
+        return found.tension.of_shape if found is not None else None
 
     return job

@@ -157,19 +157,15 @@ class FramesPage(Page):
         )
 
     def enter(self) -> None:
-        """Find the frames."""
         self.calibration.reach(Step.FRAMES, self.next_title)
 
     def set_ranges(self, ranges: Ranges, what: str) -> None:
-        """Use these frames."""
         self.calibration.edit(what, ranges=ranges, reached=self._least())
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether there are contact-free frames."""
         return answer.work.settings.reached >= Step.FRAMES
 
     def show_answer(self, answer: Answer) -> None:
-        """Show the ranges and what they rest on."""
         ranges, before = self.ranges(answer), self.strip.ranges
         self.strip.set_ranges(answer.axis, ranges)
         self.plot.show_scores(answer.draft.contact_free, answer.axis)
@@ -194,7 +190,6 @@ class FramesPage(Page):
 
     @staticmethod
     def ranges(answer: Answer) -> Ranges:
-        """Contact-free ranges of an answer."""
         return answer.draft.ranges
 
     def _least(self) -> Step:

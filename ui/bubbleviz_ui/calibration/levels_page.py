@@ -44,7 +44,6 @@ class RectificationPage(Page):
         )
 
     def add_level(self, path: Path) -> None:
-        """Rectify with another inflation level, too."""
         levels = (*self.calibration.settings.levels, path)
         self.calibration.edit(f"Add the level {path.name}", levels=levels)
 
@@ -53,11 +52,9 @@ class RectificationPage(Page):
         self.calibration.edit(f"Take {path.name} as the open chamber", vented=path)
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether other levels are used."""
         return bool(answer.work.settings.levels or answer.work.settings.vented)
 
     def show_answer(self, answer: Answer) -> None:
-        """Show both images, their rms and the levels."""
         unit, last = self.units.fine_length, answer.last
         before, after = (None, None) if last is None else last
         limit = 3.0 * float(np.nanstd(before)) if before is not None else 1.0

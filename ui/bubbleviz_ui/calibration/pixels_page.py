@@ -62,15 +62,12 @@ class PixelsPage(Page):
         )
 
     def enter(self) -> None:
-        """Measure every pixel."""
         self.calibration.reach(Step.PIXELS, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether the pixels are measured."""
         return answer.work.settings.reached >= Step.PIXELS
 
     def show_answer(self, answer: Answer) -> None:
-        """Show the mask and its counts."""
         settings, samples, pixels = (
             self.calibration.settings,
             answer.draft.samples,
@@ -137,12 +134,10 @@ class Threshold(QHBoxLayout):
         self.box.valueChanged.connect(self._on_box)
 
     def tip(self, text: str) -> None:
-        """Say what it is for."""
         self.slider.setToolTip(text)
         self.box.setToolTip(text)
 
     def show_value(self, value_si: float) -> None:
-        """Show a value that was chosen elsewhere."""
         with QSignalBlocker(self.slider), QSignalBlocker(self.box):
             if not self.slider.isSliderDown():
                 self.slider.setValue(round(value_si / self._highest * self.STEPS))
@@ -163,19 +158,14 @@ class Threshold(QHBoxLayout):
 
 
 class SurfacePage(Page):
-    """Residual to the surface, misfit of each, dimensions.
-
-    Attributes
-    ----------
-    painted : Signal
-        Points (k, 3) in m and a number for each in m, to be painted in the 3-D view.
-    """
+    """Residual to the surface, misfit of each, dimensions."""
 
     name = "Surface"
     title = "Reference surface"
     todo = "Check that what the surface leaves over looks like noise; else choose another."
     sets = ("surface", "nodes")
     next_title = "Fit the surface"
+    # points (k, 3) in m and a number for each in m, to be painted in the 3-D view
     painted = Signal(object, object)
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -203,15 +193,12 @@ class SurfacePage(Page):
         self.paint.clicked.connect(self._paint)
 
     def enter(self) -> None:
-        """Fit the surfaces."""
         self.calibration.reach(Step.SURFACE, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether there is a surface."""
         return answer.work.settings.reached >= Step.SURFACE
 
     def show_answer(self, answer: Answer) -> None:
-        """Show the residual and the misfits."""
         settings, draft = self.calibration.settings, answer.draft
         self.choice.setCurrentIndex(self.choice.findData(settings.surface))
         with QSignalBlocker(self.nodes):
@@ -236,16 +223,14 @@ class SurfacePage(Page):
         for name, rms in surfaces.left_out_rms_m.items():
             self.numbers.set(f"{name} misses by", f"{length.text(rms)} rms")
         axes = " · ".join(
-            f"{units.length.of(a):.{units.length.digits}f}"
-            for a in surfaces.fits.ellipsoid.semi_axes_m
+            f"{units.length.of(a):.{units.length.digits}f}" for a in surfaces.cap.semi_axes_m
         )
         self.numbers.set("ellipsoid's semi-axes", f"{axes} {units.length.symbol}")
-        radius = float(surfaces.fits.sphere.semi_axes_m[0])
+        radius = float(surfaces.sphere.semi_axes_m[0])
         self.numbers.set("sphere's radius", units.length.text(radius))
-        fits = surfaces.fits
         self.numbers.set(
             "rim by the cloud",
-            units.length.with_interval(fits.rim_height_m, 1.96 * fits.rim_height_sigma_m),
+            units.length.with_interval(surfaces.rim_height_m, 1.96 * surfaces.rim_height_sigma_m),
         )
 
     def _paint(self) -> None:
@@ -279,21 +264,18 @@ class TensionPage(Page):
         fill(self.column, self.view, self.numbers, 1)
 
     def enter(self) -> None:
-        """Estimate γ0."""
         self.calibration.reach(Step.TENSION, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether γ0 is estimated."""
         return answer.work.settings.reached >= Step.TENSION
 
     def show_answer(self, answer: Answer) -> None:
-        """Show γ0 and its parts."""
-        units, estimate = self.units, answer.draft.tension
-        unit = units.tension
-        if estimate is None:
+        units, found, unit = self.units, answer.draft.found, self.units.tension
+        if found is None:
             self.view.show_image("γ0 of each neighbourhood", None, unit, 0.0, 1.0)
             self.numbers.set("γ0", unit.text(None))
             return
+        estimate = found.tension
         value = estimate.tension.value
         self.view.show_image(
             "γ0 of each neighbourhood",

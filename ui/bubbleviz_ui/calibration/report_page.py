@@ -36,24 +36,14 @@ if TYPE_CHECKING:
 
 
 class ReportPage(Page):
-    """What the identification is worth, and what to do with it.
-
-    Attributes
-    ----------
-    use : Signal
-        Open the identified sensor on the present source.
-    save : Signal
-        Path of the sensor file to write.
-    use_it, save_as : QPushButton
-        The panel has them where the other steps have theirs.
-    """
+    """What the identification is worth, and what to do with it."""
 
     name = "Report"
     title = "Report"
     todo = "Compare with the sensor in use, then save the new one, or use it now."
     next_title = "Compare and save"
-    use = Signal()
-    save = Signal(object)
+    use = Signal()  # open the identified sensor on the present source
+    save = Signal(object)  # path of the sensor file to write
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -71,11 +61,9 @@ class ReportPage(Page):
         self.save_as.clicked.connect(self.choose_file)
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether the sensor file of this answer was saved."""
         return self.calibration.saved == answer.work
 
     def show_answer(self, answer: Answer) -> None:
-        """Show verdict, table and difference."""
         verdict, comparison = answer.verdict(self.units), answer.comparison
         ready = not self.calibration.busy and not self.calibration.outdated
         for button in (self.use_it, self.save_as):
@@ -120,7 +108,6 @@ class ReportPage(Page):
         return by_kind[kind]
 
     def choose_file(self) -> None:
-        """Ask for the name of a sensor file, and have it written."""
         proposed, kinds = own_name(self.calibration.name), "Sensor files (*.toml)"
         path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
         if path is not None:
@@ -144,7 +131,6 @@ class ReportPage(Page):
 
 
 def own_name(source: str) -> str:
-    """File name for an identified sensor, by what it was identified from and the day."""
     stem = re.sub(r"[^\w-]+", "_", Path(source).stem).strip("_") or "sensor"
     return f"{stem}_{time.strftime('%Y-%m-%d')}.toml"
 
@@ -153,19 +139,14 @@ def own_name(source: str) -> str:
 
 
 class ValidationPage(Page):
-    """Object, pose and frames of a press; distances of the cloud from the prediction.
-
-    Attributes
-    ----------
-    painted : Signal
-        Points (k, 3) in m and their signed distances in m, for the 3-D view.
-    """
+    """Object, pose and frames of a press; distances of the cloud from the prediction."""
 
     name = "Press"
     title = "Validation"
     todo = "Say which object was pressed where, and compare, if you know it."
     sets = ("press",)
     next_title = "Validate by a known press"
+    # points (k, 3) in m and their signed distances in m, for the 3-D view
     painted = Signal(object, object)
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -194,11 +175,9 @@ class ValidationPage(Page):
         self.paint.clicked.connect(self._paint)
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether a press was compared."""
         return answer.draft.validation is not None
 
     def show_answer(self, answer: Answer) -> None:
-        """Show what was chosen and what came of it."""
         units, press = self.units, self.calibration.settings.press
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))

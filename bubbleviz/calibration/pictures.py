@@ -1,26 +1,52 @@
-"""The pictures of an identification's report, each with its scale, as an HTML page holds them."""
+"""Images of an identification, for the window, and the pictures of its report."""
 
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
 from io import BytesIO
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.figure import Figure
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.pixel_images import before_after, local_tension_image
+from bubbleviz.calibration.tension import local_tension
 from bubbleviz.calibration.validation import Validation
+from bubbleviz.camera import RayCaster
 
 _SEQUENTIAL, _DIVERGING = "viridis", "RdBu_r"
-_MISSING = "#28282c"
-"""Colour of pixels without a number."""
+_MISSING = "#28282c"  # colour of pixels without a number
+_BLUR = 0.1  # of the dome's size: below it the spread is the facets'
 
 
-@dataclass(frozen=True)
-class ReportPicture:
+def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
+    """The last contact-free frame less the surface, before rectification and after it.
+
+    Ranges (H, W), m; NaN outside the pixels in use.
+    """
+    frame = found.model.camera.range_image(found.samples.depth_m[-1])
+    pixels, line = found.pixels, found.pixels.line
+    straight = frame if line is None else line.straighten(frame)
+    before, after = (
+        np.where(pixels.mask, image - found.modelled_range_m, np.nan) for image in (frame, straight)
+    )
+    return before, after - pixels.bias_m
+
+
+def local_tension_image(found: Identification) -> np.ndarray:
+    """γ0 by the balance of each neighbourhood as the camera sees it, (H, W), N/m."""
+    scale = _BLUR * float(np.sqrt(found.mesh.areas.sum()))
+    field = local_tension(found.mesh, found.tension.gauge_pressure_pa, scale)
+    camera, mesh = found.model.camera, found.mesh
+    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
+        mesh.nodes, mesh.normals
+    )
+    image = np.full(found.pixels.mask.shape, np.nan)
+    at = field[mesh.triangles[hits.triangle]]
+    image.ravel()[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, at)
+    return image
+
+
+class ReportPicture(NamedTuple):
     """A picture with a title, a sentence, and its PNG as a data URI."""
 
     title: str
@@ -29,7 +55,6 @@ class ReportPicture:
 
 
 def pictures(found: Identification, validation: Validation | None) -> list[ReportPicture]:
-    """Every picture of a report."""
     statistics, residual, mask = found.statistics, found.surfaces.residual_m, found.pixels.mask
     limit = 3.0 * float(np.std(residual[mask]))
     top = float(np.nanpercentile(statistics.noise_m[mask], 99.0))
@@ -73,6 +98,9 @@ def _picture(
     colours: str = _SEQUENTIAL,
 ) -> ReportPicture:
     """An image (H, W) in a unit, with its colour bar."""
+    from matplotlib import colormaps  # 0.4 s, which the window starts without
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(6.0, 6.0 * image.shape[0] / image.shape[1]), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()

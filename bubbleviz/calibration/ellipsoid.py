@@ -1,0 +1,163 @@
+"""Robust orthogonal fits of a sphere and of an ellipsoid to a cloud of membrane points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from bubbleviz.errors import InputError
+from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, mesh_cap
+from bubbleviz.recordings import robust_sigma, tukey_loss
+
+Loss = Callable[[np.ndarray], np.ndarray]
+
+_SEARCH_POINTS = 5_000  # to get near; all of them finish
+_CLOSE = 1e-6  # relative change of the loss that ends a fit: of 10⁴ points, far below their noise
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid with semi-axes along the frame's; a sphere is one with equal ones."""
+
+    centre_m: np.ndarray  # (3,), m, in the frame of the points
+    semi_axes_m: np.ndarray  # (3,), m
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed orthogonal distance of points (k, 3), positive outside, m; shape (k,).
+
+        To first order in distance over radius of curvature, far below the noise for the
+        millimetre or so by which a membrane differs from an ellipsoid.
+        """
+        _, radius, slope = self._scaled(points)
+        return (radius - 1.0) * radius / slope
+
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """Unit outward normals of the family of similar ellipsoids at points; (k, 3)."""
+        gradient = self._scaled(points)[0] / self.semi_axes_m
+        return gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+
+    def derivatives(self, points: np.ndarray, *, sphere: bool) -> np.ndarray:
+        """Derivatives of the distances by the centre and the radius (k, 4), or semi-axes (k, 6)."""
+        scaled, radius, slope = self._scaled(points)
+        by_radius = ((2.0 * radius - 1.0) / slope / radius)[:, None]
+        by_slope = ((radius**2 - radius) / slope**3)[:, None] / self.semi_axes_m**2
+        gradient = (by_radius - by_slope) * scaled / self.semi_axes_m
+        axes = (2.0 * by_slope - by_radius) * scaled**2 / self.semi_axes_m
+        sizes = axes.sum(axis=1, keepdims=True) if sphere else axes
+        return np.concatenate([-gradient, sizes], axis=1)
+
+    def moved(self, step: np.ndarray) -> Ellipsoid:
+        """Ellipsoid after a step (4,) or (6,) in the parameters of `derivatives`."""
+        return Ellipsoid(self.centre_m + step[:3], np.abs(self.semi_axes_m + step[3:]))
+
+    def _scaled(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points over the semi-axes a, |x/a| (1 on the surface) and |x/a²| in 1/m."""
+        scaled, tiny = (points - self.centre_m) / self.semi_axes_m, np.finfo(float).tiny
+        radius, slope = (
+            np.sqrt(np.einsum("ij,ij->i", each, each))
+            for each in (scaled, scaled / self.semi_axes_m)
+        )
+        return scaled, np.maximum(radius, tiny), np.maximum(slope, tiny)
+
+
+def fit_sphere(points: np.ndarray) -> Ellipsoid:
+    """Sphere through points (k, 3) in m, with outliers down-weighted to nothing."""
+    points = _known(points)
+    centre, radius = _algebraic_sphere(_thinned(points))
+    return _fit(points, Ellipsoid(centre, np.full(3, radius)), sphere=True)
+
+
+def fit_ellipsoid(points: np.ndarray) -> Ellipsoid:
+    """Ellipsoid through points (k, 3) in m, with outliers down-weighted to nothing.
+
+    Raises InputError: too few points, or no ellipsoid explains them (a flat membrane, depth in a
+    wrong unit).
+    """
+    points = _known(points)
+    return _fit(points, fit_sphere(_thinned(points)), sphere=False)
+
+
+def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
+    """Robust least squares: Cauchy's loss to get near, Tukey's to finish, at its own scale."""
+    few = _thinned(points)
+    for loss in ("cauchy", tukey_loss, tukey_loss):
+        surface = _descend(few, surface, loss, sphere=sphere)
+    if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
+        raise InputError(
+            "contact-free cloud: no dome fits it (flat, or hollow); check that the"
+            " membrane is inflated and the depth is in metres"
+        )
+    if len(points) > len(few):
+        surface = _descend(points, surface, tukey_loss, sphere=sphere)
+    return surface
+
+
+def _descend(
+    points: np.ndarray, start: Ellipsoid, loss: Literal["cauchy"] | Loss, *, sphere: bool
+) -> Ellipsoid:
+    """Least of a loss whose scale is that of the distances at the start."""
+    sigma = max(robust_sigma(start.distance(points), center=0.0), 1e-9)
+    count = 4 if sphere else 6
+
+    def distances(step: np.ndarray) -> np.ndarray:
+        return start.moved(step).distance(points) / sigma
+
+    def slopes(step: np.ndarray) -> np.ndarray:
+        return start.moved(step).derivatives(points, sphere=sphere) / sigma
+
+    scale = np.full(count, start.semi_axes_m.max())
+    step = least_squares(
+        distances, np.zeros(count), slopes, x_scale=scale, ftol=_CLOSE,
+        loss=loss,  # type: ignore[arg-type]  # the stub's protocol names its argument
+    ).x  # fmt: skip
+    return start.moved(step)
+
+
+def _known(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points, float).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 20:
+        raise InputError(
+            f"contact-free cloud: only {len(points)} points; check that the camera sees the"
+            " membrane"
+        )
+    return points
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    return points[:: max(1, len(points) // _SEARCH_POINTS)]
+
+
+def _algebraic_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Sphere of least squares in x² + y² + z² = 2 c·x + k, on the central half of the points."""
+    middle = np.median(points, axis=0)
+    far = np.linalg.norm(points - middle, axis=1)
+    local = points[far <= np.quantile(far, 0.8)] - middle
+    rows = np.column_stack([2.0 * local, np.ones(len(local))])
+    solution = np.linalg.lstsq(rows, np.sum(local**2, axis=1), rcond=None)[0]
+    centre = solution[:3]
+    radius = float(np.sqrt(max(solution[3] + centre @ centre, 1e-12)))
+    return middle + centre, radius
+
+
+def cap_over_rim(ellipsoid: Ellipsoid) -> EllipsoidalCap:
+    """The part of a fitted ellipsoid above the rim plane z = 0."""
+    ax, ay, c = (float(x) for x in ellipsoid.semi_axes_m)
+    sunk = float(ellipsoid.centre_m[2]) / c
+    if not -1.0 < sunk < 1.0:
+        raise InputError(
+            "contact-free cloud: the fitted dome does not reach the rim plane z = 0; correct"
+            " camera.position_m in the sensor file"
+        )
+    at_rim = float(np.sqrt(1.0 - sunk**2))
+    return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + sunk), c)
+
+
+def mesh_ellipsoid(ellipsoid: Ellipsoid, nodes: int) -> MembraneMesh:
+    """Mesh of the part of a fitted ellipsoid above the rim plane, where it lies in B."""
+    mesh = mesh_cap(cap_over_rim(ellipsoid), nodes)
+    return replace(mesh, nodes=mesh.nodes + ellipsoid.centre_m * (1.0, 1.0, 0.0))
