@@ -35,8 +35,15 @@ RUBBERS: dict[str, Callable[[], InflatedRubber]] = {
     "oval sheet": lambda: InflatedRubber.oval_sheet(_OVAL_M, 140.0, 1.05, GAUGE_PA),
     "round dome": lambda: InflatedRubber.moulded_dome(_ROUND_M, 0.020, 150.0, 1.1, GAUGE_PA),
     "oval dome": lambda: InflatedRubber.moulded_dome(_OVAL_M, 0.020, 150.0, 1.1, GAUGE_PA),
+    "uneven round dome": lambda: InflatedRubber.moulded_dome(
+        _ROUND_M, 0.0235, 155.0, 1.0001, GAUGE_PA
+    ),
+    "uneven oval dome": lambda: InflatedRubber.moulded_dome(
+        _OVAL_M, 0.0235, 155.0, 1.0001, GAUGE_PA
+    ),
 }
-"""Sheets that were flat, and domes moulded as such; λ of 1.11 to 1.24 at γ0."""
+"""Sheets that were flat, and domes moulded as such, evenly stretched or not; λ of 1.08 to 1.24 at
+γ0."""
 
 QUANTITIES = ("tension_n_per_m", "prestretch", "gauge_pressure_pa")  # γ0, λ and G
 
@@ -48,6 +55,7 @@ class CoverageGrid:
     rubbers: tuple[str, ...] = tuple(RUBBERS)
     seeds: int = 50  # of the noise, for every rubber
     levels: tuple[float, ...] = (0.85, 1.15)  # beside the rest, over its gauge pressure
+    pressure_error: float = 0.02  # of the last level's pressure over itself, in half of the seeds
     frames: int = 60  # of every level: two seconds
     width: int = 224  # of the image, pixels: a pico flexx's
     nodes: int = 1000  # of the mesh that is identified: those of `identify`
@@ -112,6 +120,9 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     vented = Vented("vented", ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
     sensor = replace(vented, pressure_pa=weather).set_in(rubber.sensor(grid.width))
     rest, *others = _recorded(grid, rubber, seed)
+    if seed % 2:
+        off = grid.pressure_error * rng.choice([-1.0, 1.0]) * grid.levels[-1] * GAUGE_PA
+        others[-1].pressures_pa = others[-1].pressures_pa + off
     levels = [collect(source, sensor, range(grid.frames)) for source in others]
     truths = rubber.tension_n_per_m, rubber.prestretch, rubber.gauge_pressure_pa
     for known, opened in (("levels", None), ("vented", vented)):
@@ -136,10 +147,8 @@ def _recorded(grid: CoverageGrid, rubber: InflatedRubber, seed: int) -> list[Inf
     ]
 
 
-COVERED = 0.9
-"""Share of the seeds whose interval should hold the truth, and whose number be within reach."""
-REACH = {"prestretch": 0.04, "gauge_pressure_pa": 0.05}
-"""Error of λ, and relative error of the gauge pressure, that levels of ±15 % should allow."""
+COVERED = 0.93
+"""Share of the seeds whose interval should hold the truth."""
 _SYMBOLS = dict(zip(QUANTITIES, ("γ0", "λ", "G"), strict=True))
 
 
@@ -152,7 +161,6 @@ def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
     for (rubber, known, quantity), own in groups(rows, "rubber", "known", "quantity").items():
         told = [row for row in own if row.determined]
         errors = np.array([row.error for row in told] or [np.nan])
-        reach = REACH.get(quantity, np.nan)
         scale = [1.0 if quantity == "prestretch" else row.truth for row in told]
         widths = [0.5 * (r.high - r.low) / unit for r, unit in zip(told, scale, strict=True)]
         found.append(
@@ -160,7 +168,6 @@ def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
                 **{"rubber": rubber, "known": known, "quantity": quantity},
                 **{"seeds": len(own), "determined": len(told)},
                 "covered": float(np.mean([row.covered for row in told] or [np.nan])),
-                "within": float(np.mean(np.abs(errors) <= reach)) if reach > 0.0 else np.nan,
                 "rms_error": float(np.sqrt(np.mean(errors**2))),
                 "worst_error": float(np.abs(errors).max()),
                 "bias": float(errors.mean()),
@@ -176,16 +183,13 @@ def targets(rows: Sequence[CoverageRow]) -> list[Target]:
     for one in coverages(rows):
         name = f"{one['rubber']}, {one['known']}: {_SYMBOLS[one['quantity']]}"
         found.append(at_least(f"{name}, share covered", one["covered"], COVERED))
-        if one["quantity"] in REACH:
-            reach = f"{100 * REACH[one['quantity']]:g} %"
-            found.append(at_least(f"{name}, share within {reach}", one["within"], COVERED))
     return found
 
 
 def report_of(rows: Sequence[CoverageRow]) -> Report:
     """Coverage and errors; those of λ in hundredths."""
     words = (Column(n, n) for n in ("rubber", "known", "quantity", "determined", "seeds"))
-    shares = (Column(f"{n} %", n, ".0f", 100) for n in ("covered", "within"))
+    shares = (Column("covered %", "covered", ".0f", 100),)
     names = ("rms_error", "worst_error", "bias", "half_width")
     errors = (Column(f"{n.replace('_', ' ')} %", n, ".2f", 100) for n in names)
     table = Table("coverage", coverages(rows), (*words, *shares, *errors))
