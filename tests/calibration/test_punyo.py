@@ -54,8 +54,10 @@ def test_held_out_residual_and_fits(press, found):
     assert np.sqrt(np.nanmean(residual**2)) < 0.25e-3
     assert np.sqrt(np.nanmean((residual - bias) ** 2)) < 0.08e-3
     assert np.abs(np.nanmedian(residual - bias, axis=1)).max() < 1e-5
-    semi_axes = found.surfaces.cap.semi_axes_m
-    np.testing.assert_allclose(np.sort(semi_axes), [0.0416, 0.0437, 0.0585], atol=1e-3)
+    cap = found.surfaces.cap
+    at_rim = np.sqrt(1.0 - (cap.centre_m[2] / cap.semi_axes_m[2]) ** 2)
+    rim = cap.semi_axes_m[:2] * at_rim  # the drawing's
+    np.testing.assert_allclose(np.sort(rim), [0.0396, 0.0557], atol=2e-3)
     assert found.pixels.mask.sum() > 180_000
 
 
