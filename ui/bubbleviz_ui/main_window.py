@@ -179,7 +179,7 @@ class MainWindow(QMainWindow):
             self.controller.opening.recording(path)
 
     def show_costs(self) -> None:
-        """Show what runs and what it costs."""
+        """Show the time that each stage takes."""
         popup = CostsPopup(self, self.state, self.controller, self.costs, self.view)
         popup.open_over(self.status)
 
@@ -516,7 +516,7 @@ class MainWindow(QMainWindow):
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, ""
         if failed.key == "open":
-            message, topic = f"{message.rstrip('.')}. What was open stays.", OPENING
+            message, topic = f"{message.rstrip('.')}. The current source stays open.", OPENING
         elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
             self.state.set_playing(False)
         kind: MessageKind = "warning" if failed.warning else "error"

@@ -63,7 +63,7 @@ class WindowParts(Protocol):
         """Show the documentation."""
 
     def show_costs(self) -> None:
-        """Show what runs and what it costs."""
+        """Show the time that each stage takes."""
 
     def show_export(self) -> None:
         """Export frames as files."""

@@ -48,6 +48,8 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     force = driver.state.history.values["force_n"]
     driver.key(Qt.Key.Key_Home, CTRL)
     assert driver.state.frame == np.nanargmax(force)
+    told = driver.window.notice.label.text()  # a larger one may be among the others
+    assert "computed so far" in told and f"{np.isnan(force).sum()} frames" in told
     driver.key(Qt.Key.Key_PageUp, CTRL)
     first = driver.state.frame
     assert driver.state.history.contact[first] == CONTACT != driver.state.history.contact[first - 1]

@@ -139,7 +139,7 @@ def _looks(choices: Choices) -> Products:
     return wanted
 
 
-# What runs and what it costs: each stage's time and count, and who asked for it. No Qt in here.
+# Performance: each stage's time and count, and who asked for it. No Qt in here.
 
 
 STAGES = {

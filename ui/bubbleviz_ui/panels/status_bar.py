@@ -205,13 +205,13 @@ class StatusBar(QStatusBar):
         return label
 
 
-# Pop-up of the status bar: what runs, what it costs, and why it runs.
+# Pop-up of the status bar: which stages run, how long they take, and what needs them.
 
 
 EVERY_MS = 500  # twice a second, as can be read
 COLUMNS = ("Stage", "last", "median", "runs", "Why it runs")
 WIDTH = 860  # px: all columns
-NOBODY = "nobody asks: it does not run"
+NOBODY = "idle: nothing needs it"
 
 
 class CostsPopup(QFrame):
@@ -281,7 +281,7 @@ class CostsPopup(QFrame):
     def _lay_out(self) -> None:
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setFixedWidth(WIDTH)
-        title = QLabel("What runs and what it costs")
+        title = QLabel("Performance")
         title.setObjectName("value")
         table = self.table
         table.setHorizontalHeaderLabels(COLUMNS)

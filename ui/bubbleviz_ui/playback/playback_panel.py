@@ -95,9 +95,9 @@ class PlaybackPanel(QWidget):
         super().__init__()
         self._state = state
         self.first = tool_button("", "First frame (Home)")
-        self.back = tool_button("", "One frame back (←)")
+        self.back = tool_button("", "Previous frame (←)")
         self.play = tool_button("", "Play or pause (Space)")
-        self.forward = tool_button("", "One frame on (→)")
+        self.forward = tool_button("", "Next frame (→)")
         self.last = tool_button("", "Last frame (End)")
         self.jumps = {seconds: self._jump(seconds) for seconds in JUMPS}
         self.timeline = Timeline(state)

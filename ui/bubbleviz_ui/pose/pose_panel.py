@@ -229,7 +229,7 @@ class PosePanel(QWidget):
         self.object = QComboBox()
         self.unit = QComboBox()
         self.start = StartBoxes(state.units)
-        self.search = QCheckBox("Search for it")
+        self.search = QCheckBox("Search pose")
         self.move_it = QPushButton("Move in view")
         self.here = QPushButton("Start from here")
         self.once = QPushButton("Fit once")

@@ -118,7 +118,7 @@ def open_words(pose: Pose) -> str:
     """Which directions the contact does not determine."""
     open_ = pose.motions[:, ~pose.determined]
     if not open_.size:
-        return "nothing: all six directions are"
+        return "none (all 6 DoF observable)"
     shifts, turns = (len(axes) for axes in open_axes(open_))
     parts = []
     if shifts:

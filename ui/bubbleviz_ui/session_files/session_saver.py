@@ -289,7 +289,7 @@ class SessionSaver(QObject):
             self.save()
         except (InputError, OSError) as error:
             self._timer.stop()
-            self._tell("error", f"The session is not saved any more: {error}")
+            self._tell("error", f"Autosave stopped: {error}")
 
     # -- inside -------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from bubbleviz_ui.shell.shortcuts import Shortcuts, ranked
 WIDTH, HEIGHT = 520, 340
 TOP = 60
 """Distance from the window's upper edge, screen pixels."""
-NOTHING_FITS = "Nothing fits; type other letters, or fewer"
+NOTHING_FITS = "No matching command"
 MOVES = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
 
 

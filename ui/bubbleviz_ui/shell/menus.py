@@ -14,10 +14,11 @@ from vtkmodules.vtkCommonCore import vtkVersion
 
 import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
+from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.solver import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.model.registry import LAYERS
+from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_option
@@ -28,7 +29,11 @@ from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
 
-NO_CONTACT = "No such contact in the frames computed so far; Analyse all frames (Plots) finds all"
+NO_CONTACT = "No such contact in the frames computed so far; Analyse all frames finds all"
+SO_FAR = (
+    "Largest force of the frames computed so far; not yet computed: {}. "
+    "Analyse all frames includes them"
+)
 SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
 
 
@@ -78,7 +83,7 @@ class Menus:
     def _help(self, menu: QMenu) -> None:
         palette = self._add(menu, "&Command palette…", self._window.show_palette)
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
-        self._add(menu, "&What runs and what it costs", self._window.show_costs, "Ctrl+I")
+        self._add(menu, "&Performance", self._window.show_costs, "Ctrl+I")
         self._add(menu, "&Messages…", self._window.show_messages)
         self._add(menu, "&Documentation…", self._window.show_pages, "F1")
         self._add(menu, "&First steps", self._window.hint.show)
@@ -108,8 +113,8 @@ class Menus:
     def _playback(self, menu: QMenu) -> None:
         state = self._window.state
         self._add(menu, "&Play / pause", lambda: state.set_playing(not state.playing), "Space")
-        self._add(menu, "One frame &back", lambda: state.step(-1), "Left")
-        self._add(menu, "One frame &on", lambda: state.step(1), "Right")
+        self._add(menu, "Pre&vious frame", lambda: state.step(-1), "Left")
+        self._add(menu, "&Next frame", lambda: state.step(1), "Right")
         for title, seconds, keys in (
             ("0.1 s back", -0.1, "Shift+Left"),
             ("0.1 s on", 0.1, "Shift+Right"),
@@ -121,8 +126,9 @@ class Menus:
         self._add(menu, "&Last frame", self._last_frame, "End")
         self._add(menu, "&Go to frame…", self._go_to_frame, "Ctrl+G")
         self._add(menu, "Next contact", lambda: self._seek_contact(1), "Ctrl+PgDown")
-        self._add(menu, "Contact before", lambda: self._seek_contact(-1), "Ctrl+PgUp")
+        self._add(menu, "Previous contact", lambda: self._seek_contact(-1), "Ctrl+PgUp")
         self._add(menu, "Largest force", self._seek_largest_force, "Ctrl+Home")
+        self._add(menu, "Analyse all frames", self._window.controller.analysis.start)
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
             self._add(menu, title, partial(self._change_speed, direction), keys)
@@ -187,7 +193,7 @@ class Menus:
         CheckMark(turntable, turn.isChecked, turn.setChecked, turn.toggled)
         for tool, title in (("probe", "&Probe a place"), ("distance", "Measure a &distance")):
             self._tool(menu, tool, title)
-        self._add(menu, "&Clear what was probed", partial(window.tools.use_tool, "rotate"), "Esc")
+        self._add(menu, "&Clear probe", partial(window.tools.use_tool, "rotate"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
         self._layers(menu.addMenu("&Visible layers"))
         scenes = menu.addMenu("&Scene")
@@ -305,7 +311,12 @@ class Menus:
         self._seek_found(state.history.next_contact(state.frame, direction))
 
     def _seek_largest_force(self) -> None:
-        self._seek_found(self._window.state.history.largest_force())
+        history, facts = self._window.state.history, self._window.state.facts
+        frame, missing = history.largest_force(), len(history.missing(PATCH))
+        self._seek_found(frame)
+        if frame is not None and missing and facts is not None and not facts.grows:
+            text = SO_FAR.format(count_of(missing, "frame"))
+            self._window.messages.tell(UserMessage("notice", text))
 
     def _seek_found(self, frame: int | None) -> None:
         if frame is None:

@@ -180,7 +180,7 @@ class BusyBar(_Bar):
         self.progress = QProgressBar(minimum=0, maximum=0)
         self.progress.setFixedWidth(160)
         self.cancel = QPushButton("Cancel")
-        self.cancel.setToolTip("What was open stays")
+        self.cancel.setToolTip("The current source stays open")
         super().__init__(parent, "busy", self.progress, self.cancel)
         self._due = QTimer(self, singleShot=True, interval=SHOWN_AFTER_MS)
         self._due.timeout.connect(self.show)
