@@ -119,7 +119,7 @@ class StatusBar(QStatusBar):
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
-        of_all = "" if facts.grows else f" of {facts.frames}"
+        of_all = "" if facts.grows else f" of {facts.frames - 1}"
         place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
             "frame": f"frame {NOTHING} · {units.time.text(None)}" if facts.nothing else place,
