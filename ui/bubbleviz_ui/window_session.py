@@ -32,6 +32,8 @@ PATIENCE_S = 300.0
 """How long opening or a picture may take, on a busy machine too, before it is called broken."""
 CONNECT_S = 5.0
 """How long a live source may take before the window is shown without it."""
+NO_OPENGL = frozenset({"offscreen", "minimal"})
+"""Platforms of Qt on which the 3-D view would wait for its first picture for ever."""
 SWITCH_S = 5e-4
 """How long the solver thread may keep Python to itself while the window waits; 5 ms by default."""
 
@@ -276,6 +278,8 @@ def application() -> QApplication:
     else:
         if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
             os.environ.setdefault("QT_QPA_PLATFORM", "xcb")  # VTK draws through X
+        if os.environ.get("QT_QPA_PLATFORM") in NO_OPENGL:
+            os.environ["QT_QPA_PLATFORM"] = "xcb"  # there is an X server, or Xvfb was started
         made = QApplication(["bubbleviz"])
     if made.findChild(GarbageCollector) is None:
         GarbageCollector(made)
