@@ -278,7 +278,8 @@ def application() -> QApplication:
     else:
         if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
             os.environ.setdefault("QT_QPA_PLATFORM", "xcb")  # VTK draws through X
-        if os.environ.get("QT_QPA_PLATFORM") in NO_OPENGL:
+        linux = sys.platform.startswith("linux")
+        if linux and os.environ.get("QT_QPA_PLATFORM") in NO_OPENGL:
             os.environ["QT_QPA_PLATFORM"] = "xcb"  # there is an X server, or Xvfb was started
         made = QApplication(["bubbleviz"])
     if made.findChild(GarbageCollector) is None:
