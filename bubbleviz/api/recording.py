@@ -280,7 +280,9 @@ def zenoh_place(
     )
 
     if listen is not None and connect is not None:
-        raise InputError("give either --listen (subscribers connect here) or --connect (a router)")
+        raise InputError(
+            "give either --listen (subscribers connect here) or --connect (a router), not both"
+        )
     if connect is None:
         listen = listen or ROUTER
     option = "--connect" if listen is None else "--listen"

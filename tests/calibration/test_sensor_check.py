@@ -122,7 +122,7 @@ def test_another_camera(sensor, rest):
     try:  # some of the frames just do, or none
         told = bv.estimate(wider[:3], sensor).warning
     except InputError as error:
-        assert "choose its own sensor file" in str(error)
+        assert "choose the sensor file of this camera" in str(error)
     else:
         assert "fx 109.5, the sensor file 107.4" in told
     assert bv.estimate(rest[:3], sensor).warning is None

@@ -269,7 +269,7 @@ def test_a_published_recording_waits_for_its_first_subscriber(tmp_path, eventual
     assert (publisher.returncode, stderr) == (0, "")
     assert sum(json.loads(stdout)["sent"].values()) == len(arrived)
     done = run(*common, "zenoh:")
-    assert done.exit_code == 2 and "leave --wait out" in done.stderr
+    assert done.exit_code == 2 and "leave out --wait" in done.stderr
 
 
 def test_colour_images_are_published_with_the_pose_of_their_camera(tmp_path, small_sensor):
