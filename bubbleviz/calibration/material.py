@@ -485,16 +485,13 @@ class _Problem:
         return None
 
     def _slopes(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the changes by the unknowns (D, 2 + Z), and by the stress at rest (D,)."""
+        """Derivatives of the changes by the unknowns (D, N), and by the stress at rest (D,)."""
         found, q = self._at(vector), float(vector[0])
         assert found is not None
         here, ahead = (self._rubber.with_q(each) for each in (q, (1.0 + _STEP_OF_Q) * q))
         pull, slopes, by_stress = here.force(here.mesh.nodes), [], []
-        gauge_pa, rises_pa, first = (
-            self._gauge_pa * vector[1],
-            self._rises_pa(vector),
-            self._errors.start,
-        )
+        gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
+        error = np.arange(self._size)[self._errors]
         for k, (shape, place, each) in enumerate(
             zip(self._shapes, self._places, found, strict=True)
         ):
@@ -514,8 +511,8 @@ class _Problem:
             by_rise = rows[:, 2]  # by a pascal
             own[:, 0], own[:, 1] = rows[:, 1], -rises_pa[k] / vector[1] * by_rise
             own[:, place] = rows[:, 3:]
-            own[:, first] = -self._pressure_sigma_pa[0] * by_rise
-            own[:, first + 1 + k] = self._pressure_sigma_pa[1 + k] * by_rise
+            own[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
+            own[:, error[1 + k]] = self._pressure_sigma_pa[1 + k] * by_rise
             slopes.append(own)
             by_stress.append(rows[:, 0])
         return np.concatenate(slopes), np.concatenate(by_stress)

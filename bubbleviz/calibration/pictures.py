@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from io import BytesIO
-from typing import NamedTuple
 
 import numpy as np
 
@@ -46,15 +45,7 @@ def local_tension_image(found: Identification) -> np.ndarray:
     return image
 
 
-class ReportPicture(NamedTuple):
-    """A picture with a title, a sentence, and its PNG as a data URI."""
-
-    title: str
-    text: str
-    uri: str
-
-
-def pictures(found: Identification, validation: Validation | None) -> list[ReportPicture]:
+def pictures(found: Identification, validation: Validation | None) -> list[dict[str, str]]:
     statistics, residual, mask = found.statistics, found.surfaces.residual_m, found.pixels.mask
     limit = 3.0 * float(np.std(residual[mask]))
     top = float(np.nanpercentile(statistics.noise_m[mask], 99.0))
@@ -78,7 +69,7 @@ def pictures(found: Identification, validation: Validation | None) -> list[Repor
     ]  # fmt: skip
 
 
-def _of_validation(validation: Validation) -> list[ReportPicture]:
+def _of_validation(validation: Validation) -> list[dict[str, str]]:
     limit = 1e3 * max(3.0 * validation.rms_m, 1e-9)
     patches = validation.predicted_patch + 2.0 * validation.measured_patch
     return [
@@ -96,8 +87,8 @@ def _picture(
     unit: str,
     ends: tuple[float, float],
     colours: str = _SEQUENTIAL,
-) -> ReportPicture:
-    """An image (H, W) in a unit, with its colour bar."""
+) -> dict[str, str]:
+    """Title, text and PNG as a data URI of an image (H, W) in a unit, with its colour bar."""
     from matplotlib import colormaps  # 0.4 s, which the window starts without
     from matplotlib.figure import Figure
 
@@ -110,4 +101,4 @@ def _picture(
     file = BytesIO()
     figure.savefig(file, format="png", dpi=120)
     data = base64.b64encode(file.getvalue()).decode()
-    return ReportPicture(title, text, f"data:image/png;base64,{data}")
+    return {"title": title, "text": text, "uri": f"data:image/png;base64,{data}"}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.camera import DepthCamera, MembraneView
+from bubbleviz.camera import MembraneView
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import parse_pose
 from bubbleviz.membrane import ForwardModel, Gas
@@ -112,7 +112,7 @@ def validate(
         seen, force = result.patch.pixel_mask, result.patch.force_n
     union = int(np.count_nonzero(predicted | seen))
     return Validation(
-        points_m=_points(camera, measured, seen_by),
+        points_m=camera.center + measured.ravel()[seen_by, None] * camera.directions[seen_by],
         distance_m=distance,
         pixels=seen_by,
         rms_m=_rms(distance),
@@ -155,11 +155,6 @@ def _distance(
     distance = (measured_m.ravel()[hits.ray] - hits.range_m) * facing
     known = np.isfinite(distance)
     return distance[known], hits.ray[known]
-
-
-def _points(camera: DepthCamera, range_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    points: np.ndarray = camera.center + range_m.ravel()[pixels, None] * camera.directions[pixels]
-    return points
 
 
 def _rms(values: np.ndarray) -> float:

@@ -178,7 +178,7 @@ def test_command_takes_further_levels(tmp_path):
     out = tmp_path / "new.toml"
     result = CliRunner().invoke(main, ["identify",
         str(files[0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "150",
-        "--level", str(files[1]), "--out", str(out), "--json",
+        "--level", str(files[1]), "--level-sigma", "20", "--out", str(out), "--json",
     ])  # fmt: skip
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["rectification"]["levels"] == 2

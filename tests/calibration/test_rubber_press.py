@@ -157,7 +157,10 @@ def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
     rubber = with_rubber(found, [], vented, held).rubber
     assert rubber.gauge_from == "vented"
     assert rubber.gauge.value == pytest.approx(G, rel=0.003)
-    assert rubber.prestretch.low < truth[3] < rubber.prestretch.high
+    stretch = rubber.prestretch  # so far stretched that constant tension may explain as much
+    assert (
+        stretch.low < truth[3] < stretch.high if stretch else "constant tension" in rubber.why_not
+    )
     assert rubber.prestretch_rests_on.startswith(
         "the press in press; the gauge pressure by the open"
     )
