@@ -13,7 +13,14 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import ObjectSurface, RubberMembrane, area_vectors
 from bubbleviz.pose.image_fit import ImageFit
-from bubbleviz.pose.motion import SEARCH_DEVIATION, Motion, motion_between, moved
+from bubbleviz.pose.motion import (
+    SEARCH_DEVIATION,
+    START_DEVIATION,
+    Motion,
+    motion_between,
+    moved,
+    way_at,
+)
 from bubbleviz.pose.pose_options import PoseOptions
 from bubbleviz.pose.pressed_membrane import PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Fit, Prior, Registration, directions
@@ -30,28 +37,44 @@ class Solution:
     pose: Fit
     ms: tuple[float, float]  # wall time of the stages
     motion: Motion  # pose and velocity with what this frame adds
+    # (6, 6), covariance of the pose by errors of the model, which last from frame to frame
+    lasting: np.ndarray
 
     def as_pose(self, contact: ContactPoints) -> Pose:
         """What consumers see."""
         found = directions(self.pose.surface, contact.radius_m)
+        on, count = self.pose.looked, len(contact.points)
         return Pose(
             status="ok",
             T_B_O=self.pose.T_B_O,
             stage_one=_stage(self.first, self.ms[0]),
             stage_two=_stage(self.pose, self.ms[1]),
             center_m=contact.center,
-            covariance=self.motion.covariance[:6, :6],
+            covariance=self.motion.covariance[:6, :6] + self.lasting,
             motions=found.motions,
             deviation_m=found.deviation_m,
             determined=found.determined,
             points_m=contact.points,
-            places_m=self.pose.places_m,
-            distance_m=self.pose.distance_m,
+            places_m=on.place[:count],
+            distance_m=on.signed_m[:count],
         )
 
 
 def _stage(fit: Fit, ms: float) -> Stage:
     return Stage(fit.T_B_O, fit.fitness, fit.rmse_m, fit.correspondences, fit.history, ms)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A fit, the prediction widened by what contradicts it, and the frame's own information."""
+
+    fit: Fit
+    predicted: Motion
+    information: np.ndarray  # (6, 6)
+    lasting: np.ndarray  # as of `Solution`
+
+
+_START = np.diag(START_DEVIATION**-2.0)
 
 
 class Solver:
@@ -96,11 +119,14 @@ class Solver:
             iterations=iterations,
         )
         between = time.perf_counter()
-        second = self._registration.stage_two(contact, first.T_B_O, prior, iterations=iterations)
-        second, information = self._seen(frame, contact, second, prior, settled)
-        motion = predicted.corrected(second.T_B_O, information)
+        second = self._registration.stage_two(contact, first, prior, iterations=iterations)
+        found = self._seen(frame, contact, second, predicted, settled)
+        if found is None:
+            information = second.surface + second.outline
+            found = _Found(second, predicted, information, np.linalg.inv(information + _START))
+        motion = found.predicted.corrected(found.fit.T_B_O, found.information)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
-        return Solution(first, second, times, motion)
+        return Solution(first, found.fit, times, motion, found.lasting)
 
     def best(
         self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
@@ -128,33 +154,40 @@ class Solver:
         return min(good, key=lambda solution: solution.pose.cost, default=None)
 
     def _seen(
-        self, frame: Frame, contact: ContactPoints, fit: Fit, prior: Prior, settled: bool
-    ) -> tuple[Fit, np.ndarray]:
-        """The fit moved to where the depth image has the object, and the information of that."""
+        self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, settled: bool
+    ) -> _Found | None:
+        """The fit moved to where the depth image has the object; None where no press is found."""
         options, directed = self._options.image, directions(fit.surface, contact.radius_m)
-        start = fit.T_B_O
+        center, radius_m = contact.center, contact.radius_m
+        T = fit.T_B_O
         if settled:  # where it is on its face is for the depth image to say, not the blurred patch
-            way = np.linalg.solve(
-                directed.motions, motion_between(prior.T_B_O, start, contact.center)
-            )
-            way = directed.motions @ (way * directed.determined)
-            start = moved(prior.T_B_O, way, contact.center)
+            way = np.linalg.solve(directed.motions, motion_between(predicted.T_B_O, T, center))
+            T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
         change = self._estimator.observer.pixel_residuals(frame.depth_m)
         valid_m = self._image.valid_m if settled else options.settled_m
-        T, step = start, None
         for _ in range(options.next_steps if settled else options.first_steps):
-            pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
             step = self._image.step(
-                change, contact, T, directed, prior.information, pull,
+                change, contact, T, directed, predicted.information,
                 valid_m=valid_m, gas_pressure_pa=frame.gas_pressure_pa,
             )  # fmt: skip
             if step is None:
-                return fit, fit.surface + fit.outline
-            T = moved(T, step.motion, contact.center)
-            if step.way_m < valid_m:
+                return None
+            from_predicted = motion_between(predicted.T_B_O, T, center)
+            if settled:
+                at_predicted = step.gradient + step.information @ from_predicted
+                predicted = predicted.widened(at_predicted, step.information)
+            known = predicted.information
+            motion = np.linalg.solve(
+                step.information + known, step.gradient - known @ from_predicted
+            )
+            way_m = way_at(radius_m, motion)
+            T = moved(T, motion * min(1.0, options.step_m / max(way_m, 1e-300)), center)
+            if way_m < valid_m:
                 break
-        assert step is not None
-        return self._registration.at(contact, fit, T), step.information
+        assert step is not None  # one is made at least
+        share = step.per_m4 / self._registration.precision.of_model
+        lasting = share * np.linalg.inv(step.information + _START)
+        return _Found(self._registration.at(contact, fit, T), predicted, step.information, lasting)
 
 
 # Where an object may be when nobody says: on one of its faces, turned any way, at the patch.

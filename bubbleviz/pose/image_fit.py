@@ -22,9 +22,9 @@ from bubbleviz.pose.registration import ContactPoints, Directions
 class ImageStep:
     """A step of the pose."""
 
-    motion: np.ndarray  # (6,), in B about the patch's centre
-    information: np.ndarray  # (6, 6), of the image about it
-    way_m: float  # of the patch's edge
+    information: np.ndarray  # (6, 6), about small motions in B about the patch's centre
+    gradient: np.ndarray  # (6,), which the image draws along
+    per_m4: float  # sum of 1/σ² of the pixels per area of membrane, as they are weighted
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class PredictedImage:
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
     held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
+    area_m2: float  # of the membrane that they see
 
     def at(self, T_B_O: np.ndarray) -> np.ndarray:
         """What is expected at a pose close by, (b,)."""
@@ -86,7 +87,6 @@ class ImageFit:
         T_B_O: np.ndarray,  # (4, 4)
         directions: Directions,  # which of them the contact determines
         known: np.ndarray,  # (6, 6), information there is already
-        pull: np.ndarray,  # (6,), gradient of what is known at `T_B_O`
         *,
         # way of the patch's edge over which the last linear model may be used again
         valid_m: float,
@@ -119,16 +119,13 @@ class ImageFit:
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
-        motion = np.linalg.solve(information + known, g - pull)
         if before is not None and predicted is not before:
             pushed = J.T @ (weight * predicted.missed_by(before)[seen])
             pushed = pushed[:6] - gain @ pushed[6:]
             squared = float(pushed @ np.linalg.solve(information + known, pushed))
             between = motion_between(before.T_B_O, predicted.T_B_O, contact.center)
             self._hold(way_at(contact.radius_m, between), squared)
-        way = way_at(contact.radius_m, motion)
-        motion *= min(1.0, self._options.step_m / max(way, 1e-300))
-        return ImageStep(motion, information, way)
+        return ImageStep(information, g, float(weight.sum()) / predicted.area_m2)
 
     def _hold(self, way_m: float, squared: float) -> None:
         """Set how far a linear model serves, by what one has missed over a way of the patch's edge.
@@ -183,7 +180,8 @@ class ImageFit:
         hits = caster.cast(press.nodes, mesh.normals)
         pixel, rays = pixel[hits.ray], rays[hits.ray]
         corners = mesh.triangles[hits.triangle]
-        facet = area_vectors(press.nodes, mesh.triangles)[hits.triangle]
+        vectors = area_vectors(press.nodes, mesh.triangles)
+        facet = vectors[hits.triangle]
         facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]])
         moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])
@@ -197,6 +195,7 @@ class ImageFit:
             jacobian=J[:, :6],
             held=press.held[hits.triangle],
             rounding=J[:, 6],
+            area_m2=float(np.linalg.norm(vectors[np.unique(hits.triangle)], axis=1).sum()),
         )
 
 

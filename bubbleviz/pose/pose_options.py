@@ -17,8 +17,8 @@ class PressOptions:
     # which they are twice as dense, pass from one triangle to the next without a jump
     spacing_edges: float = 0.5
     # way around the patch in which the membrane is followed exactly. Further away it turns by some
-    # degrees, and linear equations leave 0.02 mm.
-    reach_m: float = 20e-3
+    # degrees, and linear equations leave 0.01 to 0.04 mm.
+    reach_m: float = 8e-3
     # by how much more at first, so that the contact may move that far before another part of the
     # membrane is followed
     margin_m: float = 8e-3
@@ -79,9 +79,9 @@ class StageOptions:
     # close_m, far_m: how far off a prediction, and a start, may be
     close_m: float = 2e-3
     far_m: float = 5e-3
-    # tracking, converging, looking: iterations of each stage while tracking, from a start, and to
-    # compare starts
-    tracking: int = 3
+    # tracking, converging, looking: iterations of each stage while tracking, where the depth image
+    # goes on from there; from a start; and to compare starts
+    tracking: int = 1
     converging: int = 12
     looking: int = 6
     # share of the patch that must lie on an object that nobody said was there

@@ -187,9 +187,14 @@ class Precision:
     resolution_m: float  # distance over which the estimate's errors are one
 
     @property
+    def of_model(self) -> float:
+        """1/σ² of the membrane's place along its normal per area, but for noise, 1/m⁴."""
+        return 1.0 / (self.resolution_m * _MODEL_ERROR_M) ** 2
+
+    @property
     def per_area(self) -> float:
         """1/σ² of the membrane's place along its normal per area, model errors included, 1/m⁴."""
-        return 1.0 / (1.0 / self.information_per_m4 + (self.resolution_m * _MODEL_ERROR_M) ** 2)
+        return 1.0 / (1.0 / self.information_per_m4 + 1.0 / self.of_model)
 
     @property
     def beside(self) -> float:
@@ -220,9 +225,7 @@ class Fit:
     # (6, 6), information of all else: points beside the object and the free membrane, about shifts
     # alone
     outline: np.ndarray
-    # (k,), signed distance of each contact point from the object, positive outside
-    distance_m: np.ndarray
-    places_m: np.ndarray  # (k, 3), the closest places on the object, in B
+    looked: ObjectDistance  # of the contact points, then of the free ones
     history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
 
 
@@ -252,6 +255,10 @@ _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 """Where a point beside the object is off to is half noise: turns cannot be told from it."""
 
 
+_Looked = tuple[np.ndarray, ObjectDistance]
+"""A pose (4, 4) with the contact points and the free ones against the object there."""
+
+
 class Registration:
     """Fits one object to contact points."""
 
@@ -271,68 +278,69 @@ class Registration:
         """Fit to the contact points alone, weighted by the pressure on them."""
         share = contact.areas_m2 * contact.pressure_pa
         share *= contact.areas_m2.sum() / share.sum()
-        return self._fit(contact, share, start, prior, widest_m, iterations, around=False)
+        begun = self._at(contact, start)
+        return self._fit(contact, share, begun, prior, widest_m, iterations, around=False)
 
     def stage_two(
         self,
         contact: ContactPoints,
-        start: np.ndarray,
+        first: Fit,  # of stage one
         prior: Prior,
         *,
         widest_m: float = 2e-3,
         iterations: int = 12,
     ) -> Fit:
-        """Refine with the free membrane around the patch.
-
-        Parameters are those of `stage_one`.
-        """
-        return self._fit(contact, contact.areas_m2, start, prior, widest_m, iterations, around=True)
+        """Refine with the free membrane around the patch; other parameters as in `stage_one`."""
+        share, begun = contact.areas_m2, (first.T_B_O, first.looked)
+        return self._fit(contact, share, begun, prior, widest_m, iterations, around=True)
 
     def misfit(self, contact: ContactPoints, T_B_O: np.ndarray) -> float:
         """Robust misfit of a pose (4, 4) by all that stage two looks at, in units of the noise."""
-        return self._finished(contact, T_B_O, []).cost
+        return self._finished(contact, self._at(contact, T_B_O), []).cost
 
     def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
         """A fit moved to another pose (4, 4)."""
-        past = [(float(f), float(r)) for f, r in fit.history]
-        return self._finished(contact, T_B_O, past)
+        return self._finished(contact, self._at(contact, T_B_O), list(fit.history))
+
+    def _at(self, contact: ContactPoints, T: np.ndarray) -> _Looked:
+        points = np.concatenate([contact.points, contact.free])
+        return T, object_distance(self.model, points, T)
 
     def _fit(
         self,
         contact: ContactPoints,
         share_m2: np.ndarray,
-        start: np.ndarray,
+        begun: _Looked,
         prior: Prior,
         widest_m: float,
         iterations: int,
         *,
         around: bool,
     ) -> Fit:
-        T, scale = start, widest_m
+        (T, looked), scale = begun, widest_m
         history = []
         for _ in range(iterations):
-            distance, free = self._distances(contact, T, around=around)
-            history.append(_agreement(contact, distance)[:2])
-            total = self._surface(contact, share_m2, distance, scale)
-            total += self._beside(contact, share_m2, distance, scale)
+            on, free = _parted(contact, looked)
+            history.append(np.array(_agreement(contact, on)[:2]))
+            total = self._surface(contact, share_m2, on, scale)
+            total += self._beside(contact, share_m2, on, scale)
             if around:
                 total += self._free(contact, free)
             pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
             step = -np.linalg.solve(total.H + prior.information, total.g + pull)
-            T = moved(T, step, contact.center)
+            T, looked = self._at(contact, moved(T, step, contact.center))
             settled = way_at(contact.radius_m, step) < _CONVERGED_M and scale == _NARROWEST_M
             scale = max(_NARROWING * scale, _NARROWEST_M)
             if settled:
                 break
-        return self._finished(contact, T, history)
+        return self._finished(contact, (T, looked), history)
 
-    def _finished(
-        self, contact: ContactPoints, T: np.ndarray, history: list[tuple[float, float]]
-    ) -> Fit:
-        distance, free = self._distances(contact, T, around=True)
-        fitness, rmse, count = _agreement(contact, distance)
-        surface = self._surface(contact, contact.areas_m2, distance, _NARROWEST_M)
-        outline = self._beside(contact, contact.areas_m2, distance, _NARROWEST_M)
+    def _finished(self, contact: ContactPoints, at: _Looked, history: list[np.ndarray]) -> Fit:
+        T, looked = at
+        on, free = _parted(contact, looked)
+        fitness, rmse, count = _agreement(contact, on)
+        surface = self._surface(contact, contact.areas_m2, on, _NARROWEST_M)
+        outline = self._beside(contact, contact.areas_m2, on, _NARROWEST_M)
         outline += self._free(contact, free)
         return Fit(
             T_B_O=T,
@@ -342,18 +350,9 @@ class Registration:
             cost=surface.cost + outline.cost,
             surface=surface.H,
             outline=_SHIFTS @ outline.H @ _SHIFTS,
-            distance_m=distance.signed_m,
-            places_m=distance.place,
+            looked=looked,
             history=np.array([*history, (fitness, rmse)]),
         )
-
-    def _distances(
-        self, contact: ContactPoints, T: np.ndarray, *, around: bool
-    ) -> tuple[ObjectDistance, ObjectDistance]:
-        """Of the contact points and, with those around them, of the free ones."""
-        points = np.concatenate([contact.points, contact.free]) if around else contact.points
-        every, count = object_distance(self.model, points, T), len(contact.points)
-        return every.of(slice(count)), every.of(slice(count, None))
 
     def _surface(
         self, contact: ContactPoints, share_m2: np.ndarray, distance: ObjectDistance, scale: float
@@ -386,6 +385,14 @@ class Registration:
         J = -rows(distance.gradient[used], contact.free[used], contact.center)
         weight = self.precision.per_area * contact.free_areas_m2[used]
         return _Term.of(J, depth[used], weight, 2.0 * _NARROWEST_M)
+
+
+def _parted(
+    contact: ContactPoints, looked: ObjectDistance
+) -> tuple[ObjectDistance, ObjectDistance]:
+    """What was looked at of the contact points, and of the free ones."""
+    count = len(contact.points)
+    return looked.of(slice(count)), looked.of(slice(count, None))
 
 
 def _agreement(contact: ContactPoints, distance: ObjectDistance) -> tuple[float, float, int]:

@@ -92,3 +92,25 @@ def test_a_correction_is_kalmans():
     np.testing.assert_allclose(after.covariance, (np.eye(12) - gain @ H) @ P, atol=1e-8)
     np.testing.assert_allclose(after.velocity, motion.velocity + (gain @ measured)[6:], atol=1e-7)
     np.testing.assert_allclose(after.information, np.linalg.inv(after.covariance[:6, :6]))
+
+
+def test_small_rotations_are_those_of_scipy():
+    rng, still = np.random.default_rng(0), np.zeros(3)
+    for angle in (0.0, 1e-10, 1e-5, 0.1, 1.5, 3.0, np.pi - 1e-6):
+        axis = rng.standard_normal(3)
+        vector = angle * axis / np.linalg.norm(axis)
+        turned = moved(np.eye(4), np.concatenate([still, vector]), still)
+        expected = Rotation.from_rotvec(vector).as_matrix()
+        np.testing.assert_allclose(turned[:3, :3], expected, atol=1e-14)
+        np.testing.assert_allclose(motion_between(np.eye(4), turned, still)[3:], vector, atol=1e-8)
+
+
+def test_a_frame_widens_the_prediction_by_as_much_as_it_contradicts_it():
+    """Frames off by as much as both covariances say leave it, k times as much multiply it by k²."""
+    start = Motion.at_rest(np.eye(4), START_DEVIATION, np.zeros(3))
+    P = start.covariance[:6, :6]
+    information = np.linalg.inv(0.01 * P)  # the frame is much better known than the prediction
+    for k, factor in ((0.1, 1.0), (5.0, 25.0 / 1.01)):
+        off = k * START_DEVIATION
+        found = start.widened(information @ off, information)
+        np.testing.assert_allclose(found.covariance, factor * start.covariance, rtol=1e-9)

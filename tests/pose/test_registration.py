@@ -73,7 +73,7 @@ def test_points_on_the_surface_give_the_pose_back(frustum):
     start = moved(T, np.array([2e-3, -1e-3, 1e-3, 0.04, -0.05, 0.06]), contact.center)
     registration = Registration(frustum, PRECISION)
     one = registration.stage_one(contact, start, Prior(start, WEAK), iterations=40)
-    two = registration.stage_two(contact, one.T_B_O, Prior(start, WEAK), iterations=40)
+    two = registration.stage_two(contact, one, Prior(start, WEAK), iterations=40)
     assert one.fitness == pytest.approx(1.0)
     assert np.abs(motion_between(T, two.T_B_O, contact.center)).max() < 2e-5
     assert two.rmse_m < 1e-5
@@ -114,10 +114,11 @@ def test_a_face_lies_at_the_mean_of_its_points_weighted_by_their_pressure_first(
     contact = replace(contact, pressure_pa=np.where(height > 0.0, 3e3, 1e3))
     start = moved(np.eye(4), np.array([0.0, 0.0, 3e-4, 0.0, 0.0, 0.0]), contact.center)
     registration, prior = Registration(slab, PRECISION), Prior(start, WEAK)
+    begun = registration.stage_one(contact, start, prior, iterations=0)
     by_force = np.average(height, weights=contact.pressure_pa)
     for fit, expected in (
         (registration.stage_one(contact, start, prior, iterations=40), by_force),
-        (registration.stage_two(contact, start, prior, iterations=40), height.mean()),
+        (registration.stage_two(contact, begun, prior, iterations=40), height.mean()),
     ):
         assert fit.T_B_O[2, 3] == pytest.approx(expected, abs=1e-6)
         rmse = np.sqrt(np.mean((height - fit.T_B_O[2, 3]) ** 2))
@@ -138,9 +139,11 @@ def test_free_membrane_pushes_the_object_out(frustum):
     free = np.stack([x, y, z], axis=-1).reshape(-1, 3) + T[:3, 3]
     registration = Registration(frustum, PRECISION)
     prior = Prior(T, np.diag([1e4, 1e10, 1e10, 1e6, 1e6, 1e6]))
-    without = registration.stage_two(contact, T, prior)
+    begun = registration.stage_one(contact, T, prior, iterations=0)
+    without = registration.stage_two(contact, begun, prior)
     crowded = contact_of(contact.points, -contact.normals, free)
-    pushed = registration.stage_two(crowded, T, prior)
+    begun = registration.stage_one(crowded, T, prior, iterations=0)
+    pushed = registration.stage_two(crowded, begun, prior)
     assert abs(without.T_B_O[0, 3] - T[0, 3]) < 1e-4
     assert 1e-3 < pushed.T_B_O[0, 3] - T[0, 3] < 3.5e-3
 
@@ -278,7 +281,8 @@ def test_a_fit_ends_where_its_misfit_is_least(frustum, wrong):
     off[::9] += wrong  # outliers, of one sign
     contact = contact_of(clean.points - off[:, None] * clean.normals, -clean.normals)
     registration, prior = Registration(frustum, PRECISION), Prior(T, 1e-3 * WEAK)
-    fit = registration.stage_two(contact, T, prior, iterations=100)
+    begun = registration.stage_one(contact, T, prior, iterations=0)
+    fit = registration.stage_two(contact, begun, prior, iterations=100)
     for k in range(6):
         step = np.zeros(6)
         step[k] = 5e-5 if k < 3 else 5e-5 / contact.radius_m
