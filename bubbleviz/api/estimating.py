@@ -189,7 +189,7 @@ def estimate(
             "gas_zero": None if zero is None else zero.words,
         }
         run = Run(pipeline.model, said, made_by)
-        seen, image_errors, equal = False, list[np.ndarray](), EqualImages()
+        seen, equal = False, EqualImages()
         with ExitStack() as stack:
             write: Callable[[Result], object] = lambda _: None  # noqa: E731
             if out is not None:
@@ -200,8 +200,6 @@ def estimate(
             for result in solved(chosen, frame_solver, progress):
                 equal.take(result.frame.depth_m)
                 seen = seen or has_returns(result.frame.depth_m)
-                if result.estimate is not None and result.estimate.image_errors is not None:
-                    image_errors.append(result.estimate.image_errors)
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, seen)
@@ -209,7 +207,7 @@ def estimate(
             _note(chosen),
             frame_solver.gas_warning("recording"),
             _camera_warning(pipeline),
-            _drift_warning(pipeline, image_errors),
+            frame_solver.drift_warning(),
             equal.warning,
         )
         said["warning"] = "; ".join(filter(None, warnings)) or None
@@ -328,12 +326,14 @@ def track(
             "object": obj.name if isinstance(object, RigidObject) else str(object),
             "out": None if out is None else str(out),
             "texture": None,
-            "warning": _note(chosen) or None,
         }
         run = TrackedRun(pipeline.model, said, _made_by(pipeline, solver, zero))
         products: frozenset[Product] = OF_OBJECT if object_patch else frozenset({"pose"})
-        for result in solved(chosen, FrameSolver(pipeline, products, zero=zero), progress):
+        frame_solver = FrameSolver(pipeline, products, zero=zero)
+        for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
+        warnings = _note(chosen), frame_solver.drift_warning()
+        said["warning"] = "; ".join(filter(None, warnings)) or None
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -432,21 +432,6 @@ def _camera_warning(pipeline: Pipeline) -> str:
     return (
         f"the camera info has fx {there:.1f}, the sensor file {own:.1f} pixels, which moves depth "
         f"by {1e3 * moved:.2f} mm: choose the sensor file of this camera"
-    )
-
-
-def _drift_warning(pipeline: Pipeline, image_errors: Sequence[np.ndarray]) -> str:
-    """Warning where the mean depth is off by more than three standard deviations."""
-    if not image_errors:
-        return ""
-    estimator = pipeline.estimator
-    by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
-    off_m = float(units @ np.median(image_errors, axis=0) / by_offset)
-    if abs(off_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
-        return ""
-    return (
-        f"depth has drifted by {1e3 * off_m:+.2f} mm since the calibration; forces are corrected "
-        "for that. Let the camera warm up, or identify anew"
     )
 
 

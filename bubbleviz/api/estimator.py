@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from numbers import Real
 from pathlib import Path
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """There is a pose only where the pipeline follows an object. Pixels of the patch are found when
 they are asked for, or written to a file."""
+_IMAGES_KEPT = 10_000
+"""Images whose errors are kept for the warning of drift: those of five minutes of a stream."""
 _OTHER_UNIT = math.sqrt(10.0)
 """Depths this many times nearer or farther than the membrane at rest are in another unit: the
 geometric mean of 1 and 10, the smallest mistake of units (0.1 mm taken for 1 mm)."""
@@ -256,6 +259,7 @@ class FrameSolver:
         self.pipeline, self.zero, self.texture = pipeline, zero, texture
         self._products, self._options = products, options
         self._measured_pa: float | None = None
+        self._image_errors: deque[np.ndarray] = deque(maxlen=_IMAGES_KEPT)
         self._blas = ThreadpoolController()  # looking for the libraries takes 2 ms: once
 
     def solve(self, frame: Frame) -> Result:
@@ -267,7 +271,23 @@ class FrameSolver:
             result = self.pipeline.process(frame, self._products, self._options)
             if self.texture is not None:
                 self.texture.take(result)
+        if result.estimate is not None and result.estimate.image_errors is not None:
+            self._image_errors.append(result.estimate.image_errors)
         return result
+
+    def drift_warning(self) -> str:
+        """What to say where whole depth images are off by more than three standard deviations."""
+        if not self._image_errors:
+            return ""
+        estimator = self.pipeline.estimator
+        by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
+        off_m = float(units @ np.median(self._image_errors, axis=0) / by_offset)
+        if abs(off_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
+            return ""
+        return (
+            f"depth is {1e3 * off_m:+.2f} mm off since the sensor was calibrated; forces are "
+            "corrected for that: let the camera warm up, or identify anew"
+        )
 
     def gas_warning(self, where: str) -> str:
         """What to say of a gas pressure that is not this sensor's; empty for nothing."""

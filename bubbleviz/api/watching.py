@@ -258,6 +258,8 @@ def _watch(
     latency = watcher.latency.report()
     if shear is not None and texture is not None:
         shear.reference = texture.words
+    solver = watcher.solver
+    warnings = solver.gas_warning("source"), solver.drift_warning(), stream.frozen
     return WatchSummary(
         frames=statuses.total(),
         status=dict(statuses),
@@ -268,8 +270,7 @@ def _watch(
         pressure_offset_pa=None if zero is None else zero.offset_pa,
         shear=shear,
         counters=stream.counters().as_dict(),
-        warning="; ".join(filter(None, (watcher.solver.gas_warning("source"), stream.frozen)))
-        or None,
+        warning="; ".join(filter(None, warnings)) or None,
     )
 
 

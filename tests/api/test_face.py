@@ -91,6 +91,8 @@ def test_a_camera_that_drifted_is_told(frames, sensor, estimated):
     told = re.match(r"depth has drifted by (\S+) mm since the calibration", run.warning)
     assert float(told[1]) == pytest.approx(-1.0, abs=0.4)  # its noise hides some
     assert estimated.warning is None
+    followed = bv.track(drifted, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")
+    assert followed.warning == run.warning
 
 
 def test_a_recording_is_like_a_list(recording):
