@@ -318,9 +318,13 @@ def _bridged(parts: list[str]) -> Announced | None:
 
 
 def _announced(key: str, kind: str | None, layout: Layout) -> Announced | None:
-    """None of a name that is no topic's: Zenoh refuses it, or takes it for a pattern of others."""
     topic = "/" + key.strip("/")
-    return Announced(topic, kind, layout) if kind and _TOPIC.fullmatch(topic) else None
+    return Announced(topic, kind, layout) if kind and is_topic(topic) else None
+
+
+def is_topic(name: str) -> bool:
+    """Whether a topic may have a name; others Zenoh refuses, or takes for a pattern of several."""
+    return _TOPIC.fullmatch(name) is not None
 
 
 def subscription(topic: str, layout: Layout, domain: int) -> str:

@@ -21,6 +21,7 @@ from bubbleviz.live.zenoh_session import (
     NotConnectedError,
     SessionOptions,
     connected,
+    is_topic,
     make_config,
     open_session,
     parse_token,
@@ -77,11 +78,21 @@ class ZenohSource(LiveSource):
 
     def start(self, deliver: Deliver) -> None:
         self._deliver = deliver
+        self._check_names()
         if self._options.listen is not None:
             self._session = open_session(self._options)
         else:
             make_config(self._options)  # a malformed endpoint is refused now
         super().start(deliver)
+
+    def _check_names(self) -> None:
+        """Raise InputError for a topic chosen by name that Zenoh would refuse."""
+        names = self._names
+        for name in (names.depth, names.info, names.pressure, names.wrench, names.colour):
+            if name is not None and not is_topic("/" + name.strip("/")):
+                raise InputError(
+                    f"{self.name}: {name!r} is no name of a topic; give one such as /bubble/depth"
+                )
 
     def stop(self) -> None:
         with self._gate:

@@ -299,6 +299,13 @@ def test_endpoints_are_refused_in_one_line(small_sensor):
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("option", ["depth=/cam/*", "colour=/cam//rgb", "pressure=a%20b"])
+def test_a_topic_chosen_that_cannot_exist_is_refused_in_one_line(small_sensor, option):
+    with pytest.raises(InputError, match="is no name of a topic; give one such as") as caught:
+        open_stream(f"zenoh:?listen=tcp/127.0.0.1:{free_port()}&{option}", small_sensor).start()
+    assert "\n" not in str(caught.value)
+
+
 @pytest.fixture
 def told(small_sensor, eventually):
     """What a source says that is refused: `told(endpoint, ca=…, login=…)`."""
