@@ -212,6 +212,13 @@ class Recording:
             return decode_cloud(message, self.intrinsics)
         return decode_depth(message, self._unit_m)
 
+    def _is_whole(self, k: int) -> bool:
+        try:
+            self._decoded(self._images.message(k))
+        except (InputError, ValueError):
+            return False
+        return True
+
     def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
         """Width and height of the images; those of a cloud without rows are its camera's."""
         if self.depth_topic.type == COMPRESSED_IMAGE:
@@ -253,6 +260,9 @@ class Recording:
         raw = self.depth_topic.type == IMAGE
         least = self.size[0] * self.size[1] * _PIXEL_BYTES.get(self.encoding, 0) if raw else 0
         bad = (headers == UNREADABLE) | (sizes < least)
+        if raw:  # of those cut by less than their headers are long, only reading tells
+            shorter = np.flatnonzero(~bad & (sizes < np.median(sizes)))
+            bad[shorter] = [not self._is_whole(k) for k in shorter.tolist()]
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
         self._nothing = np.full(self.size[::-1], np.nan, np.float32)
         self._nothing.flags.writeable = False

@@ -110,6 +110,22 @@ def test_a_message_without_an_image_is_a_frame_without_data(tmp_path, kind, bad)
         assert recording[5].gas_pressure_pa == 1e5 + 5
 
 
+@pytest.mark.parametrize("kind", ["mcap file", "db3 file", "bag lz4"])
+def test_an_image_that_lacks_its_last_bytes_is_a_frame_without_data(tmp_path, kind):
+    """Fewer than its header has, so that the message is longer than the pixels alone."""
+    bag = BagMaker(kind)
+    for k in range(4):
+        bag.image(START + k * PERIOD, depth_image(k))
+    topic, of_type, log, message = bag.rows[2]
+    write = bag.store.serialize_ros1 if kind.startswith("bag") else bag.store.serialize_cdr
+    bag.rows[2] = (topic, of_type, log, bytes(write(message, of_type))[:-8])
+    path = bag.write(tmp_path)
+    assert info(path).bad_frames == (2,)
+    with Recording(path) as recording:
+        assert np.isnan(recording[2].depth_m).all()
+        np.testing.assert_array_equal(recording[3].depth_m, depth_image(3))
+
+
 def test_a_frame_of_another_size(tmp_path):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
