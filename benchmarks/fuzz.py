@@ -283,45 +283,32 @@ quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
 
 def _write_foreign(folder: Path, messages: Sequence[Message]) -> None:
     """The recording as a ROS 1 bag and as rosbag2's SQLite, which the product only reads."""
-    ros1, ros2 = typestore(ros1=True), ros2_types()
-    with RosbagWriter(folder / "rec.bag") as bag:
-        connections: dict[str, Any] = {}
-        for each in messages:
-            if each.topic not in connections:
-                connections[each.topic] = bag.add_connection(each.topic, each.type, typestore=ros1)
-            data = ros2.cdr_to_ros1(each.payload, each.type)
-            bag.write(connections[each.topic], each.arrival_ns, data)
-    with Rosbag2Writer(folder / "db3", version=9, storage_plugin=StoragePlugin.SQLITE3) as other:
-        connections = {}
-        for each in messages:
-            if each.topic not in connections:
-                connections[each.topic] = other.add_connection(
-                    each.topic, each.type, typestore=ros2
-                )
-            other.write(connections[each.topic], each.arrival_ns, each.payload)
+    ros2 = ros2_types()
+    sqlite = Rosbag2Writer(folder / "db3", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    for writer, ros1 in ((RosbagWriter(folder / "rec.bag"), True), (sqlite, False)):
+        with writer as bag:
+            kinds, places = {each.topic: each.type for each in messages}, dict[str, Any]()
+            for name, kind in kinds.items():
+                places[name] = bag.add_connection(name, kind, typestore=typestore(ros1=ros1))
+            for each in messages:
+                data = ros2.cdr_to_ros1(each.payload, each.type) if ros1 else each.payload
+                bag.write(places[each.topic], each.arrival_ns, data)
     next((folder / "db3").glob("*.db3")).rename(folder / "rec.db3")
 
 
 def _on_recording(corpus: Corpus, path: Path, rng: Rng) -> Words:
     """A command that reads a recording."""
-    sensor, out = str(corpus.folder / "sensor.toml"), path.parent
-    return [
-        ["info", str(path)],
-        ["info", str(path), "--json"],
-        ["convert", str(path), str(out / "out.mcap")],
-        ["estimate", str(path), "--sensor", sensor, "--out", str(out / "r.npz")],
-        ["check", str(path), "--sensor", sensor],
-        [
-            "export",
-            str(path),
-            "--sensor",
-            sensor,
-            "--what",
-            "depth",
-            "--out",
-            str(out / "pictures"),
-        ],
-    ][rng.choice(6, p=[0.3, 0.1, 0.3, 0.1, 0.1, 0.1])]
+    sensor, out = ["--sensor", str(corpus.folder / "sensor.toml")], path.parent
+    commands = {
+        "info": [],
+        "convert": [str(out / "out.mcap")],
+        "estimate": [*sensor, "--out", str(out / "r.npz")],
+        "check": sensor,
+        "export": [*sensor, "--what", "depth", "--out", str(out / "pictures")],
+    }
+    verb = str(rng.choice(list(commands), p=[0.4, 0.3, 0.1, 0.1, 0.1]))
+    as_json = ["--json"] if verb == "info" and rng.random() < 0.25 else []
+    return [verb, str(path), *commands[verb], *as_json]
 
 
 def recording_bytes(corpus: Corpus, folder: Path, rng: Rng) -> Work:
@@ -363,12 +350,11 @@ def image_folder(corpus: Corpus, folder: Path, rng: Rng) -> Work:
             pixels = (1e3 * depth).astype(np.uint16) if kind == "png" else depth
             Image.fromarray(pixels).save(images / f"{k}.{kind}")
     camera = {"width": 32, "height": 24, "fx": 18.0, "fy": 18.0, "cx": 15.5, "cy": 11.5}
-    as_json = rng.random() < 0.5
-    text = "\n".join(f"{key} = {value}" for key, value in camera.items())
+    toml = "\n".join(f"{key} = {value}" for key, value in camera.items())
+    kinds = {"intrinsics.json": json.dumps(camera), "intrinsics.toml": toml}
+    chosen = str(rng.choice(list(kinds)))
     tables = {
-        "intrinsics.json" if as_json else "intrinsics.toml": json.dumps(camera)
-        if as_json
-        else text,
+        chosen: kinds[chosen],
         "times.csv": "time_s\n0.0\n0.033\n0.066\n",
         "gas.csv": "0.0,104000\n0.05,104010\n0.1,104020\n",
     }
@@ -426,18 +412,8 @@ def pose_file(corpus: Corpus, folder: Path, rng: Rng) -> Work:
     path, out = folder / "poses.csv", str(folder / "out.mcap")
     text = mutated_text((corpus.folder / path.name).read_text(), rng)
     path.write_text(text, encoding="utf-8")
-    sensor = str(corpus.folder / "sensor.toml")
-    return [
-        "simulate",
-        "--sensor",
-        sensor,
-        "--object",
-        "cylinder",
-        "--path",
-        str(path),
-        "--out",
-        out,
-    ]
+    sensor = ["--sensor", str(corpus.folder / "sensor.toml")]
+    return ["simulate", *sensor, "--object", "cylinder", "--path", str(path), "--out", out]
 
 
 def truth_file(corpus: Corpus, folder: Path, rng: Rng) -> Work:
