@@ -104,6 +104,9 @@ class Estimate:
         Why there is no number to trust, in one clause; empty where there is one.
     fine : FineContact or None
         The contact on a finer mesh; None where the mesh resolves what noise leaves of it.
+    seen_share : float
+        Share of the contact's area that the camera saw; NaN without contact, and of the paper's
+        solver. Below 1 the rest of the force is a guess by the membrane around it.
     image_errors : (4,) array or None
         What the whole depth image is off by since calibration, see `bubbleviz.camera.IMAGE_ERRORS`;
         None where they were not looked for, and of the paper's solver.
@@ -127,6 +130,7 @@ class Estimate:
     resolution_m: float | None = None
     reason: str = ""
     fine: FineContact | None = None
+    seen_share: float = np.nan
     image_errors: np.ndarray | None = None
 
     @property
@@ -379,6 +383,15 @@ class Pose:
     points_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     places_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def origin_covariance(self) -> np.ndarray:
+        """Covariance of the object's origin and its rotation vector in B, (6, 6), m and rad."""
+        x, y, z = self.T_B_O[:3, 3] - self.center_m
+        moving = np.eye(6)  # of a small motion about the centre: t + ω × (origin − centre)
+        moving[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        covariance: np.ndarray = moving @ self.covariance @ moving.T
+        return covariance
 
 
 @dataclass(frozen=True)

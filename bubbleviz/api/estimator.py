@@ -285,8 +285,8 @@ class FrameSolver:
         if abs(off_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
             return ""
         return (
-            f"depth is {1e3 * off_m:+.2f} mm off since the sensor was calibrated; forces are "
-            "corrected for that: let the camera warm up, or identify anew"
+            f"depth has drifted by {1e3 * off_m:+.2f} mm since the calibration; forces are "
+            "corrected for that. Let the camera warm up, or identify anew"
         )
 
     def gas_warning(self, where: str) -> str:

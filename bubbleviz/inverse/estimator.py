@@ -244,6 +244,7 @@ class Estimator:
             force_sigma_n=answer.sigma_n,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
+            seen_share=answer.seen_share,
             image_errors=state.image_errors if state.image_errors.any() else None,
         )
 

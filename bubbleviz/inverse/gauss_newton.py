@@ -256,6 +256,8 @@ class SolvedFrame:
         Nodes under pressure that is evidence of contact, see `evident`.
     sigma_n : (3,) array
         Standard deviation of its force, N.
+    seen_share : float
+        Share of its area that the camera saw; NaN where nothing touches.
     solve_ms : float
         Of all steps.
     """
@@ -267,6 +269,7 @@ class SolvedFrame:
     contradicts_gas: bool
     contact: np.ndarray
     sigma_n: np.ndarray
+    seen_share: float
     solve_ms: float
 
 
@@ -495,8 +498,16 @@ class GaussNewton:
         misfit = self.observer.left(sight.observation, sight.view.block, step.left_m)
         contradicts = self._contradicts(step.state.gas, gas)
         contact = evident(self.mesh, step.contact)
-        sigma = self._sigma(step, contact)
-        return SolvedFrame(step, last, noise, misfit, contradicts, contact, sigma, solve_ms)
+        sigma, share = self._sigma(step, contact), self._seen_share(sight, contact)
+        return SolvedFrame(step, last, noise, misfit, contradicts, contact, sigma, share, solve_ms)
+
+    def _seen_share(self, sight: _Sight, contact: np.ndarray) -> float:
+        """Share of the area of nodes (n,) bool that are a corner of a facet with a return."""
+        jacobian, seen = sight.view.jacobian, np.zeros(len(contact), bool)
+        weighed = np.repeat(sight.weight > 0.0, np.diff(jacobian.indptr))
+        seen[jacobian.indices[weighed] // 3] = True
+        area = self.mesh.areas * contact
+        return float(area @ seen / area.sum()) if contact.any() else np.nan
 
     # -- one step -------------------------------------------------------------------------------
 

@@ -35,7 +35,7 @@ from bubbleviz.recordings import (
     ros2_types,
     serialise,
 )
-from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.result import Estimate, Patch, Pose, Result
 
 _STATIC_KEPT = 100  # messages of a topic; chosen: robots have a few
 _COUNTED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
@@ -157,7 +157,7 @@ def _point(header: Any, point_m: np.ndarray) -> Any:
 # Results as ROS 2 messages: patch, force, pose and diagnostics.
 
 
-POSE = "geometry_msgs/msg/PoseStamped"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
@@ -170,9 +170,9 @@ class ResultMessages:
 
     Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
     deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
-    membrane, its torque about B's origin), `object_pose` (PoseStamped, while it is found), those of
-    `shear_messages` and `/diagnostics`. Of an estimate that is not to be trusted only the last,
-    which says why.
+    membrane, its torque about B's origin), `object_pose` (PoseWithCovarianceStamped, while it is
+    found), those of `shear_messages` and `/diagnostics`. Of an estimate that is not to be trusted
+    only the last, which says why.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class ResultMessages:
             wrench = make_wrench(header, _wrench(patch))
             yield self._message("contact_wrench", WRENCH, wrench, stamp)
         if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
-            yield self._message("object_pose", POSE, _pose(header, result.pose.T_B_O), stamp)
+            yield self._message("object_pose", POSE, _pose(header, result.pose), stamp)
         for name, kind, message in shear_messages(header, result):
             yield self._message(name, kind, message, stamp)
 
@@ -257,12 +257,14 @@ def _wrench(patch: Patch) -> np.ndarray:
     return np.concatenate([patch.force_n, torque])
 
 
-def _pose(header: Any, T_B_O: np.ndarray) -> Any:
-    kinds = ros2_types().types
+def _pose(header: Any, pose: Pose) -> Any:
+    kinds, T_B_O = ros2_types().types, pose.T_B_O
     point, quaternion = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
     x, y, z, w = (float(q) for q in Rotation.from_matrix(T_B_O[:3, :3]).as_quat())
     place = point(*(float(p) for p in T_B_O[:3, 3]))
-    return kinds[POSE](header, kinds["geometry_msgs/msg/Pose"](place, quaternion(x, y, z, w)))
+    found = kinds["geometry_msgs/msg/Pose"](place, quaternion(x, y, z, w))
+    covariance = np.ascontiguousarray(pose.origin_covariance.ravel())
+    return kinds[POSE](header, kinds["geometry_msgs/msg/PoseWithCovariance"](found, covariance))
 
 
 def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:

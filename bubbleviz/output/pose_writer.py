@@ -14,6 +14,14 @@ from bubbleviz.result import Result
 
 PoseRow = dict[str, Any]
 """One line of POSES.csv by column; the areas are columns only where that by the object is known."""
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+_COVARIANCES = tuple(
+    (f"cov_{first}{second}", i, j)
+    for i, first in enumerate(_AXES)
+    for j, second in enumerate(_AXES)
+    if i <= j
+)
+"""Columns of the covariance of position, m, and rotation vector in B, rad: its upper triangle."""
 _AREAS = ("patch_area_m2", "object_patch_area_m2")
 
 
@@ -28,6 +36,7 @@ def pose_row(result: Result) -> PoseRow:
     one, two = pose.stage_one, pose.stage_two
     known = np.isfinite(pose.T_B_O).all()
     numbers = pose_numbers(pose.T_B_O) if known else (np.nan,) * 7
+    covariance = pose.origin_covariance
     return {
         "frame": result.frame.index,
         "time_s": result.frame.time_s,
@@ -37,6 +46,7 @@ def pose_row(result: Result) -> PoseRow:
         "rmse_m": two.rmse_m if two else np.nan,
         "stage1_rmse_m": one.rmse_m if one else np.nan,
         "total_ms": result.times_ms["total"],
+        **{name: covariance[i, j] for name, i, j in _COVARIANCES},
         "patch_area_m2": patch.area_m2 if patch else np.nan,
         "object_patch_area_m2": by_object.area_m2 if by_object else np.nan,
     }

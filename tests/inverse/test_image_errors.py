@@ -75,3 +75,16 @@ def test_a_contact_that_hides_most_of_the_image_is_solved_alike_alone_and_after_
     assert followed.force_n == pytest.approx(
         alone.force_n, abs=0.01 * np.linalg.norm(alone.force_n)
     )
+
+
+def test_a_hole_in_the_middle_of_a_contact_is_told_as_a_share_not_seen(solver):
+    mesh, contact = pressed("sphere", 0.007, 0.0)
+    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    rest = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M)
+    whole, _ = solver.estimate(image)
+    assert whole.seen_share == pytest.approx(1.0)
+    row, column = np.unravel_index(np.nanargmax(rest - image), image.shape)
+    hole = np.hypot(ROWS - row, COLUMNS - column) < 0.08 * image.shape[1]
+    part, _ = solver.estimate(np.where(hole, np.nan, image))
+    assert 0.8 < part.seen_share < 1.0
+    assert np.isnan(solver.estimate(rest)[0].seen_share)

@@ -96,9 +96,11 @@ def test_a_pose_is_published_where_there_is_one(pipeline, pressed):
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     T[:3, 3] = [0.01, -0.02, 0.05]
-    posed = replace(pressed, pose=Pose("ok", T))
+    spread = np.diag([1e-8, 4e-8, 9e-8, 1e-4, 4e-4, 9e-4])
+    posed = replace(pressed, pose=Pose("ok", T, center_m=T[:3, 3], covariance=spread))
     found = decoded(ResultMessages(pipeline.mesh).of(posed))
-    pose = found["/bubble/object_pose"].pose
+    assert np.allclose(found["/bubble/object_pose"].pose.covariance.reshape(6, 6), spread)
+    pose = found["/bubble/object_pose"].pose.pose
     assert [pose.position.x, pose.position.y, pose.position.z] == [0.01, -0.02, 0.05]
     half = np.sqrt(0.5)
     assert abs(pose.orientation.z) == pytest.approx(half)
@@ -106,7 +108,7 @@ def test_a_pose_is_published_where_there_is_one(pipeline, pressed):
     for status in ("lost", "no_contact", "few_points", "no_data"):  # `lost` keeps its last place
         gone = replace(pressed, pose=Pose(status, T))
         assert "/bubble/object_pose" not in decoded(ResultMessages(pipeline.mesh).of(gone))
-    assert POSE == "geometry_msgs/msg/PoseStamped"
+    assert POSE == "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(pipeline, pressed):

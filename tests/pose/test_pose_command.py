@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.files import read_path
@@ -16,7 +17,11 @@ from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import load_sensor
 
 PRESET = "pico_flexx_75mm"
-HEADER = "frame,time_s,status,x_m,y_m,z_m,qx,qy,qz,qw,fitness,rmse_m,stage1_rmse_m,total_ms"
+HEADER = (
+    "frame,time_s,status,x_m,y_m,z_m,qx,qy,qz,qw,fitness,rmse_m,stage1_rmse_m,total_ms,"
+    "cov_xx,cov_xy,cov_xz,cov_xrx,cov_xry,cov_xrz,cov_yy,cov_yz,cov_yrx,cov_yry,cov_yrz,"
+    "cov_zz,cov_zrx,cov_zry,cov_zrz,cov_rxrx,cov_rxry,cov_rxrz,cov_ryry,cov_ryrz,cov_rzrz"
+)
 HEIGHTS = (0.060, 0.038, 0.0375, 0.037)
 """Of a frustum's tip above the rim: clear of the dome (50 mm high), then pressed in."""
 
@@ -113,6 +118,23 @@ def test_unit_of_the_file_may_be_named(folder, tmp_path):
     assert command(folder, "m.csv", *more, obj=block).exit_code == 2
     done = command(folder, "mm.csv", "--unit", "mm", *more, obj=block)
     assert done.exit_code == 0, done.output
+
+
+def test_covariance_of_a_line_is_that_of_poses_scattered_about_the_patch():
+    rng, center = np.random.default_rng(0), np.array([0.01, 0.0, 0.05])
+    T = np.eye(4)
+    T[:3, 3] = [0.02, -0.01, 0.08]
+    root = 1e-4 * rng.normal(size=(6, 6)) * [[1], [1], [1], [30], [30], [30]]
+    pose = Pose("ok", T, center_m=center, covariance=root @ root.T)
+    frame = Frame(7, 0.25, np.zeros((2, 2), np.float32))
+    row = pose_row(Result(frame, pose=pose, times_ms={"total": 5.0}))
+    motions = rng.normal(size=(200_000, 6)) @ root.T
+    turned = Rotation.from_rotvec(motions[:, 3:]).apply(T[:3, 3] - center)
+    scattered = np.hstack([motions[:, :3] + center + turned, motions[:, 3:]])
+    found = np.array([value for name, value in row.items() if name.startswith("cov_")])
+    expected = np.cov(scattered.T)[np.triu_indices(6)]
+    size = np.sqrt(np.outer(*2 * [np.var(scattered, axis=0)]))[np.triu_indices(6)]
+    assert (np.abs(found - expected) < 0.02 * size).all()
 
 
 def test_tum_has_the_good_poses_only(tmp_path):
