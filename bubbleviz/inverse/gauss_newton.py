@@ -49,9 +49,9 @@ _STEPS, _FAR_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
 by then the shape stands, or model and data contradict each other."""
 _ASTRAY = 3
-"""Steps in a row that end no nearer to the image than the nearest shape so far, after which a frame
-counts as failed. Frames that were solved had one at most: on the real press, and on rubber dragged
-and twisted by another solver."""
+"""Far steps in a row that end no nearer to the image than the nearest shape so far, after which a
+frame counts as failed. Frames that were solved had one at most: on the real press, and on rubber
+dragged and twisted by another solver."""
 _SELECTIONS, _ROUNDS = 2, 6
 """Times that the support is looked for anew where the shape stands, and how often nodes that pull
 are added to it each time."""
@@ -348,8 +348,8 @@ class GaussNewton:
 
         Once it moves by less than a share of an edge the support is kept, for steps between two
         supports would go on for ever; where the shape then stands it is looked for a last time.
-        A start that the image is less like than the membrane at rest is left for that. A shape
-        that has gone farther than the size of the membrane, or astray, is given up.
+        A start that the image is less like than the membrane at rest is left for that. A frame
+        is given up whose shape is farther from rest than the membrane is wide, or goes astray.
         Errors of the whole image are looked for from where the shape is close, lest they explain
         what the linearisation misses.
         How much more or less than the noise is left decides how far the image is trusted, but
@@ -377,13 +377,16 @@ class GaussNewton:
         selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
         ahead = self._look(measured, state, view) if warm else None
         close, clear = warm, ahead is None or self._is_clear(ahead, state.pressure)
-        nearest, astray, walked_m = np.inf, 0, 0.0
-        while steps < _STEPS and astray < _ASTRAY and walked_m < self._length_m:
+        nearest, astray, far = np.inf, 0, False
+        while steps < _STEPS and astray < _ASTRAY:
             steps += 1
             sight = ahead or self._look(measured, state, view)
             ahead = None
             misfit = sight.misfit(sight.error_m)
-            nearest, astray = min(nearest, misfit), 0 if misfit < nearest else astray + 1
+            astray = astray + 1 if far and misfit >= nearest else 0
+            nearest = min(nearest, misfit)
+            if np.abs(state.x - self.mesh.nodes).max() > self._length_m:
+                break
             follows = warm and steps == 1 and not noises
             if follows and self._is_better_from_rest(measured, measured_gas, sight, noise):
                 return self.solve(measured, measured_gas, Start())
@@ -399,7 +402,6 @@ class GaussNewton:
                 break
             state, view, tangent = step.state, sight.view, step.tangent
             solve_ms += step.solve_ms
-            walked_m += step.moved_m
             far = step.moved_m > self._far_m
             far_steps += selecting and far and step.moved_m < 0.9 * self._longest_m
             stands = close and step.balanced and step.seen_m <= self._near_m
@@ -419,7 +421,7 @@ class GaussNewton:
                     return self._answer(step, sight, last, measured_gas, noise, solve_ms)
                 if done or guessed:
                     noises.append(noise if done else np.inf)
-                    chosen, steps, astray, walked_m = 0, 0, 0, 0.0
+                    chosen, steps, astray = 0, 0, 0
                 noise = found
             if stands:
                 selecting, chosen = True, chosen + 1

@@ -87,7 +87,7 @@ def test_every_key_of_the_contract(result):
         "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
         "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
         "normal_force_n": (frames, 3), "tangential_force_n": (frames, 3), "torque_nm": (frames, 3),
-        "patch_area_interval_m2": (frames, 2), "kappa": (frames,),
+        "patch_area_interval_m2": (frames, 2), "kappa": (frames,), "seen_share": (frames,),
         "wrench_n": (frames, 3), "gas_pressure_pa": (frames,), "iterations": (frames,),
         "stamp_ns": (frames,), "sensor_toml": (), "version": (), "solver": (),
     }  # fmt: skip
