@@ -114,7 +114,7 @@ def open_panel(session: WindowSession, name: str, **choices: Any) -> None:
     scene = load_scene("press")
     beside = ALWAYS if PANELS[name].side == "right" else ("kappa", *ALWAYS)
     measured: list[object] = []
-    comparing = session.controller.compared.connect(measured.append)
+    comparing = session.controller.compared.connect(lambda *found: measured.append(found))
     session.window.use_scene(scene.model_copy(update={"panels": (name, *beside)}))
     session.window.panels[name].raise_()
     session.state.choose(**{"images": Choices().images, "plots": Choices().plots, **choices})
