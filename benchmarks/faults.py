@@ -1,8 +1,7 @@
 """Errors of the world, drawn at random: how often a wrong force is neither refused nor warned of.
 
 Each error changes the frames of a recording whose forces are known: of the real press, whose own
-estimates count as true, and of simulated presses into two sensors. Frozen cameras are not among
-them: they are told of after a second of equal images, which is longer than these presses.
+estimates count as true, and of simulated presses into two sensors.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 import bubbleviz as bv
 from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import build_mesh
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import FROZEN_AFTER, Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import DepthNoise, touching_height
@@ -32,8 +31,8 @@ _DEPTHS_M = (-0.004, -0.004, -0.004, -0.004, -0.004, 0.002, 0.004, 0.006, 0.008,
 _NO_CONTACT_N = 0.1
 """Force that may be missed without a word: about the detection limit of the sensors."""
 
-Change = Callable[[Frame, int], Frame]
-"""A frame and its number among the frames of the press → the frame with an error."""
+Change = Callable[[list[Frame]], list[Frame]]
+"""The frames of a press → the same with an error; more frames than it has repeat its last force."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def faults_study(errors: int, seed: int, parts: Path | None = None) -> Study:
 def _row(press_name: str, kind: str, seed: int, number: int) -> list[FaultRow]:
     press, rng = _PRESSES[press_name](), np.random.default_rng([seed, number])
     size, unit, change = _KINDS[kind](press, rng)
-    frames = [change(frame, k) for k, frame in enumerate(press.frames)]
+    frames = change(press.frames)
     count = len(frames)
     try:
         run = bv.estimate(frames, press.sensor)
@@ -87,7 +86,8 @@ def _row(press_name: str, kind: str, seed: int, number: int) -> list[FaultRow]:
     force, status = np.linalg.norm(run.force_n, axis=1), run.status
     half = np.array([found.estimate.force_half_width_n for found in run])
     half = np.where(status == "no_contact", _NO_CONTACT_N, half)
-    error = np.abs(force - np.linalg.norm(press.force_n, axis=1))
+    true = np.linalg.norm(press.force_n, axis=1)
+    error = np.abs(force - np.pad(true, (0, count - len(true)), "edge"))
     told = ~np.isin(status, ("ok", "no_contact")) | bool(run.said["warning"])
     held = ~told & (error <= half)
     worst = float(error[~told & ~held].max(initial=0.0))
@@ -139,7 +139,8 @@ _PRESSES: dict[str, Callable[[], Press]] = {
 
 def _pressure(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
     shift = rng.uniform(-3e3, 3e3)
-    return shift, "Pa", lambda f, _: replace(f, gas_pressure_pa=_plus(f.gas_pressure_pa, shift))
+    change = _each(lambda f: replace(f, gas_pressure_pa=_plus(f.gas_pressure_pa, shift)))
+    return shift, "Pa", change
 
 
 def _offset(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
@@ -160,12 +161,12 @@ def _scale(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
 def _focal_length(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
     by = rng.uniform(-0.05, 0.05)
 
-    def change(frame: Frame, _: int) -> Frame:
+    def change(frame: Frame) -> Frame:
         own = frame.intrinsics or DepthCamera.of(load_sensor(press.sensor).camera).intrinsics
         other = replace(own, fx=(1.0 + by) * own.fx, fy=(1.0 + by) * own.fy)
         return replace(frame, intrinsics=other)
 
-    return by, "", change
+    return by, "", _each(change)
 
 
 def _turned(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
@@ -201,6 +202,17 @@ def _bad_pixels(press: Press, rng: np.random.Generator) -> tuple[float, str, Cha
     return float(count), "pixels", _of_depth(change)
 
 
+def _frozen(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
+    """A camera that from one of the images on sends that image again, with new stamps."""
+    stop = int(rng.integers(len(press.frames)))
+
+    def change(frames: list[Frame]) -> list[Frame]:
+        longer = [*frames, *FROZEN_AFTER * [frames[-1]]]
+        return [*frames[:stop], *(replace(f, depth_m=frames[stop].depth_m) for f in longer[stop:])]
+
+    return float(stop), "frames before", change
+
+
 _KINDS: dict[str, Callable[[Press, np.random.Generator], tuple[float, str, Change]]] = {
     "gas pressure": _pressure,
     "offset": _offset,
@@ -210,6 +222,7 @@ _KINDS: dict[str, Callable[[Press, np.random.Generator], tuple[float, str, Chang
     "turned or mirrored": _turned,
     "hole": _hole,
     "bad pixels": _bad_pixels,
+    "frozen": _frozen,
 }
 
 
@@ -217,10 +230,16 @@ def _plus(pressure_pa: float | None, shift_pa: float) -> float | None:
     return None if pressure_pa is None else pressure_pa + shift_pa
 
 
+def _each(change: Callable[[Frame], Frame]) -> Change:
+    return lambda frames: [change(frame) for frame in frames]
+
+
 def _of_depth(change: Callable[[np.ndarray, int], np.ndarray]) -> Change:
-    return lambda frame, k: replace(
-        frame, depth_m=np.ascontiguousarray(change(frame.depth_m.copy(), k), np.float32)
-    )
+    """A change of each image (H, W) by its number."""
+    return lambda frames: [
+        replace(f, depth_m=np.ascontiguousarray(change(f.depth_m.copy(), k), np.float32))
+        for k, f in enumerate(frames)
+    ]
 
 
 def _dent(press: Press) -> np.ndarray:

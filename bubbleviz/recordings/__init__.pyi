@@ -40,6 +40,7 @@ from .depth_topics import (
     nearest_info as nearest_info,
 )
 from .frame import (
+    FROZEN_AFTER as FROZEN_AFTER,
     NO_COLOUR as NO_COLOUR,
     EqualImages as EqualImages,
     Frame as Frame,
