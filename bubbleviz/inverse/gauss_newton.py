@@ -32,6 +32,7 @@ from bubbleviz.inverse.contact_problem import (
 )
 from bubbleviz.inverse.plausibility import (
     IMPLAUSIBLE_MISFIT,
+    IMPLAUSIBLE_SHARE,
     contradicts_measured_gas,
     gas_sigma,
 )
@@ -453,7 +454,13 @@ class GaussNewton:
         seen = sight.weight > 0.0
         if np.count_nonzero(seen) < MINIMUM_BLOCKS:
             return FailedFrame("no_data")
-        if np.median(np.abs(sight.error_m[seen])) > self._length_m:
+        error = sight.error_m[seen]
+        # Contact only pushes inwards: what is far outside the membrane at rest is another surface.
+        outside = state is self._rest and np.sqrt(np.mean(np.maximum(error, 0.0) ** 2))
+        if (
+            outside > IMPLAUSIBLE_SHARE * self._length_m
+            or np.median(np.abs(error)) > self._length_m
+        ):
             return FailedFrame("implausible", state)
         return None
 

@@ -88,3 +88,28 @@ def test_a_hole_in_the_middle_of_a_contact_is_told_as_a_share_not_seen(solver):
     part, _ = solver.estimate(np.where(hole, np.nan, image))
     assert 0.8 < part.seen_share < 1.0
     assert np.isnan(solver.estimate(rest)[0].seen_share)
+
+
+def test_what_is_far_outside_the_membrane_is_refused_before_anything_is_solved(solver):
+    """A camera that is turned in its mount sees a part of the membrane where none can be."""
+    mesh, _ = pressed("sphere", 0.007, 0.0)
+    image = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M) + np.where(RIGHT > 0.0, 0.02, -0.02)
+    estimate, _ = solver.estimate(image)
+    assert estimate.status == "implausible"
+    assert estimate.solve_ms == 0.0
+
+
+@pytest.mark.parametrize("value_m", [1e-3, 0.04, 12.0])
+@pytest.mark.parametrize("right_m", [0.008, -0.02])
+def test_one_bad_pixel_changes_nothing(solver, value_m, right_m):
+    """On the contact and beside it."""
+    mesh, contact = pressed("sphere", 0.007, 0.0)
+    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    usual, _ = solver.estimate(image)
+    image.flat[np.argmin(np.hypot(RIGHT * image - right_m, DOWN * image))] = value_m
+    estimate, _ = solver.estimate(image)
+    assert estimate.status == "ok"
+    size = np.linalg.norm(usual.force_n)
+    assert np.linalg.norm(estimate.force_n - usual.force_n) < 0.01 * size
+    touching = estimate.contact_pressure_pa > 0.0
+    assert np.count_nonzero(touching != (usual.contact_pressure_pa > 0.0)) <= 1

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ from bubbleviz.live import (
     open_stream,
 )
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Message, Recording
+from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Message, Recording, StaticPoses
 from bubbleviz.sensor import with_colour_delay
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
@@ -395,3 +396,25 @@ def test_colour_of_a_realsense_camera_asked_for_later(realsense_file, small_sens
             stream.take(30.0)
         assert not any("color" in message.topic for message in heard[-5:])
         assert stream.counters().undecodable == 0
+
+
+def test_poses_told_without_end_are_kept_within_bounds():
+    """A publisher may invent frames of reference for ever; the one that was told last counts."""
+    poses = StaticPoses()
+    for k in range(30):
+        names = [f"a{k}_{i}" for i in range(1_000)]
+        many = SimpleNamespace(transforms=[transform("base", name, 0.001 * k) for name in names])
+        poses = poses.after(many)
+    assert len(poses.parents) <= 10_000
+    np.testing.assert_allclose(poses.pose("a29_999", "base")[:3, 3], [0.029, 0.0, 0.0])
+
+
+def transform(parent, child, x_m):
+    return SimpleNamespace(
+        child_frame_id=child,
+        header=SimpleNamespace(frame_id=parent),
+        transform=SimpleNamespace(
+            translation=SimpleNamespace(x=x_m, y=0.0, z=0.0),
+            rotation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+        ),
+    )
