@@ -225,6 +225,14 @@ class Pipeline:
             before = pressure
         self._start = start
 
+    def is_untouched(self, frame: Frame) -> bool:
+        """Whether a frame's depth image alone, without the gas pressure, says that nothing touches.
+
+        Raises InputError: the image is not of the camera's size.
+        """
+        self._check_size(frame)
+        return self.estimator.is_untouched(frame.depth_m)
+
     def estimate_aside(self, frame: Frame) -> Estimate:
         """Estimate of a frame that the next one is not started from.
 

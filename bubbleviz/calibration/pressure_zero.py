@@ -109,10 +109,7 @@ class PressureZero:
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 
     def wants_next(self) -> bool:
-        """Whether the next frame should be tested for contact, which may cost another estimate.
-
-        Of a contact only every few frames are asked about.
-        """
+        """Whether the next frame should be tested for contact; in one only every few are."""
         self._passing = max(self._passing - 1, 0)
         return self._asked and self._passing == 0
 
@@ -125,19 +122,10 @@ class PressureZero:
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
 
 
-def untouched(frame: Frame, pipeline: Pipeline) -> bool:
-    """Whether a frame's depth image alone, without the gas pressure, says that nothing touches.
-
-    What the next frame starts from stays as it is.
-    """
-    unmeasured = replace(frame, gas_pressure_pa=None)
-    return pipeline.estimate_aside(unmeasured).status == "no_contact"
-
-
 def zeroed(frame: Frame, zero: PressureZero, pipeline: Pipeline) -> Frame:
     """The frame with its gas pressure shifted; learned from where the zero is still waited for."""
     if frame.gas_pressure_pa is not None and zero.wants_next():
-        zero.learn(frame.gas_pressure_pa, contact_free=untouched(frame, pipeline))
+        zero.learn(frame.gas_pressure_pa, contact_free=pipeline.is_untouched(frame))
     return zero.applied(frame)
 
 
@@ -166,7 +154,7 @@ def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[floa
     rest: list[float] = []
     for index in range(start, min(start + ENOUGH, len(source))):
         frame = source[index]
-        if frame.gas_pressure_pa is None or not untouched(frame, pipeline):
+        if frame.gas_pressure_pa is None or not pipeline.is_untouched(frame):
             break
         rest.append(frame.gas_pressure_pa)
     return rest

@@ -220,6 +220,13 @@ class Estimator:
         start = Start(touching, tangent, answer.noise, state, measured, answer.view)
         return self._report(answer), start
 
+    def is_untouched(self, depth_m: np.ndarray) -> bool:
+        """Whether an image alone (H, W), without the gas pressure, says that nothing touches."""
+        try:
+            return self._newton.is_untouched(self.observer.measure(depth_m))
+        except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
+            return False
+
     def _report(self, answer: SolvedFrame) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
         touching, moved = bool(state.pressure.any()), state.x - self.mesh.nodes

@@ -473,10 +473,23 @@ class GaussNewton:
             return True
         return sight.is_nearer_at_rest(sight.error_m)
 
-    def _nothing_pulls(self, at_rest: _Sight, gas: float | None) -> bool:
+    def is_untouched(self, measured: Measured) -> bool:
+        """Whether an image by itself, without a gas pressure, is explained without contact."""
+        sight = self._look(measured, self._rest, None)
+        if self._unlike_a_membrane(sight, self._rest):
+            return False
+        pulled = not self._nothing_pulls(sight, None)
+        step = self._step(None, self._rest, sight, None, 1.0, int(pulled), not pulled)
+        if step is None or not step.balanced:
+            return False
+        noise = self._noise_left(step, sight, 1.0, self._is_clear(sight, step.contact.pressure))
+        untouched = not pulled or self._nothing_pulls(sight, None, noise)
+        return untouched and noise <= IMPLAUSIBLE_MISFIT
+
+    def _nothing_pulls(self, at_rest: _Sight, gas: float | None, noise: float = 1.0) -> bool:
         """Whether an image of the membrane at rest is explained without contact."""
         tangent = self._rest_tangent[gas is not None]
-        ranges = self._ranges(tangent, self._rest, at_rest, gas)
+        ranges = self._ranges(tangent, self._rest, at_rest, gas, noise)
         return self._problem(tangent, ranges, self._rest, gas).nothing_pulls()
 
     def _noise_left(self, step: Step, sight: _Sight, noise: float, clear: bool) -> float:
