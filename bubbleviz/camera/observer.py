@@ -82,10 +82,8 @@ depth."""
 _HUBER = 1.345  # residual in σ beyond which a pixel counts less: 95 % efficient on Gaussian noise
 
 _FAR, _FAR_SHARE = 4.0, 1e-3
-"""Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise."""
-
-_NEVER = 100.0
-"""Nor is a single one so many σ away, such as a pixel at 60 m."""
+"""Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise. Nor is a mean
+of a block so far away: a single pixel at 60 m moves it there."""
 
 _WALKED = 0.5
 """Share of a mesh edge that nodes may have moved by since all rays were cast."""
@@ -275,22 +273,8 @@ class RangeObserver:
         holes = np.flatnonzero(np.isnan(moment))
         if holes.size:
             total = total.copy()
-            total[holes], moment[holes] = self._around_holes(depth_m, holes)
+            total[holes], moment[holes] = self._sums_of(holes, depth_m)
         return Measured(depth_m, noise, total / noise**2, moment / noise**2)
-
-    def _around_holes(
-        self, depth_m: np.ndarray, blocks: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The sums of `measure` for some blocks (j,), of their pixels with a return."""
-        count = self._count[blocks]
-        ends = np.cumsum(count)
-        first = self._starts[blocks] - ends + count
-        pixels = self._used.of(np.arange(ends[-1]) + np.repeat(first, count))
-        residual = pixels.residuals(depth_m)
-        both = np.stack([pixels.precision, pixels.precision * residual]).astype(float)
-        both[:, np.isnan(residual)] = 0.0
-        total, moment = np.add.reduceat(both, ends - count, axis=1)
-        return total, moment
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of what was measured; `expected_m` as in `observe`."""
@@ -300,23 +284,46 @@ class RangeObserver:
             squares = self._spread.misses_squared(measured.depth_m, expected)
             squares /= np.float32(measured.noise**2)
             far, seen = np.count_nonzero(squares > _FAR**2), np.count_nonzero(squares >= 0.0)
-            if far > _FAR_SHARE * seen or (far and (squares > _NEVER**2).any()):
-                total, moment = self._robust_sums(measured, expected)
+            if far > _FAR_SHARE * seen:
+                off = np.arange(self.blocks)
+            else:
+                off = self._far_off(total, moment, expected_m)
+            if off.size:
+                found = self._sums_of(off, measured.depth_m, expected, measured.noise)
+                total, moment = total.copy(), moment.copy()
+                total[off], moment[off] = found / measured.noise**2
                 share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
         return Observation(mean, self._weight(total), share)
 
-    def _robust_sums(
-        self, measured: Measured, expected_m: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """`total` and `moment` of a frame where pixels far from a model (B,) count less."""
-        used, variance = self._used, np.float32(measured.noise**2)
-        weight = _huber_weights(used.misses_squared(measured.depth_m, expected_m) / variance)
-        weight *= used.precision / variance
-        residual = used.residuals(measured.depth_m)
+    def _far_off(self, total: np.ndarray, moment: np.ndarray, expected_m: np.ndarray) -> np.ndarray:
+        """Blocks whose means are farther from a model (B,) than noise puts them, (j,) int."""
+        sigma_m = 1.0 / np.sqrt(self._weight(np.maximum(total, np.finfo(float).tiny)))
+        return np.flatnonzero(np.abs(moment - total * expected_m) > _FAR * sigma_m * total)
+
+    def _sums_of(
+        self,
+        blocks: np.ndarray,  # (j,) int, in ascending order
+        depth_m: np.ndarray,
+        # (B,), model of the block residuals from which pixels that are far count less
+        expected_m: np.ndarray | None = None,
+        noise: float = 1.0,
+    ) -> np.ndarray:
+        """Sums (2, j) over the pixels with a return of some blocks, as of `Measured` but noise."""
+        count = self._count[blocks]
+        ends = np.cumsum(count)
+        pixels = self._used
+        if len(blocks) < self.blocks:
+            first = self._starts[blocks] - ends + count
+            pixels = pixels.of(np.arange(ends[-1]) + np.repeat(first, count))
+        weight, residual = pixels.precision, pixels.residuals(depth_m)
+        if expected_m is not None:
+            squares = (residual - expected_m[pixels.block]) ** 2 * weight
+            weight = weight * _huber_weights(squares / np.float32(noise**2))
         nothing = np.isnan(residual)
-        weight[nothing] = residual[nothing] = 0.0
-        return self._sums(weight), self._sums(weight * residual)
+        weight, residual = np.where(nothing, 0.0, weight), np.where(nothing, 0.0, residual)
+        both = np.stack([weight, weight * residual])
+        return np.add.reduceat(both, ends - count, axis=1).astype(float)
 
     def _sums(self, values: np.ndarray) -> np.ndarray:
         """Sums (B,) over each block of values (k,) of the pixels."""

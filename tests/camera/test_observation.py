@@ -172,6 +172,22 @@ def test_outliers_among_pixels_that_a_filter_made_alike_count_little_too():
     assert robust.weight[seen & ~wrong] == pytest.approx(plain.weight[seen & ~wrong], rel=0.05)
 
 
+@pytest.mark.parametrize("value_m", [0.001, 0.25, 12.0])
+def test_one_bad_pixel_is_found_wherever_it_is(value_m):
+    """Although few of the pixels, which a filter made alike, are looked at for many outliers."""
+    noise = np.full((171, 224), 1e-4)
+    pixels = PixelModel(np.ones(noise.shape, bool), 0.0 * noise, noise, correlated_pixels=144.0)
+    observer = RangeObserver(CAMERA, MESH, 0.01, pixels, block=4)
+    ranges = MembraneView(CAMERA, MESH).range_image(np.zeros(len(MESH.nodes)))
+    untouched = CAMERA.depth_image(ranges).astype(np.float32)
+    for pixel in np.random.default_rng(6).choice(observer.pixel, 20):
+        depth = untouched.copy()
+        depth.flat[pixel] = value_m
+        seen = observer.observe(depth, np.zeros(observer.blocks))
+        assert (np.abs(seen.residual_m) * np.sqrt(seen.weight)).max() < 1.0
+        assert np.count_nonzero(seen.weight == 0.0) == 0
+
+
 def test_clean_pixels_keep_their_full_weight():
     observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
     ranges = MembraneView(CAMERA, MESH).range_image(np.zeros(len(MESH.nodes)))
