@@ -12,7 +12,7 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
-from bubbleviz.api.frames import Frames, HeldFrames, open
+from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
 from bubbleviz.calibration import PressureZero, find_contact_free
 from bubbleviz.camera import Intrinsics
@@ -26,6 +26,7 @@ from bubbleviz.recordings import (
     AUTO,
     EqualImages,
     Frame,
+    HeldFrames,
     Recording,
     fitting_sensor,
     has_returns,

@@ -88,28 +88,6 @@ class Frames(Sequence[Frame]):
         return f"<{count_of(len(self), 'frame')} of {self.name}>"
 
 
-class HeldFrames:
-    """A source of frames that are in memory."""
-
-    def __init__(self, frames: Sequence[Frame]) -> None:
-        self._frames = frames
-        self.name = f"frame {frames[0].index}" if len(frames) == 1 else f"{len(frames)} frames"
-
-    @property
-    def times_s(self) -> np.ndarray:
-        """Time of each frame, s, (F,)."""
-        return np.array([frame.time_s for frame in self._frames])
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        return self._frames[index]
-
-    def close(self) -> None:
-        """Frames in memory need no closing."""
-
-
 def open(
     path: str | Path,
     frames: str | None = None,

@@ -43,8 +43,6 @@ from .report import (
     write_sensor as write_sensor,
 )
 from .rest_frames import (
-    CollectedFrames as CollectedFrames,
-    PixelStatistics as PixelStatistics,
     Ranges as Ranges,
     as_ranges as as_ranges,
     collect as collect,

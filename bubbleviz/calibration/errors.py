@@ -9,7 +9,7 @@ the cells, which both contain (Cameron, Gelbach and Miller 2011).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -25,17 +25,6 @@ _MIN_TILES = 30  # of the image at least: fewer say little about their spread
 _LEAST_BLOCKS = 5  # of frames in the recording, however long the correlation
 _BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
 _CLIP = 3.0  # as the mean of a pixel is clipped
-
-
-class Covariances(NamedTuple):
-    """Of Q numbers, each (Q, Q): by tiles of pixels, and by blocks of frames beyond their noise."""
-
-    tiles: np.ndarray
-    frames: np.ndarray
-
-    @property
-    def total(self) -> np.ndarray:
-        return self.tiles + self.frames
 
 
 def tile_side(pixels: int, correlation_length_px: float) -> int:
@@ -66,7 +55,7 @@ def samples_covariances(
     residual_m: np.ndarray,  # (P,), mean range minus that of the fitted surface, m
     parameters: int,  # numbers fitted to the tiles
     progress: Progress = quiet,
-) -> Covariances:
+) -> tuple[np.ndarray, np.ndarray]:
     """Covariances of numbers fitted to the mean range of samples."""
     statistics = samples.statistics
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
@@ -124,10 +113,10 @@ def covariances(
     moving: np.ndarray,  # (F, T, Q), scores of what each frame differs from the mean by
     parameters: int,  # numbers fitted to the tiles
     block: int,  # frames that belong together; fewer where less than five blocks would be left
-) -> Covariances:
-    """Covariances by tiles, and by blocks of frames, whose noise the tiles hold already.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances (Q, Q) by tiles, and by blocks of frames beyond the noise that tiles hold.
 
-    Wider by Student's quantile over the normal one, as there are few clusters.
+    They add up. Wider by Student's quantile over the normal one, as there are few clusters.
     """
     frames, tiles, _ = moving.shape
     starts = np.arange(0, frames, max(1, min(block, frames // _LEAST_BLOCKS)))
@@ -139,10 +128,9 @@ def covariances(
     beyond = np.sqrt(np.maximum(variance - noise, 0.0) / np.maximum(variance, 1e-300))
     freedom = max(1, tiles - parameters)
     widened = tiles / freedom * student(freedom) ** 2
-    return Covariances(
-        tiles=widened * _outer(static + cells.sum(axis=0)),
-        frames=student(max(1, len(starts) - 1)) ** 2 * along * np.outer(beyond, beyond),
-    )
+    of_tiles = widened * _outer(static + cells.sum(axis=0))
+    of_blocks = student(max(1, len(starts) - 1)) ** 2 * along * np.outer(beyond, beyond)
+    return of_tiles, of_blocks
 
 
 def _outer(scores: np.ndarray) -> np.ndarray:

@@ -11,10 +11,10 @@ import numpy as np
 from bubbleviz.calibration.contact_free import held_frames, settled
 from bubbleviz.calibration.ellipsoid import cap_over_rim
 from bubbleviz.calibration.material import RubberEstimate, Vented, estimate_rubber
-from bubbleviz.calibration.rest_frames import PixelStatistics, Samples, collect
+from bubbleviz.calibration.rest_frames import Samples, collect
 from bubbleviz.calibration.surface import Surfaces
 from bubbleviz.calibration.tension import Quantity, TensionEstimate
-from bubbleviz.camera import DepthCamera
+from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.progress import Progress, quiet
@@ -41,7 +41,7 @@ class Identification:
     given: Sensor  # the sensor file it started from
     samples: Samples
     surfaces: Surfaces
-    pixels: PixelStatistics
+    pixels: PixelModel
     tension: TensionEstimate
     # where inflation levels, a press or the open chamber told of gauge pressure and rubber
     rubber: RubberEstimate | None = None
@@ -128,7 +128,7 @@ def assemble(
     sensor: Sensor,
     samples: Samples,
     surfaces: Surfaces,
-    pixels: PixelStatistics,
+    pixels: PixelModel,
     tension: TensionEstimate,
 ) -> Identification:
     """Put what the steps found into a sensor."""
@@ -216,7 +216,7 @@ def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
 
 
 def _camera_section(
-    section: Camera, camera: DepthCamera, statistics: DepthStatistics, pixels: PixelStatistics
+    section: Camera, camera: DepthCamera, statistics: DepthStatistics, pixels: PixelModel
 ) -> Camera:
     relative = np.median(statistics.noise_m[pixels.mask] / statistics.range_m[pixels.mask])
     return section.model_copy(

@@ -687,7 +687,7 @@ class _Problem:
         mean = np.nan_to_num(np.nanmean(frames, axis=0))
         limit = np.full(len(used), np.inf)
         scores = tile_scores(frames, mean, limit, influence[used], missed_m[used], tile)
-        return covariances(*scores, 2, frames_block(statistics)).total
+        return np.add(*covariances(*scores, 2, frames_block(statistics)))
 
 
 def _check_rise(shape: _SeenShape, gauge_pa: float, *, pressed: bool) -> None:

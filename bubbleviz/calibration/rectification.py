@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rest_frames import PixelStatistics, Samples
+from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import Surfaces
-from bubbleviz.camera import RangeLine
+from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import robust_sigma
 
 _TOLERANCE = 3.0  # standard deviations of a sample at the outermost level
 _APART = 10.0  # standard deviations of a sample that levels must differ by
 
-Level = tuple[Samples, Surfaces, PixelStatistics]
+Level = tuple[Samples, Surfaces, PixelModel]
 """Contact-free frames at one inflation, the surface fitted to them, and the pixels to use."""
 
 

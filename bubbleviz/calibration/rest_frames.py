@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +15,6 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     MIN_FRAMES,
     DepthStatistics,
-    Frame,
     FrameSource,
     measure_depth,
     robust_sigma,
@@ -109,44 +106,7 @@ def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCam
 # Pixel selection: which pixels to use, with the bias and noise of each.
 
 
-_MICROMETRE = 1e-6
-"""Step of the stored images: far below the noise, and it makes them compress to a third."""
-
 _SAMPLE_SCALE = 3.0  # robust standard deviations: 1 in 370 of a normal population lies outside
-
-
-@dataclass(frozen=True)
-class PixelStatistics(PixelModel):
-    """Bias and noise of each pixel from contact-free frames; noise is inf outside the mask."""
-
-    # pixels that each reason removed; the first that applies counts
-    removed: dict[str, int] = field(default_factory=dict)
-
-    def save(self, path: str | Path) -> None:
-        """Write the sensor file's `pixels_file`, a compressed NPZ of half-precision images.
-
-        `PixelModel.load` reads it.
-        """
-        with Path(path).open("wb") as file:
-            np.savez_compressed(
-                file,
-                mask=self.mask,
-                bias_m=_half(self.bias_m),
-                noise_m=_half(self.noise_m),
-                correlated_pixels=np.float32(self.correlated_pixels),
-                removed_reasons=np.array(list(self.removed), dtype=str),
-                removed_pixels=np.array(list(self.removed.values()), dtype=np.int64),
-                **self._line_images(),
-            )
-
-    def _line_images(self) -> dict[str, Any]:
-        if self.line is None:
-            return {}
-        images = {
-            name: getattr(self.line, name).astype(np.float32)
-            for name in ("slope", "rest_m", "nearest_m", "farthest_m")
-        }
-        return images | {"levels": np.int64(self.line.levels)}
 
 
 def select_pixels(
@@ -158,7 +118,7 @@ def select_pixels(
     min_validity: float | None = None,
     # robust standard deviations beyond which a pixel is `unstable` or `biased`
     deviations: float = _SAMPLE_SCALE,
-) -> PixelStatistics:
+) -> PixelModel:
     """Choose the pixels to use, and estimate the bias of each.
 
     Reasons to leave a pixel out, in this order: `never_valid` and `rarely_valid` (returns in
@@ -191,50 +151,13 @@ def select_pixels(
     for name, out in reasons.items():
         removed[name] = int(np.count_nonzero(mask & out))
         mask &= ~out
-    return PixelStatistics(
+    return PixelModel(
         mask=mask,
         bias_m=np.where(mask, residual_m, 0.0).astype(np.float32),
         noise_m=np.where(mask, sigma, np.inf).astype(np.float32),
         removed=removed,
         correlated_pixels=statistics.correlated_pixels,
     )
-
-
-def _half(image: np.ndarray) -> np.ndarray:
-    """Image in m rounded to micrometres, half precision."""
-    return (np.rint(image / _MICROMETRE) * _MICROMETRE).astype(np.float16)
-
-
-# Frames collected from a live source, as a frame source.
-
-
-class CollectedFrames:
-    """Frames kept in memory, in the order in which they came.
-
-    Raises InputError: there are none.
-    """
-
-    def __init__(
-        self,
-        name: str,  # of the live source
-        frames: Sequence[Frame],
-    ) -> None:
-        if not frames:
-            raise InputError(f"{name}: no frame was collected; wait for the source")
-        self.name = name
-        self._frames = tuple(frames)
-        self.times_s = np.array([frame.time_s for frame in frames])
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def __getitem__(self, index: int) -> Frame:
-        if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} of {len(self)}")
-        return self._frames[index]
-
-    def close(self) -> None:
-        """Nothing to let go of."""
 
 
 # Sets of frames as ranges, as selected on the timeline.

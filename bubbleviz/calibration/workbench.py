@@ -28,7 +28,6 @@ from bubbleviz.calibration.identification import (
 from bubbleviz.calibration.material import Vented
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rest_frames import (
-    PixelStatistics,
     Samples,
     as_ranges,
     collect,
@@ -38,6 +37,7 @@ from bubbleviz.calibration.rest_frames import (
 from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
 from bubbleviz.calibration.tension import estimate_tension
 from bubbleviz.calibration.validation import Validation
+from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
 from bubbleviz.recordings import FrameSource, KeptFrames, Recording
@@ -91,7 +91,7 @@ class Draft:
     contact_free: ContactFree | None = None  # what was found, whether or not it is used
     samples: Samples | None = None
     # of the step SURFACE on less its bias; before, by validity and noise alone
-    pixels: PixelStatistics | None = None
+    pixels: PixelModel | None = None
     surfaces: Surfaces | None = None
     found: Identification | None = None  # rectified by the other levels, where there are
     validation: Validation | None = None

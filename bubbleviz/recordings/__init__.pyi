@@ -46,6 +46,7 @@ from .frame import (
     Frame as Frame,
     FrameSource as FrameSource,
     Gap as Gap,
+    HeldFrames as HeldFrames,
     KeptFrames as KeptFrames,
     TimeAxis as TimeAxis,
     find_gaps as find_gaps,

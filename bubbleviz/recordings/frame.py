@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from bubbleviz.camera import ColourImage, Intrinsics
+from bubbleviz.errors import InputError
 
 NO_COLOUR = "no colour images in this source"
 SAME_CLOCK_NS = 5_000_000_000
@@ -200,6 +201,32 @@ class KeptFrames:
     def close(self) -> None:
         self._frames.clear()
         self._left = self._limit
+
+
+class HeldFrames:
+    """A source of frames that are in memory.
+
+    Raises InputError: there are none.
+    """
+
+    def __init__(self, frames: Sequence[Frame], name: str = "") -> None:
+        if not frames:
+            raise InputError(f"{name or 'frames'}: no frame was collected; wait for the source")
+        one = f"frame {frames[0].index}" if len(frames) == 1 else f"{len(frames)} frames"
+        self.name = name or one
+        self._frames = tuple(frames)
+        self.times_s = np.array([frame.time_s for frame in frames])
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Frame:
+        if not 0 <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return self._frames[index]
+
+    def close(self) -> None:
+        """Frames in memory need no closing."""
 
 
 # Where frames are missing in a recording, and where the others lie along its time.

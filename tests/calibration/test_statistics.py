@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.calibration import PixelStatistics, rim_height
+from bubbleviz.calibration import rim_height
 from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import (
@@ -194,7 +194,7 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
     mask[1:3, 2:5] = True
     bias = np.where(mask, 1.23e-4, 0.0).astype(np.float32)
     noise = np.where(mask, 4.5e-5, np.inf).astype(np.float32)
-    PixelStatistics(mask, bias, noise, 7.5, removed={"never_valid": 18}).save(tmp_path / "p.npz")
+    PixelModel(mask, bias, noise, 7.5, removed={"never_valid": 18}).save(tmp_path / "p.npz")
     back = PixelModel.load(tmp_path / "p.npz")
     np.testing.assert_array_equal(back.mask, mask)
     np.testing.assert_allclose(back.bias_m, bias, atol=1e-6)

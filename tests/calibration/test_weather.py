@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.api.frames import HeldFrames
 from bubbleviz.calibration import zero_of
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import RubberForward
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Recording
+from bubbleviz.recordings import HeldFrames, Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from bubbleviz.calibration import (
-    CollectedFrames,
     Quantity,
     RubberEstimate,
     Settings,
@@ -26,6 +25,7 @@ from bubbleviz.calibration import (
 )
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
+from bubbleviz.recordings import HeldFrames
 
 from .domes import sphere
 
@@ -184,13 +184,13 @@ def test_another_height_is_seen_in_table_and_picture(found):
 
 
 def test_collected_frames_are_saved_with_a_report(dome, tmp_path):
-    frames = CollectedFrames("live", [dome[k] for k in range(12)])
+    frames = HeldFrames([dome[k] for k in range(12)], "live")
     found = identify(frames, dome.sensor, range(12), nodes=NODES)
     save(found, frames, "given", tmp_path / "new.toml", tmp_path / "report")
     origin = json.loads((tmp_path / "report" / "report.json").read_text())["origin"]
     assert origin["recording"] == "live" and origin["recording_sha256"] is None
     with pytest.raises(InputError, match="no frame"):
-        CollectedFrames("live", [])
+        HeldFrames([], "live")
 
 
 def test_a_report_that_cannot_be_written_leaves_no_sensor(dome, found, tmp_path, monkeypatch):

@@ -11,9 +11,9 @@ import numpy as np
 from PySide6.QtCore import QObject, Signal
 from PySide6.QtGui import QUndoStack
 
-from bubbleviz.calibration import CollectedFrames, Draft, Settings, Step
+from bubbleviz.calibration import Draft, Settings, Step
 from bubbleviz.progress import Progress, part_of
-from bubbleviz.recordings import FrameSource, TimeAxis
+from bubbleviz.recordings import FrameSource, HeldFrames, TimeAxis
 from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
@@ -40,7 +40,7 @@ class Work:
     """All that a person decided; undo puts an older one back."""
 
     settings: Settings = field(default_factory=Settings)
-    collected: CollectedFrames | None = None  # frames of a live source; None: the recording itself
+    collected: HeldFrames | None = None  # frames of a live source; None: the recording itself
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Calibration(QObject):
         new = replace(self.work, settings=replace(self.settings, **changes))
         self._push(text, new, gesture)
 
-    def use_collected(self, frames: CollectedFrames, settings: Settings) -> None:
+    def use_collected(self, frames: HeldFrames, settings: Settings) -> None:
         self._push(f"Collect {count_of(len(frames), 'frame')}", Work(settings, frames), None)
 
     def reach(self, step: Step, text: str) -> None:
@@ -292,7 +292,7 @@ class Benches:
     def __init__(self) -> None:
         self._opener: Callable[[Sensor], FrameSource] | None = None
         self._bench: Workbench | None = None
-        self._collected: tuple[CollectedFrames, Workbench] | None = None
+        self._collected: tuple[HeldFrames, Workbench] | None = None
 
     def of(self, work: Work, opener: Callable[[Sensor], FrameSource], given: Sensor) -> Workbench:
         """Workbench of a work, made where it is not there yet."""

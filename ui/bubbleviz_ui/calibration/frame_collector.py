@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.calibration import CollectedFrames, Settings, Step
+from bubbleviz.calibration import Settings, Step
 from bubbleviz.progress import Progress
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.jobs import Done, Jobs
@@ -26,7 +26,7 @@ class Collector(QObject):
     """Takes frames as they are shown."""
 
     changed = Signal()  # another frame, another estimate, or collecting began or ended
-    # the `CollectedFrames`: enough of them, or γ0's interval is as small as wanted
+    # the `HeldFrames`: enough of them, or γ0's interval is as small as wanted
     complete = Signal(object)
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class Collector(QObject):
         frames = self.frames
         self.cancel()
         if frames:
-            self.complete.emit(CollectedFrames(self.name, frames))
+            self.complete.emit(HeldFrames(frames, self.name))
 
     def cancel(self) -> None:
         self._jobs.cancel()
@@ -98,7 +98,7 @@ class Collector(QObject):
         if not due or not self._target or self._jobs.busy or self._sensor is None:
             return
         self._looked_at = many
-        frames = CollectedFrames(self.name, self.frames)
+        frames = HeldFrames(self.frames, self.name)
         self._jobs.run(_estimate(frames, self._sensor), self._on_estimate)
 
     def _on_estimate(self, done: Done) -> None:
@@ -113,7 +113,7 @@ class Collector(QObject):
         self.changed.emit()
 
 
-def _estimate(frames: CollectedFrames, sensor: Sensor) -> Callable[[Progress], Quantity | None]:
+def _estimate(frames: HeldFrames, sensor: Sensor) -> Callable[[Progress], Quantity | None]:
     def job(progress: Progress) -> Quantity | None:
         nodes = sensor.membrane.nodes
         settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)

@@ -21,7 +21,6 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.calibration import (
     SIGNIFICANT,
-    CollectedFrames,
     ContactFree,
     Ranges,
     Step,
@@ -30,7 +29,7 @@ from bubbleviz.calibration import (
     tidy,
     without,
 )
-from bubbleviz.recordings import TimeAxis
+from bubbleviz.recordings import HeldFrames, TimeAxis
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
@@ -283,7 +282,7 @@ class CollectBox(QGroupBox):
             collector.cancel()
         self._show()
 
-    def _use(self, frames: CollectedFrames) -> None:
+    def _use(self, frames: HeldFrames) -> None:
         untouched = self.untouched.isChecked()
         ranges = ((0, len(frames)),) if untouched else None
         settings = replace(

@@ -26,6 +26,7 @@ from bubbleviz.recordings import (
     Frame,
     FrameSource,
     Gap,
+    HeldFrames,
     Recording,
     check_fits,
     gas_warning,
@@ -568,9 +569,9 @@ def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
     if not isinstance(source, Recording):
         return ""
     # what the window starts without
-    from bubbleviz.calibration import ENOUGH, CollectedFrames, check_sensor, find_contact_free
+    from bubbleviz.calibration import ENOUGH, check_sensor, find_contact_free
 
-    first = CollectedFrames(source.name, [source[k] for k in range(min(ENOUGH, len(source)))])
+    first = HeldFrames([source[k] for k in range(min(ENOUGH, len(source)))], source.name)
     try:
         free = find_contact_free(first).frames
         found = check_sensor(pipeline.model, [first[k] for k in free], quick=True)
