@@ -9,7 +9,7 @@ from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_sphere, mesh_ellipsoi
 from bubbleviz.calibration.errors import tile_numbers, tile_side
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.segmentation import away_from_edges
-from bubbleviz.camera import DepthCamera
+from bubbleviz.camera import MAD, DepthCamera, median
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import robust_sigma
@@ -138,7 +138,7 @@ def _closed(region: np.ndarray) -> np.ndarray:
 
 
 _PIXELS = 20_000  # fitted in each frame; chosen for run time
-_ROUNDS = 5  # outliers give way to the motion
+_ROUNDS, _STILL_M = 5, 1e-9  # outliers give way to the motion, until it changes by less
 _LOUD = 4.0  # standard deviations that noise does not reach in some hundred frames
 _WANDER = 5e-3  # of the dome's radius: the error it would put on γ0
 
@@ -180,8 +180,11 @@ def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
     moved = np.zeros((len(change), 3))
     for _ in range(_ROUNDS):
         left = change + moved @ J.T
-        limit = _LOUD * np.array([robust_sigma(row, center=0.0) for row in left])[:, None]
-        moved = moved + np.clip(left, -limit, limit) @ solve.T
+        limit = _LOUD / MAD * median(np.abs(left))[:, None]
+        step = np.clip(left, -limit, limit) @ solve.T
+        moved = moved + step
+        if np.abs(step).max() < _STILL_M:
+            break
     left = np.clip(change + moved @ J.T, -limit, limit)
     side = tile_side(len(known), statistics.correlation_length_px)
     tile = tile_numbers(known, camera.intrinsics.width, max(side, 8))

@@ -9,8 +9,6 @@ the cells, which both contain (Cameron, Gelbach and Miller 2011).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy import sparse
 from scipy.special import ndtri, stdtrit
@@ -18,13 +16,9 @@ from scipy.special import ndtri, stdtrit
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import DepthStatistics, mean_inflation
 
-if TYPE_CHECKING:
-    from bubbleviz.calibration.rest_frames import Samples
-
 _MIN_TILES = 30  # of the image at least: fewer say little about their spread
 _LEAST_BLOCKS = 5  # of frames in the recording, however long the correlation
 _BLOCK_INFLATIONS = 2.0  # correlation times to a block of frames
-_CLIP = 3.0  # as the mean of a pixel is clipped
 
 
 def tile_side(pixels: int, correlation_length_px: float) -> int:
@@ -42,39 +36,28 @@ def tile_numbers(pixels: np.ndarray, width: int, side: int) -> np.ndarray:
     return np.unique(tile, return_inverse=True)[1]
 
 
-def frames_block(statistics: DepthStatistics) -> int:
-    """Frames to a block, by how long the noise of a pixel is correlated."""
-    return max(1, round(_BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)))
-
-
-def samples_covariances(
-    samples: Samples,
-    pixels: np.ndarray,  # (P,) int, flat indices of those that took part
-    # (P, Q), change of each number per change of each pixel's mean range, unit/m
+def cluster_covariances(
+    statistics: DepthStatistics,  # of the frames: how far their noise is correlated
+    # flat indices (P,) of the pixels or blocks that took part, columns of the image, and pixels
+    # along the side of one
+    place: tuple[np.ndarray, int, int],
+    # frames (F, P), mean_m and limit_m (P,), influence (P, Q), residual_m (P,): as of `tile_scores`
+    frames: np.ndarray,
+    mean_m: np.ndarray,
+    limit_m: np.ndarray,
     influence: np.ndarray,
-    residual_m: np.ndarray,  # (P,), mean range minus that of the fitted surface, m
+    residual_m: np.ndarray,
     parameters: int,  # numbers fitted to the tiles
     progress: Progress = quiet,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of numbers fitted to the mean range of samples."""
-    statistics = samples.statistics
-    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
-    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
+    """Covariances, as of `covariances`, of numbers fitted to the mean of frames."""
+    numbers, columns, side = place
     tile = tile_numbers(
-        pixels,
-        samples.camera.intrinsics.width,
-        tile_side(len(pixels), statistics.correlation_length_px),
+        numbers, columns, tile_side(len(numbers), statistics.correlation_length_px / side)
     )
-    static, moving = tile_scores(
-        samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
-        np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth),
-        np.nan_to_num(_CLIP * noise / to_depth),
-        influence * to_depth[:, None],
-        residual_m / to_depth,
-        tile,
-        progress,
-    )
-    return covariances(static, moving, parameters, frames_block(statistics))
+    scores = tile_scores(frames, mean_m, limit_m, influence, residual_m, tile, progress)
+    block = _BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)
+    return covariances(*scores, parameters, max(1, round(block)))
 
 
 def tile_scores(

@@ -1,93 +1,24 @@
-"""Pre-stretch and gauge pressure by one least-squares problem over everything that tells of them.
-
-The rest surface S0 and its gauge pressure G give the stress at rest by statics, and q = λ⁻⁶ =
-1 − γ0/μh the rubber. Under another gas pressure, which differs by a measured Δp, the shape depends
-on q, on (G + Δp)/G, and, where something presses, on the contact pressures. Unknown are q, G and
-the contact pressures of the nodes that may be touched; an inflation level is a press without any.
-Rows are the changes of range from rest, in which fixed errors of camera and mesh cancel, G as the
-sensor file or the open chamber tells it, and the gas pressure of every recording, each with its
-standard deviation; the errors of these pressures are unknowns, too.
-
-White noise of a hundred thousand pixels would outweigh that row, though what the model gets wrong
-does not average out. So the rows of ranges are tempered: they count as much less as the covariance
-of their own estimate is wider with the errors of the model than by noise alone.
-"""
+"""Pre-stretch and gauge pressure as inflation levels, a press and the open chamber tell them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
-from scipy import sparse
-from scipy.optimize import least_squares
-from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.calibration.contact_free import SIGNIFICANT
-from bubbleviz.calibration.errors import (
-    covariances,
-    frames_block,
-    student,
-    tile_numbers,
-    tile_scores,
-    tile_side,
-)
 from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.rubber_problem import LARGEST_Q, SMALLEST_Q, Fit, RubberProblem
 from bubbleviz.calibration.tension import Quantity, TensionEstimate
-from bubbleviz.camera import RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import PRESSURE_SCALE, RIM_SLACK_M
-from bubbleviz.membrane import (
-    STRESS_DEGREE,
-    Factor,
-    Factoriser,
-    MembraneMesh,
-    Prestress,
-    RubberMembrane,
-    cotangent_laplacian,
-    mean_curvature,
-    prestressed,
-)
-from bubbleviz.recordings import (
-    FrameSource,
-    error_of_mean,
-    robust_sigma,
-    tukey_loss,
-    tukey_slopes,
-    tukey_weights,
-)
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import FrameSource, error_of_mean
 from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA, Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of
 
-SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
-"""Range of q: λ from 3.2, which is as good as constant tension, to 1.005."""
-_STARTS = (0.35, 0.7, 0.05)
-"""λ of 1.19 to begin with; 1.06 and 1.65 where that cannot hold the shapes, or slides down to
-constant tension, as it may from a gauge pressure that is far too low."""
-_LEAST_GAUGE = 0.1  # of the gauge pressure to begin with
-_STEP_OF_Q = 1e-3  # relative step of q for the derivative of the forces
-_LEAST_RISE = 0.01  # change of the gauge pressure, over itself, below which a shape says nothing
-_PRESSURE_ERROR = 0.01
-"""Standard deviation of the gas pressure of a recording beside that of another one, over the
-largest gauge pressure of them. Data sheets of silicon pressure sensors give a total error band of
-±1 to ±2 % of full scale, by zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and
-full scale is that pressure at least: ±2 % is taken for 95 %. Frames of one recording share the zero
-and the temperature: a press in it has none of this."""
-_EDGE_OF_DENT = 0.25
-"""Share of a dent's depth beyond which something may touch. The membrane leaves a flat plate that
-covers a dome to 0.85 of its radius there; anything smaller or rounder it leaves deeper."""
-_RINGS, _SECTORS = 4, 8
-"""Parts of the view left out in turn, each large against what errors of the model are alike over:
-of equal numbers of blocks between rim and top of a level, around the dent of a press."""
-_CLOSE = 1e-4  # relative change of the sum of squares that ends the fit, far below its noise
-_MOST_STEPS = 60
-_NEWTON, _BALANCED = 30, 1e-6
-"""Steps to equilibrium, and force left there over the load on a node of mean area."""
-_OUTLIER = 10.0  # standard deviations of a block whose ray misses the membrane
 _UNEXPLAINED = 0.25  # share of the change of range that rubber may leave unexplained
 
 
@@ -210,17 +141,23 @@ def estimate_rubber(
     relative = tension.of_shape.sigma / tension.of_shape.value
     told = model, samples, seen, other_mesh, gauge, relative
     try:
-        problem = _Problem(*told, level_sigma_pa, pressed=not levels)
+        problem = RubberProblem(*told, level_sigma_pa, pressed=not levels)
         alone = problem.fit()
-        fit = problem.fit(sigma / gauge, alone)
+        fit = problem.refit(alone, sigma / gauge)
     except InputError as error:
         return replace(known, why_not=str(error))
+    known = replace(
+        known,
+        rises_pa=problem.rises_pa,
+        change_rms_m=problem.change_rms_m,
+        unexplained_rms_m=problem.unexplained_rms_m(fit.vector),
+    )
     return _judged(alone, fit, Quantity.normal(gauge, sigma), known)
 
 
 def _judged(
-    alone: _Fit,  # by the shapes alone
-    fit: _Fit,  # with the gauge pressure that is known otherwise
+    alone: Fit,  # by the shapes alone
+    fit: Fit,  # with the gauge pressure that is known otherwise
     by_file: Quantity,
     known: RubberEstimate,
 ) -> RubberEstimate:
@@ -233,25 +170,24 @@ def _judged(
     intervals explain one of them is wrong, and the interval holds both of theirs.
     Whether λ is determined is asked at the gauge pressure that was found.
     """
-    changed, left = fit.change_rms_m, fit.unexplained_rms_m
-    known = replace(known, rises_pa=fit.rises_pa, change_rms_m=changed, unexplained_rms_m=left)
+    changed, left = known.change_rms_m, known.unexplained_rms_m
     if left > _UNEXPLAINED * changed:
         misses, what = f"misses by {1e3 * left:.2g} mm", f"what changes by {1e3 * changed:.2g} mm"
         return replace(known, why_not=f"rubber of this shape {misses} {what}")
     covariance, found = fit.covariance, known
     if known.gauge is None:
-        by_shapes = Quantity.normal(alone.gauge_pa, alone.gauge_sigma_pa)
+        by_shapes, weighed = (_gauge(each, by_file.value) for each in (alone, fit))
         found = replace(known, gauge_from=known.told_by, both=(by_shapes, by_file))
         spread = np.hypot(by_shapes.sigma, by_file.sigma)
         apart = abs(by_shapes.value - by_file.value) / spread
         mean_sigma = by_shapes.sigma * by_file.sigma / spread
         together = (by_shapes.sigma + by_file.sigma) / spread  # over the root of summed squares
-        sigma = max(fit.gauge_sigma_pa, float(mean_sigma * max(together, apart)))
+        sigma = max(weighed.sigma, float(mean_sigma * max(together, apart)))
         if found.contradicts_file:
             ends = (by_shapes.low, by_shapes.high, by_file.low, by_file.high)
-            sigma = max(sigma, *(abs(end - fit.gauge_pa) / HALF_95 for end in ends))
-        found = replace(found, gauge=Quantity.normal(fit.gauge_pa, sigma))
-        covariance = covariance * (sigma / fit.gauge_sigma_pa) ** 2
+            sigma = max(sigma, *(abs(end - weighed.value) / HALF_95 for end in ends))
+        found = replace(found, gauge=Quantity.normal(weighed.value, sigma))
+        covariance = covariance * (sigma / weighed.sigma) ** 2
     held = fit.covariance[0, 0] - fit.covariance[0, 1] ** 2 / fit.covariance[1, 1]
     q = Quantity.normal(float(fit.vector[0]), float(np.sqrt(max(held, 0.0))))
     if not 0.0 < q.low <= q.high < 1.0:
@@ -263,453 +199,8 @@ def _judged(
     return replace(found, prestretch=Quantity(*(x ** (-1.0 / 6.0) for x in (q.value, high, low))))
 
 
-class _RestRubber:
-    """Rubber whose stress at rest follows from its surface, under a gauge pressure of 1 Pa."""
-
-    def __init__(
-        self,
-        mesh: MembraneMesh,
-        observer: RangeObserver,
-        # how far the rim gives, as of `RubberMembrane`: a press bends the membrane at its clamp
-        rim_slack_m: float | None,
-        degree: int = STRESS_DEGREE,
-    ) -> None:
-        self.mesh, self._rim_slack_m = mesh, rim_slack_m
-        self.seen_m = observer.around(mesh.nodes).model_m  # (B,), range of the blocks
-        self._tension = 1.0 / mean_curvature(mesh)  # γ0, m
-        self._stress = Prestress.of(mesh, 1.0, degree).on(mesh)
-
-    def with_q(self, q: float) -> RubberMembrane:
-        mu_h = self._tension / (1.0 - q)
-        return prestressed(self.mesh, 1.0, mu_h, self._stress, self._rim_slack_m)
-
-
-class _SeenShape:
-    """The membrane under another gas pressure, as the camera sees it: change from rest."""
-
-    def __init__(
-        self, observer: RangeObserver, rest: Samples, seen: Samples, *, pressed: bool
-    ) -> None:
-        self.samples, self._observer = seen, observer
-        if seen.statistics.range_m.shape != rest.statistics.range_m.shape:
-            raise InputError(
-                f"{seen.source_name}: images of another size than {rest.source_name}'s;"
-                " record all levels with one camera mode"
-            )
-        now, self.pressure_sigma_pa = _mean_pressure(seen)
-        self.rise_pa = now - _mean_pressure(rest)[0]
-        steady = seen.statistics.validity >= seen.statistics.regular_validity
-        ranges = np.where(steady, seen.statistics.range_m, np.nan)
-        seen_by = observer.observe(ranges / seen.camera.range_per_depth)
-        self.change_m, self.weight = seen_by.residual_m, seen_by.weight
-        self.zone = self._dents() if pressed else np.zeros(0, int)
-
-    def parts(self) -> list[np.ndarray]:
-        """Numbers of large parts of the view, (B,) each: rings of a level, sectors of a press."""
-        observer = self._observer
-        if not len(self.zone):
-            mesh = observer.mesh
-            hits = observer.around(mesh.nodes).hits
-            height = np.full(len(self.change_m), -np.inf)
-            corners = mesh.nodes[mesh.triangles[hits.triangle], 2]
-            height[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, corners)
-            return [np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)]
-        row, column = np.divmod(observer.block_number, observer.columns)
-        deepest = int(np.argmin(self.change_m))
-        turn = np.arctan2(row - row[deepest], column - column[deepest]) / (2.0 * np.pi)
-        return [
-            (np.floor((turn + shift) * _SECTORS) % _SECTORS).astype(int)
-            for shift in (0.0, 0.5 / _SECTORS)
-        ]
-
-    def _dents(self) -> np.ndarray:
-        """Nodes that are pressed in, as far as something may touch them."""
-        mesh, view = self._observer.mesh, self._observer.around(self._observer.mesh.nodes)
-        n = len(mesh.nodes)
-        outward = sparse.csr_array(
-            (mesh.normals.ravel(), np.arange(3 * n), 3 * np.arange(n + 1)), shape=(n, 3 * n)
-        )
-        by_node = (view.jacobian @ outward.T).tocsr()
-        weight, change = self.weight[view.block], self.change_m[view.block]
-        total = by_node.T @ weight
-        moved = np.divide(by_node.T @ (weight * change), total, out=np.zeros(n), where=total > 0.0)
-        deviations = moved * np.sqrt((by_node**2).T @ weight)
-        laplacian = cotangent_laplacian(mesh).tocsr()
-        inward = np.flatnonzero((moved < 0.0) & ~mesh.rim)
-        _, part = connected_components(laplacian[inward][:, inward], directed=False)
-        zone = np.zeros(n, bool)
-        for k in np.unique(part):
-            nodes = inward[part == k]
-            if deviations[nodes].min() < -SIGNIFICANT:
-                zone[nodes] = moved[nodes] < _EDGE_OF_DENT * moved[nodes].min()
-        if not zone.any():
-            name = self.samples.source_name
-            raise InputError(f"{name}: no dent is seen while the gas pressure is high")
-        beside = abs(laplacian) @ zone.astype(float) > 0.0
-        return np.flatnonzero(zone | (beside & (total == 0.0) & ~mesh.rim))
-
-
-class _Predicted(NamedTuple):
-    x: np.ndarray  # (n, 3), m
-    inside: float | np.ndarray  # pressure from inside over that from outside, over G
-    factor: Factor  # of the tangent
-    change_m: np.ndarray  # (B,) change of range; NaN of blocks that are not seen
-    view: ShapeRanges
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Where the least squares ended, and how uncertain q and G are there."""
-
-    vector: np.ndarray  # as of `_Problem`
-    gauge_pa: float
-    gauge_sigma_pa: float
-    covariance: np.ndarray  # (2, 2), of q and G over the one to begin with, model errors in it
-    temper: float  # variance of G over what it were if the residuals were white noise
-    scale: float  # robust size of the residuals over noise
-    rises_pa: tuple[float, ...]
-    change_rms_m: float
-    unexplained_rms_m: float
-
-
-class _Problem:
-    """The least squares in q, G over the one to begin with, contact pressures over G, and errors.
-
-    The errors are those of the gas pressures of rest and shapes over their standard deviations.
-    """
-
-    def __init__(
-        self,
-        model: SensorModel,
-        rest: Samples,
-        seen: Sequence[Samples],
-        other_mesh: MembraneMesh,
-        gauge_pa: float,
-        stress_sigma: float,  # relative, of the stress that shape and gauge pressure give
-        level_sigma_pa: float | None,  # of the gas pressure beside that of another recording
-        *,
-        pressed: bool,
-    ) -> None:
-        pixels = None if model.pixels is None else replace(model.pixels, line=None)
-        # lines are fitted to the levels themselves
-        self._observer = observer = replace(model, pixels=pixels).observer()
-        self._rest, self._gauge_pa, self._stress_sigma = rest, gauge_pa, stress_sigma
-        slack = RIM_SLACK_M if pressed else None
-        self._rubber = _RestRubber(model.mesh, observer, slack)
-        self._other_mesh, self._slack = other_mesh, slack
-        self._shapes = [_SeenShape(observer, rest, each, pressed=pressed) for each in seen]
-        for shape in self._shapes:
-            _check_rise(shape, gauge_pa, pressed=pressed)
-        ends = 2 + np.cumsum([0, *(len(shape.zone) for shape in self._shapes)])
-        self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
-        self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(seen))
-        self._size = self._errors.stop
-        if level_sigma_pa is None:
-            highest = max(gauge_pa + max(shape.rise_pa, 0.0) for shape in self._shapes)
-            level_sigma_pa = _PRESSURE_ERROR * highest
-        noise = [_mean_pressure(rest)[1], *(shape.pressure_sigma_pa for shape in self._shapes)]
-        self._pressure_sigma_pa = np.hypot(noise, 0.0 if pressed else level_sigma_pa)
-        # rows of the contact pressures' roughness
-        self._smooth = np.zeros((self._errors.start - 2, self._size))
-        laplacian = cotangent_laplacian(model.mesh).tocsr()
-        for shape, place in zip(self._shapes, self._places, strict=True):
-            if len(shape.zone):
-                root = np.linalg.cholesky(laplacian[shape.zone][:, shape.zone].toarray()).T
-                self._smooth[place.start - 2 : place.stop - 2, place] = root / PRESSURE_SCALE
-        weight = np.concatenate([shape.weight for shape in self._shapes])
-        self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
-        self._change_m = np.concatenate([shape.change_m for shape in self._shapes])
-        self._near = [model.mesh.nodes] * len(self._shapes)
-        tangent = self._rubber.with_q(_STARTS[0]).tangent(model.mesh.nodes, 1.0)
-        self._factoriser = Factoriser(tangent)
-        self._last: tuple[bytes, list[_Predicted] | None] = (b"", None)
-
-    # -- model ----------------------------------------------------------------------------------
-
-    def _at(self, vector: np.ndarray) -> list[_Predicted] | None:
-        """All shapes; None where the rubber has no equilibrium."""
-        key = vector.tobytes()
-        if self._last[0] != key:
-            found = self._predicted(vector, self._rubber)
-            if found is not None:
-                self._near = [each.x for each in found]
-            self._last = key, found
-        return self._last[1]
-
-    def _predicted(self, vector: np.ndarray, rubber: _RestRubber) -> list[_Predicted] | None:
-        membrane, out = rubber.with_q(float(vector[0])), []
-        gauge_pa, rises_pa = self._gauge_pa * float(vector[1]), self._rises_pa(vector)
-        at_rest = rubber.seen_m
-        moved = rubber.mesh.nodes - self._observer.mesh.nodes
-        for shape, place, rise_pa, x in zip(
-            self._shapes, self._places, rises_pa, self._near, strict=True
-        ):
-            inside: float | np.ndarray = 1.0 + rise_pa / gauge_pa
-            if len(shape.zone):
-                inside = np.full(len(x), inside)
-                inside[shape.zone] -= vector[place]
-            balanced = self._balanced(membrane, inside, x + moved)
-            if balanced is None:
-                return None
-            view = self._observer.around(balanced[0])
-            change = np.full(len(at_rest), np.nan)
-            change[view.block] = (view.model_m - at_rest)[view.block]
-            out.append(_Predicted(balanced[0], inside, balanced[1], change, view))
-        return out
-
-    def _rises_pa(self, vector: np.ndarray) -> list[float]:
-        """Gas pressures of the shapes over that of the rest, less their errors."""
-        off = self._pressure_sigma_pa * vector[self._errors]
-        return [shape.rise_pa + e - off[0] for shape, e in zip(self._shapes, off[1:], strict=True)]
-
-    def _balanced(
-        self, membrane: RubberMembrane, inside: float | np.ndarray, x: np.ndarray
-    ) -> tuple[np.ndarray, Factor] | None:
-        """Newton's method, in steps of a mesh edge at most."""
-        mesh, moving = membrane.mesh, membrane.moving
-        for _ in range(_NEWTON):
-            left = membrane.residual(x, inside)[moving].ravel()
-            try:
-                factor = self._factoriser.factor(membrane.tangent(x, inside).data)
-            except RuntimeError:  # singular
-                return None
-            if np.abs(left).max() < _BALANCED * mesh.areas.mean():
-                stable = np.ndim(inside) > 0 or factor.negative_directions() == 0
-                return (x, factor) if stable else None
-            motion = np.zeros_like(x)
-            motion[moving] = -factor.solve(left).reshape(-1, 3)
-            longest = float(np.abs(motion).max())
-            if not np.isfinite(longest):
-                return None
-            x = x + min(1.0, mesh.edge_length / max(longest, 1e-300)) * motion
-        return None
-
-    def _slopes(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the changes by the unknowns (D, N), and by the stress at rest (D,)."""
-        found, q = self._at(vector), float(vector[0])
-        assert found is not None
-        here, ahead = (self._rubber.with_q(each) for each in (q, (1.0 + _STEP_OF_Q) * q))
-        pull, slopes, by_stress = here.force(here.mesh.nodes), [], []
-        gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
-        error = np.arange(self._size)[self._errors]
-        for k, (shape, place, each) in enumerate(
-            zip(self._shapes, self._places, found, strict=True)
-        ):
-            moving, area = here.moving, here.volume_gradient(each.x)
-            by_q = here.residual(each.x, each.inside) - ahead.residual(each.x, each.inside)
-            forces = np.zeros((*each.x.shape, 3 + len(shape.zone)))
-            forces[..., 0] = pull - here.force(each.x)
-            forces[..., 1] = by_q / (_STEP_OF_Q * q)
-            forces[..., 2] = area / gauge_pa
-            forces[shape.zone, :, 3 + np.arange(len(shape.zone))] = -area[shape.zone]
-            motions = np.zeros_like(forces)
-            right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
-            motions[moving] = each.factor.solve(right).reshape(len(moving), 3, -1)
-            rows = np.zeros((len(shape.change_m), motions.shape[2]))
-            rows[each.view.block] = each.view.jacobian @ motions.reshape(3 * len(each.x), -1)
-            own = np.zeros((len(rows), self._size))
-            by_rise = rows[:, 2]  # by a pascal
-            own[:, 0], own[:, 1] = rows[:, 1], -rises_pa[k] / vector[1] * by_rise
-            own[:, place] = rows[:, 3:]
-            own[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
-            own[:, error[1 + k]] = self._pressure_sigma_pa[1 + k] * by_rise
-            slopes.append(own)
-            by_stress.append(rows[:, 0])
-        return np.concatenate(slopes), np.concatenate(by_stress)
-
-    def _missed(self, vector: np.ndarray) -> np.ndarray:
-        """Measured less modelled change, (D,), m; NaN: not seen, inf: no equilibrium."""
-        found = self._at(vector)
-        if found is None:
-            return np.full(len(self._change_m), np.inf)
-        return self._change_m - np.concatenate([each.change_m for each in found])
-
-    # -- least squares --------------------------------------------------------------------------
-
-    def fit(self, prior_sigma: float = np.inf, alone: _Fit | None = None) -> _Fit:
-        """Least squares and covariance, with G known otherwise to a relative σ or not at all.
-
-        `alone` is the fit without that: where to begin, and how rows are tempered. Raises
-        InputError: no rubber is near what is seen.
-        """
-        if alone is not None:
-            end = self._descend(alone.vector, alone.scale, prior_sigma, alone.temper)
-            return self._with_errors(end, prior_sigma, alone.temper)
-        vector: np.ndarray | None = None
-        for q in _STARTS:
-            start = np.zeros(self._size)
-            start[:2] = q, 1.0
-            self._near = [self._observer.mesh.nodes] * len(self._shapes)
-            if self._at(start) is None:
-                continue
-            vector = self._descend(start, None, np.inf, 1.0)
-            vector = self._descend(vector, self._scale(vector), np.inf, 1.0)
-            if vector[0] > 1.01 * SMALLEST_Q:
-                break
-        if vector is not None:
-            return self._with_errors(vector, np.inf, 1.0)
-        raise InputError(
-            f"{self._rest.source_name}: no rubber of this shape explains what"
-            f" {', '.join(shape.samples.source_name for shape in self._shapes)} shows; check the"
-            " gas pressures and the atmospheric pressure"
-        )
-
-    def _known(self, prior_sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of what is known otherwise, G and the gas pressures, and their right sides."""
-        rows = np.zeros((1 + len(self._pressure_sigma_pa), self._size))
-        rows[0, 1] = 1.0 / prior_sigma
-        rows[1:, self._errors] = np.eye(len(rows) - 1)
-        return rows, rows[:, 1]
-
-    def _scale(self, vector: np.ndarray) -> float:
-        return max(robust_sigma(self._missed(vector) * self._root, center=0.0), 1e-9)
-
-    def _descend(
-        self,
-        vector: np.ndarray,
-        scale: float | None,  # of residuals, for Tukey's loss; None: least squares, to get near
-        prior_sigma: float,
-        temper: float,  # by which all rows count less but those of what is known otherwise
-    ) -> np.ndarray:
-        root, data = self._root / (scale or self._scale(vector)), len(self._root)
-        known, told = self._known(prior_sigma)
-
-        def residuals(v: np.ndarray) -> np.ndarray:
-            z = np.nan_to_num(self._missed(v) * root, nan=_OUTLIER, posinf=np.inf)
-            return np.concatenate([z, self._smooth @ v, known @ v - told])
-
-        def jacobian(v: np.ndarray) -> np.ndarray:
-            rows = -np.nan_to_num(root)[:, None] * self._slopes(v)[0]
-            return np.concatenate([rows, self._smooth, known])
-
-        def loss(squares: np.ndarray) -> np.ndarray:
-            rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
-            if scale is not None:
-                rho[:, :data] = tukey_loss(squares[:data])
-            rho[:, : -len(known)] /= temper
-            return rho
-
-        low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
-        low[:2], high[0] = (SMALLEST_Q, _LEAST_GAUGE), LARGEST_Q
-        start, x_scale = vector.copy(), np.ones(self._size)
-        start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
-        x_scale[:2] = 0.1
-        found: np.ndarray = least_squares(
-            residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MOST_STEPS,
-            loss=loss, xtol=_CLOSE, ftol=_CLOSE,  # type: ignore[arg-type]  # loss's name in stubs
-        ).x  # fmt: skip
-        return found
-
-    # -- errors ---------------------------------------------------------------------------------
-
-    def _with_errors(self, vector: np.ndarray, prior_sigma: float, temper: float) -> _Fit:
-        (slopes, by_stress), missed = self._slopes(vector), self._missed(vector)
-        scale = self._scale(vector)
-        root, z = np.nan_to_num(self._root) / scale, missed * self._root / scale
-        rows, z_known = slopes * root[:, None], np.nan_to_num(z)
-        weight = tukey_weights(z, 1.0) / temper
-        efficiency = float(np.nan_to_num(tukey_slopes(z, 1.0)).sum() / weight.sum() / temper)
-        otherwise, told = self._known(prior_sigma)
-        smooth = self._smooth.T @ self._smooth / temper
-        prior = smooth + otherwise.T @ otherwise
-
-        def step(weight: np.ndarray) -> np.ndarray:
-            """Step of q and G under other weights of the rows of ranges."""
-            right = rows.T @ (weight * z_known) - prior @ vector + otherwise.T @ told
-            normal = rows.T @ (weight[:, None] * rows) + prior
-            return np.linalg.solve(normal, right)[:2]
-
-        by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
-        inverse = np.linalg.inv(by_data + otherwise.T @ otherwise)[:2]
-        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 2)
-        known = np.nan_to_num(missed)
-        ways = [
-            (self._observer.mesh.edge_length * 0.5 * mean_curvature(self._observer.mesh)) ** 2
-            * (influence.T @ (self._change_m - known)),
-            -self._stress_sigma * (influence.T @ by_stress),
-            # shapes tell of μh, whatever share of it is taken for γ0 = (1 − q) μh
-            np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
-        ]
-        for mesh, degree in (
-            (self._rubber.mesh, STRESS_DEGREE - 2),
-            (self._other_mesh, STRESS_DEGREE),
-        ):
-            other = self._predicted(vector, _RestRubber(mesh, self._observer, self._slack, degree))
-            if other is not None:
-                moved = np.concatenate([each.change_m for each in other])
-                ways.append(-influence.T @ np.nan_to_num(moved - self._change_m + missed))
-        # Uneven rubber, and a surface that is wrong where it is not seen, show as parts of the
-        # view that ask for different rubber: the jackknife over them.
-        sets = list(zip(*(shape.parts() for shape in self._shapes), strict=True))
-        for each in sets:
-            part = np.concatenate(each)
-            count = int(part.max()) + 1
-            steps = np.stack([step(weight * (part != k)) for k in range(count)])
-            share = np.sqrt((count - 1) / count / len(sets)) * student(count - 1)
-            ways += list(share * (steps - steps.mean(axis=0)))
-        # of the data with what their model gets wrong, which the tempering is for; and of all
-        covariance = self._noise(influence, known) + sum(np.outer(way, way) for way in ways)
-        white = inverse[1] @ by_data @ inverse[1]
-        temper = float(covariance[1, 1] / white)
-        covariance = covariance + inverse @ otherwise.T @ otherwise @ inverse.T
-        return _Fit(
-            vector=vector,
-            gauge_pa=self._gauge_pa * float(vector[1]),
-            gauge_sigma_pa=self._gauge_pa * float(np.sqrt(covariance[1, 1])),
-            covariance=covariance,
-            temper=temper,
-            scale=scale,
-            rises_pa=tuple(shape.rise_pa for shape in self._shapes),
-            change_rms_m=robust_sigma(self._change_m[np.isfinite(self._root)], center=0.0),
-            unexplained_rms_m=robust_sigma(missed, center=0.0),
-        )
-
-    def _noise(
-        self,
-        influence: np.ndarray,  # (D, 2), of every change of range
-        missed_m: np.ndarray,  # (D,)
-    ) -> np.ndarray:
-        """Covariance (2, 2) by noise of all frames, and what the model leaves."""
-        ends = np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1]
-        own, left = np.split(influence, ends), np.split(missed_m, ends)
-        total = self._scored(self._rest, -np.sum(own, axis=0), np.zeros(len(own[0])))
-        for shape, of, missed in zip(self._shapes, own, left, strict=True):
-            total = total + self._scored(shape.samples, of, missed)
-        return total
-
-    def _scored(self, samples: Samples, influence: np.ndarray, missed_m: np.ndarray) -> np.ndarray:
-        observer, statistics = self._observer, samples.statistics
-        used = np.flatnonzero(influence.any(axis=1))
-        seen = [observer.observe(image) for image in samples.depth_m]
-        frames = np.stack([np.where(s.weight > 0.0, s.residual_m, np.nan)[used] for s in seen])
-        side = tile_side(len(used), statistics.correlation_length_px / observer.block)
-        tile = tile_numbers(observer.block_number[used], observer.columns, side)
-        mean = np.nan_to_num(np.nanmean(frames, axis=0))
-        limit = np.full(len(used), np.inf)
-        scores = tile_scores(frames, mean, limit, influence[used], missed_m[used], tile)
-        return np.add(*covariances(*scores, 2, frames_block(statistics)))
-
-
-def _check_rise(shape: _SeenShape, gauge_pa: float, *, pressed: bool) -> None:
-    name, rise = shape.samples.source_name, shape.rise_pa
-    if pressed and rise < 0.0:
-        raise InputError(
-            f"{name}: the gas pressure falls by {-rise:.0f} Pa in the press, which a closed"
-            " chamber's cannot; check its topic, and the chamber for leaks"
-        )
-    if abs(rise) < _LEAST_RISE * gauge_pa:
-        raise InputError(
-            f"{name}: its gas pressure differs from that at rest by {rise:.0f} Pa only;"
-            + (" press deeper" if pressed else " inflate by 15 % more and less")
-        )
-
-
-def _mean_pressure(samples: Samples) -> tuple[float, float]:
-    """Mean absolute gas pressure and its standard error, Pa."""
-    gas = samples.gas_pressure_pa
-    if gas is None:
-        raise InputError(
-            f"{samples.source_name}: not every frame has its gas pressure recorded; λ needs that of"
-            " every level and press"
-        )
-    return float(np.mean(gas)), error_of_mean(gas)
+def _gauge(fit: Fit, start_pa: float) -> Quantity:
+    """Gauge pressure of a fit that began at one, Pa."""
+    return Quantity.normal(
+        start_pa * float(fit.vector[1]), start_pa * float(np.sqrt(fit.covariance[1, 1]))
+    )

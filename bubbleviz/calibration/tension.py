@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.calibration.ellipsoid import Ellipsoid, cap_over_rim, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.errors import samples_covariances
+from bubbleviz.calibration.errors import cluster_covariances
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import Name, Surfaces, mean_points
 from bubbleviz.errors import SolveError
@@ -153,6 +153,7 @@ def local_tension(
     return tension
 
 
+_CLIP = 3.0  # standard deviations, as the mean of a pixel is clipped
 _FINE_NODES = 2_000  # of a mesh to integrate an analytic surface on
 
 
@@ -253,7 +254,7 @@ def estimate_tension(
     Raises InputError: no tension holds the surface.
     """
     now, pixels, influence, residual, parameters = _linear(samples, surfaces, gauge_pressure_pa)
-    covariance = samples_covariances(samples, pixels, influence, residual, parameters, progress)
+    covariance = _covariances(samples, pixels, influence, residual, parameters, progress)
     tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariance)
     by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
     facets = surfaces.facet_error_m / np.sqrt(3.0)  # of an error between both signs of it
@@ -297,6 +298,31 @@ def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Nam
         "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
         "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
     }
+
+
+def _covariances(
+    samples: Samples,
+    pixels: np.ndarray,  # (P,) int, flat indices of those that took part
+    influence: np.ndarray,  # (P, Q), of each pixel's mean range, unit/m
+    residual_m: np.ndarray,  # (P,), mean range minus that of the fitted surface, m
+    parameters: int,  # numbers fitted
+    progress: Progress,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances of numbers by tiles of pixels and by frames; see `covariances`."""
+    statistics = samples.statistics
+    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
+    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
+    return cluster_covariances(
+        statistics,
+        (pixels, samples.camera.intrinsics.width, 1),
+        samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
+        np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth),
+        np.nan_to_num(_CLIP * noise / to_depth),
+        influence * to_depth[:, None],
+        residual_m / to_depth,
+        parameters,
+        progress,
+    )
 
 
 Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]

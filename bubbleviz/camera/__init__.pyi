@@ -23,6 +23,7 @@ from .observer import (
     RangeObserver as RangeObserver,
     ShapeRanges as ShapeRanges,
     facet_error as facet_error,
+    median as median,
     sagittas as sagittas,
 )
 from .pixel_model import (
