@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_sphere, mesh_ellipsoid
+from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_sphere
 from bubbleviz.calibration.errors import tile_numbers, tile_side
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.segmentation import away_from_edges
@@ -17,7 +17,6 @@ from bubbleviz.recordings import robust_sigma
 _LEAST_SEEN = 0.5  # of the dome's area; chosen: the rest is the fit's continuation
 _SIGNIFICANT = 6.0  # standard deviations of a tile
 _LEAST_PIXELS = 20  # in a dent that counts; chosen: smaller ones are false returns
-_SEEN_NODES = 2_000  # of a mesh to tell what the camera sees; chosen: some 2 mm
 _DEEP = 1e-2  # of the dome's radius: what is shallower is the dome's own shape
 
 
@@ -29,7 +28,7 @@ def check_dome(
 ) -> float:
     """Refuse a dome pressed in or half unseen; share of it that is seen."""
     name, ranges = samples.source_name, samples.statistics.range_m
-    seen = _seen_share(mesh_ellipsoid(cap, _SEEN_NODES), camera, membrane)
+    seen = _seen_share(cap.fine, camera, membrane)
     if seen < _LEAST_SEEN:
         raise InputError(
             f"{name}: only {100 * seen:.0f} % of the dome is seen: the shape of the rest, the"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from bubbleviz.recordings import robust_sigma, tukey_loss
 
 Loss = Callable[[np.ndarray], np.ndarray]
 
+_FINE_NODES = 2_000  # of a mesh to integrate over: some 2 mm
 _SEARCH_POINTS = 5_000  # to get near; all of them finish
 _CLOSE = 1e-6  # relative change of the loss that ends a fit: of 10⁴ points, far below their noise
 
@@ -53,6 +55,36 @@ class Ellipsoid:
     def moved(self, step: np.ndarray) -> Ellipsoid:
         """Ellipsoid after a step (4,) or (6,) in the parameters of `derivatives`."""
         return Ellipsoid(self.centre_m + step[:3], np.abs(self.semi_axes_m + step[3:]))
+
+    @property
+    def over_rim(self) -> EllipsoidalCap:
+        """The part above the rim plane z = 0. Raises InputError: it does not reach the plane."""
+        ax, ay, c = (float(x) for x in self.semi_axes_m)
+        sunk = float(self.centre_m[2]) / c
+        if not -1.0 < sunk < 1.0:
+            raise InputError(
+                "contact-free cloud: the fitted dome does not reach the rim plane z = 0; correct"
+                " camera.position_m in the sensor file"
+            )
+        at_rim = float(np.sqrt(1.0 - sunk**2))
+        return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + sunk), c)
+
+    @cached_property
+    def fine(self) -> MembraneMesh:
+        """Mesh to integrate over the part above the rim plane, where it lies."""
+        mesh = mesh_cap(self.over_rim, _FINE_NODES)
+        return replace(mesh, nodes=mesh.nodes + self.centre_m * (1.0, 1.0, 0.0))
+
+    def curvature(self, points: np.ndarray) -> np.ndarray:
+        """κ1 + κ2 in 1/m below or above points (k, 3), on the line to the centre.
+
+        2H = (Σa² − Σx²) / (Πa² (Σx²/a⁴)^{3/2}) (Gray, Modern Differential Geometry, 3rd ed., 13.5).
+        """
+        a = self.semi_axes_m
+        local = points - self.centre_m
+        local = local / np.linalg.norm(local / a, axis=1, keepdims=True)
+        q = np.sum(local**2 / a**4, axis=1)
+        return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
 
     def _scaled(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points over the semi-axes a, |x/a| (1 on the surface) and |x/a²| in 1/m."""
@@ -142,22 +174,3 @@ def _algebraic_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     centre = solution[:3]
     radius = float(np.sqrt(max(solution[3] + centre @ centre, 1e-12)))
     return middle + centre, radius
-
-
-def cap_over_rim(ellipsoid: Ellipsoid) -> EllipsoidalCap:
-    """The part of a fitted ellipsoid above the rim plane z = 0."""
-    ax, ay, c = (float(x) for x in ellipsoid.semi_axes_m)
-    sunk = float(ellipsoid.centre_m[2]) / c
-    if not -1.0 < sunk < 1.0:
-        raise InputError(
-            "contact-free cloud: the fitted dome does not reach the rim plane z = 0; correct"
-            " camera.position_m in the sensor file"
-        )
-    at_rim = float(np.sqrt(1.0 - sunk**2))
-    return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + sunk), c)
-
-
-def mesh_ellipsoid(ellipsoid: Ellipsoid, nodes: int) -> MembraneMesh:
-    """Mesh of the part of a fitted ellipsoid above the rim plane, where it lies in B."""
-    mesh = mesh_cap(cap_over_rim(ellipsoid), nodes)
-    return replace(mesh, nodes=mesh.nodes + ellipsoid.centre_m * (1.0, 1.0, 0.0))

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from bubbleviz.calibration.contact_free import held_frames, settled
-from bubbleviz.calibration.ellipsoid import cap_over_rim
 from bubbleviz.calibration.material import RubberEstimate, Vented, estimate_rubber
 from bubbleviz.calibration.rest_frames import Samples, collect
 from bubbleviz.calibration.surface import Surfaces
@@ -205,7 +204,7 @@ def with_rubber(
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
     section = Membrane(shape="mesh", mesh_file="membrane.ply", nodes=len(surfaces.mesh.nodes))
     if surfaces.chosen == "sphere":
-        cap = cap_over_rim(surfaces.sphere)
+        cap = surfaces.sphere.over_rim
         section = Membrane(
             shape="spherical_cap",
             rim_radius_m=round(cap.rim_semi_axes_m[0], 7),

@@ -160,7 +160,7 @@ def summary(
         "dimensions": {name: asdict(each) for name, each in tension.dimensions.items()},
         "left_out_rms_m": surfaces.left_out_rms_m,
         "residual_rms_m": float(np.sqrt(np.mean(surfaces.residual_m[found.pixels.mask] ** 2))),
-        "ellipsoid": {name: value.tolist() for name, value in vars(cap).items()},
+        "ellipsoid": {name: value.tolist() for name, value in asdict(cap).items()},
         "rim_height_m": surfaces.rim_height_m,
         "rim_height_sigma_m": surfaces.rim_height_sigma_m,
         "seen": surfaces.seen,

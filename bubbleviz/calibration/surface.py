@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.dome_checks import check_dome, check_still
-from bubbleviz.calibration.ellipsoid import Ellipsoid, cap_over_rim, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.errors import tile_numbers, tile_side
 from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of, range_residual
 from bubbleviz.calibration.rest_frames import Samples
@@ -106,7 +106,7 @@ def fit_surfaces(
     points = mean_points(samples, given, np.flatnonzero(usable))
     edge = mean_points(samples, given, np.flatnonzero(outer_edge(membrane)))
     caps, camera = _centred((fit_sphere(points), fit_ellipsoid(points)), given, 1)
-    start = mesh_cap(cap_over_rim(caps[1]), nodes)
+    start = mesh_cap(caps[1].over_rim, nodes)
     side = tile_side(int(usable.sum()), statistics.correlation_length_px)
     free_form = fit_free_form(
         start,
@@ -121,9 +121,10 @@ def fit_surfaces(
     chosen = force or _choose(squares, facet_error(start))
     mesh, residual = free_form.mesh, free_form.residual_m
     if chosen != "free-form":
-        own = 0 if chosen == "sphere" else 1
-        caps, camera = _centred(caps, camera, own)
-        mesh = mesh_cap(cap_over_rim(caps[own]), nodes)
+        mesh = start
+        if chosen == "sphere":
+            caps, camera = _centred(caps, camera, 0)
+            mesh = mesh_cap(caps[0].over_rim, nodes)
         residual = range_residual(mesh, camera, statistics.range_m)
     height, sigma = rim_height(edge[:, 2])
     return Surfaces(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.calibration.ellipsoid import Ellipsoid, cap_over_rim, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.errors import cluster_covariances
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import Name, Surfaces, mean_points
@@ -23,7 +23,6 @@ from bubbleviz.membrane import (
     cotangent_laplacian,
     inverse_metric,
     mean_curvature,
-    mesh_cap,
     symmetric_lu,
 )
 from bubbleviz.progress import Progress, quiet
@@ -113,29 +112,6 @@ def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndar
     return gauge_pressure_pa * np.einsum("ij,ij->i", gradient, arms)
 
 
-def cap_tension(
-    ellipsoid: Ellipsoid,
-    facets: np.ndarray,  # (m, 3), centres of the facets of a mesh of it, m
-    areas: np.ndarray,  # (m,), their areas, m²
-    gauge_pressure_pa: float,
-) -> float:
-    """γ0, N/m, by balance over what facets stand for of an ellipsoid: P / mean(κ1 + κ2)."""
-    curvature = ellipsoid_curvature(ellipsoid, facets)
-    return gauge_pressure_pa * float(areas.sum() / (areas @ curvature))
-
-
-def ellipsoid_curvature(ellipsoid: Ellipsoid, points: np.ndarray) -> np.ndarray:
-    """κ1 + κ2 in 1/m of an ellipsoid below or above points (k, 3), on the line to its centre.
-
-    2H = (Σa² − Σx²) / (Πa² (Σx²/a⁴)^{3/2}) (Gray, Modern Differential Geometry, 3rd ed., 13.5).
-    """
-    a = ellipsoid.semi_axes_m
-    local = points - ellipsoid.centre_m
-    local = local / np.linalg.norm(local / a, axis=1, keepdims=True)
-    q = np.sum(local**2 / a**4, axis=1)
-    return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
-
-
 def local_tension(
     mesh: MembraneMesh,
     gauge_pressure_pa: float,
@@ -154,7 +130,6 @@ def local_tension(
 
 
 _CLIP = 3.0  # standard deviations, as the mean of a pixel is clipped
-_FINE_NODES = 2_000  # of a mesh to integrate an analytic surface on
 
 
 @dataclass(frozen=True)
@@ -256,7 +231,12 @@ def estimate_tension(
     now, pixels, influence, residual, parameters = _linear(samples, surfaces, gauge_pressure_pa)
     covariance = _covariances(samples, pixels, influence, residual, parameters, progress)
     tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariance)
-    by_surface = tension_by_surface(surfaces, gauge_pressure_pa)
+    sphere, cap = surfaces.sphere, surfaces.cap
+    by_surface: dict[Name, float] = {
+        "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
+        "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
+        "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
+    }
     facets = surfaces.facet_error_m / np.sqrt(3.0)  # of an error between both signs of it
     other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     shape = [_shape_error(samples, surfaces, gauge_pressure_pa), by_surface["free-form"]]
@@ -288,16 +268,6 @@ def estimate_tension(
     if gauge_sigma_pa is None:
         return found
     return found.under(Quantity.normal(gauge_pressure_pa, gauge_sigma_pa))
-
-
-def tension_by_surface(surfaces: Surfaces, gauge_pressure_pa: float) -> dict[Name, float]:
-    """γ0 of every surface, N/m."""
-    sphere, cap = surfaces.sphere, surfaces.cap
-    return {
-        "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
-        "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
-        "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
-    }
 
 
 def _covariances(
@@ -396,14 +366,15 @@ Numbers = Callable[[Ellipsoid], dict[str, float]]
 
 def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, *, sphere: bool = False) -> Numbers:
     """γ0 first, and the dimensions of caps near one."""
-    mesh = mesh_cap(cap_over_rim(at), _FINE_NODES)
-    facets = mesh.nodes[mesh.triangles].mean(axis=1) + at.centre_m * (1.0, 1.0, 0.0)
+    centres, areas = at.fine.nodes[at.fine.triangles].mean(axis=1), at.fine.facet_areas
 
     def numbers(cap: Ellipsoid) -> dict[str, float]:
         x, y, z = (float(a) for a in cap.semi_axes_m)
         at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
         found = {
-            "tension_n_per_m": cap_tension(cap, facets, mesh.facet_areas, gauge_pressure_pa),
+            # by balance over what the facets stand for
+            "tension_n_per_m": gauge_pressure_pa
+            * float(areas.sum() / (areas @ cap.curvature(centres))),
             "height_m": float(cap.centre_m[2]) + z,
         }
         if sphere:
