@@ -169,17 +169,18 @@ def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
     sphere = fit_sphere(points)
     near = np.abs(sphere.distance(points)) < 0.1 * sphere.semi_axes_m[0]
     known, points, ranges = known[near], points[near], ranges[near]
-    J = sphere.derivatives(points, sphere=True)[:, :3]  # of one size, wherever it is
+    # of one size, wherever it is; single precision, as the images have
+    J = sphere.derivatives(points, sphere=True)[:, :3].astype(np.float32)
     facing = np.einsum("ij,ij->i", sphere.normals(points), camera.directions[known])
     to_range = camera.range_per_depth.ravel()[known]
     # Derivatives are of the distance for motion of the sphere, so that −distance moves it there.
     solve = -np.linalg.pinv(J)
     depth = samples.depth_m.reshape(len(samples.depth_m), -1)[:, known]
-    change = np.nan_to_num((depth * to_range - ranges) * facing)
-    moved = np.zeros((len(change), 3))
+    change = np.nan_to_num((depth * to_range - ranges) * facing).astype(np.float32)
+    moved = np.zeros((len(change), 3), np.float32)
     for _ in range(_ROUNDS):
         left = change + moved @ J.T
-        limit = _LOUD / MAD * median(np.abs(left))[:, None]
+        limit = np.float32(_LOUD / MAD) * median(np.abs(left))[:, None]
         step = np.clip(left, -limit, limit) @ solve.T
         moved = moved + step
         if np.abs(step).max() < _STILL_M:
@@ -192,4 +193,4 @@ def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
         cells = np.stack([np.bincount(tile, row * solve[k]) for row in left])
         variance[:, k] = np.sum(cells**2, axis=1)
     noise = np.sqrt(np.median(variance, axis=0))
-    return moved[:, :3], noise, float(sphere.semi_axes_m[0])
+    return moved.astype(float), noise, float(sphere.semi_axes_m[0])
