@@ -8,10 +8,7 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.tension import Quantity
-from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import MembraneMesh
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 
@@ -52,73 +49,58 @@ def compare(old: Sensor, new: Identification) -> Comparison:
 
     Raises InputError: the old sensor's files are unreadable, or of another camera.
     """
-    intrinsics, mask = new.model.camera.intrinsics, new.pixels.mask
+    intrinsics = new.model.camera.intrinsics
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
         raise InputError(f"{old.name}: of another camera; nothing to compare by pixel")
-    model = SensorModel.of(old, intrinsics)
-    pixels = model.pixels
-    before = _expected(model.view.rest_range, pixels)
-    after = _expected(new.modelled_range_m, new.pixels)
-    measured = np.where(mask, new.statistics.range_m, np.nan)
-    noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))
-    used = None if pixels is None else float(pixels.mask.sum())
-    rows = (
-        *_numbers(model, new),
-        *(
-            Row(name, "fine length", _rms(measured - was), _rms(measured - now))
-            for name, was, now in zip(("rms misfit", "rms with bias"), before, after, strict=True)
-        ),
-        Row("noise of a pixel", "fine length", noise, float(np.median(new.pixels.noise_m[mask]))),
-        Row("pixels used", "count", used, float(mask.sum())),
+    measured = np.where(new.pixels.mask, new.statistics.range_m, np.nan)
+    models = SensorModel.of(old, intrinsics), new.model
+    before, after = (_numbers(model, measured) for model in models)
+    stretch, known = None if new.rubber is None else new.rubber.prestretch, old.calibration
+    told = {"γ0": new.tension.tension, "λ": stretch, "gauge pressure": new.gauge}
+    told["height"] = new.tension.dimensions["height_m"]
+    half = {name: None if each is None else each.half_width for name, each in told.items()}
+    was: dict[str, float] = {}
+    if known is not None:
+        ends = known.tension_interval_n_per_m, known.prestretch_interval, known.gauge_interval_pa
+        was = {n: 0.5 * (each[1] - each[0]) for n, each in zip(told, ends, strict=False) if each}
+    rows = tuple(
+        Row(name, kind, value, after[name, kind], half.get(name), was.get(name))
+        for (name, kind), value in before.items()
     )
-    return Comparison(rows, after[1] - before[1])
+    return Comparison(rows, np.subtract(*(_expected(model)[1] for model in reversed(models))))
 
 
-def _expected(surface_m: np.ndarray, pixels: PixelModel | None) -> tuple[np.ndarray, np.ndarray]:
+def _expected(model: SensorModel) -> tuple[np.ndarray, np.ndarray]:
     """Range (H, W) of the surface alone, and with the bias in the pixels used, m."""
+    surface_m, pixels = model.view.rest_range, model.pixels
     if pixels is None:
         return surface_m, surface_m
     return surface_m, np.where(pixels.mask, surface_m + pixels.bias_m, np.nan)
 
 
-def _numbers(old: SensorModel, new: Identification) -> list[Row]:
-    """Rows that need no images."""
-    was, now, known = old.sensor, new.sensor, old.sensor.calibration
-    before: tuple[tuple[float, float] | None, ...] = (
-        (None,) * 3
-        if known is None
-        else (known.tension_interval_n_per_m, known.prestretch_interval, known.gauge_interval_pa)
-    )
-    tension, stretch = new.tension.tension, None if new.rubber is None else new.rubber.prestretch
-    told = tension.half_width, _half(stretch), _half(new.gauge)
-    values: tuple[tuple[str, Kind, float | None, float | None], ...] = (
-        ("γ0", "tension", old.tension_n_per_m, tension.value),
-        ("λ", "number", was.membrane.prestretch, now.membrane.prestretch),
-        ("gauge pressure", "pressure", was.pneumatics.gauge_pressure_pa,
-         now.pneumatics.gauge_pressure_pa),
-    )  # fmt: skip
-    intervals = [None if each is None else 0.5 * (each[1] - each[0]) for each in before]
-    rows = [Row(*row, *half) for row, *half in zip(values, told, intervals, strict=True)]
-    height = new.tension.dimensions["height_m"].half_width
-    sizes = zip(_sizes(old.mesh).items(), _sizes(new.mesh).values(), strict=True)
-    for (name, size), other in sizes:
-        rows.append(Row(name, "length", size, other, height if name == "height" else None))
-    rows.append(Row("membrane area", "area", *(float(m.areas.sum()) for m in (old.mesh, new.mesh))))
-    rows.append(Row("cap volume", "volume", old.mesh.cap_volume(), new.mesh.cap_volume()))
-    return rows
-
-
-def _half(found: Quantity | None) -> float | None:
-    return None if found is None else found.half_width
-
-
-def _sizes(mesh: MembraneMesh) -> dict[str, float]:
-    """Height of the dome and half of the rim's extent along x and y, m."""
-    half = 0.5 * np.ptp(mesh.nodes[mesh.rim, :2], axis=0)
+def _numbers(
+    model: SensorModel,
+    measured_m: np.ndarray,  # (H, W), range of the untouched membrane, m; NaN: not used
+) -> dict[tuple[str, Kind], float | None]:
+    """Numbers of a sensor, and how well it fits what was measured."""
+    sensor, mesh, pixels = model.sensor, model.mesh, model.pixels
+    half_x, half_y = 0.5 * np.ptp(mesh.nodes[mesh.rim, :2], axis=0)
+    noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))
+    used = None if pixels is None else float(pixels.mask.sum())
+    plain, biased = (_rms(measured_m - expected) for expected in _expected(model))
     return {
-        "height": float(mesh.nodes[:, 2].max()),
-        "rim radius along x": float(half[0]),
-        "rim radius along y": float(half[1]),
+        ("γ0", "tension"): model.tension_n_per_m,
+        ("λ", "number"): sensor.membrane.prestretch,
+        ("gauge pressure", "pressure"): sensor.pneumatics.gauge_pressure_pa,
+        ("height", "length"): float(mesh.nodes[:, 2].max()),
+        ("rim radius along x", "length"): float(half_x),
+        ("rim radius along y", "length"): float(half_y),
+        ("membrane area", "area"): float(mesh.areas.sum()),
+        ("cap volume", "volume"): mesh.cap_volume(),
+        ("rms misfit", "fine length"): plain,
+        ("rms with bias", "fine length"): biased,
+        ("noise of a pixel", "fine length"): noise,
+        ("pixels used", "count"): used,
     }
 
 
