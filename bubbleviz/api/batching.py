@@ -21,10 +21,10 @@ from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
 from bubbleviz.api.results import statistics
 from bubbleviz.api.summary import Summary
-from bubbleviz.calibration import file_hash
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import (
     cannot_write,
+    file_hash,
     refuse_existing,
     sweep,
     table,

@@ -10,10 +10,10 @@ from bubbleviz.api.estimating import Recorded, SensorName, as_frames, sensor_for
 from bubbleviz.api.frames import parse_frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
-from bubbleviz.calibration import Checked, SensorCheck, check_sensor, find_contact_free
+from bubbleviz.calibration import Checked, SensorCheck, check_sensor
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, KeptFrames, Recording, shown_name
+from bubbleviz.recordings import AUTO, KeptFrames, Recording, find_contact_free, shown_name
 from bubbleviz.sensor_model import SensorModel
 
 _TEMPERATURE = "sensor_msgs/msg/Temperature"

@@ -14,13 +14,13 @@ import bubbleviz
 from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
 from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
-from bubbleviz.calibration import PressureZero, find_contact_free
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.live import STOPPED_AFTER_S
 from bubbleviz.pipeline import OF_OBJECT, SHEAR, Pipeline, Product
+from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     AUTO,
@@ -28,6 +28,7 @@ from bubbleviz.recordings import (
     Frame,
     HeldFrames,
     Recording,
+    find_contact_free,
     fitting_sensor,
     has_returns,
     preset_of_size,

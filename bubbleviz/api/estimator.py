@@ -15,12 +15,12 @@ from threadpoolctl import ThreadpoolController
 
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import FrameResult, OneBlasThread
-from bubbleviz.calibration import PressureZero, zero_of, zeroed
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
+from bubbleviz.pressure_zero import PressureZero, zero_of, zeroed
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame, FrameSource, gas_warning, has_returns, metres
 from bubbleviz.result import Result

@@ -1,10 +1,3 @@
-from .contact_free import (
-    SIGNIFICANT as SIGNIFICANT,
-    ContactFree as ContactFree,
-    find_contact_free as find_contact_free,
-    held_frames as held_frames,
-    tile_depths as tile_depths,
-)
 from .ellipsoid import (
     Ellipsoid as Ellipsoid,
     fit_ellipsoid as fit_ellipsoid,
@@ -17,6 +10,7 @@ from .identification import (
     Identification as Identification,
     assemble as assemble,
     collect_press as collect_press,
+    held_frames as held_frames,
     rest_gauge as rest_gauge,
     with_rubber as with_rubber,
 )
@@ -28,16 +22,8 @@ from .pictures import (
     before_after as before_after,
     local_tension_image as local_tension_image,
 )
-from .pressure_zero import (
-    ENOUGH as ENOUGH,
-    PASSED as PASSED,
-    PressureZero as PressureZero,
-    zero_of as zero_of,
-    zeroed as zeroed,
-)
 from .report import (
     check_outputs as check_outputs,
-    file_hash as file_hash,
     save as save,
     summary as summary,
     write_sensor as write_sensor,
@@ -72,8 +58,6 @@ from .surface import (
 )
 from .tension import (
     Quantity as Quantity,
-    balance_gradient as balance_gradient,
-    local_tension as local_tension,
 )
 from .validation import (
     KnownPress as KnownPress,

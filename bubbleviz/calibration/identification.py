@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from bubbleviz.calibration.contact_free import held_frames, settled
 from bubbleviz.calibration.material import RubberEstimate, Vented, estimate_rubber
 from bubbleviz.calibration.rest_frames import Samples, collect
 from bubbleviz.calibration.surface import Surfaces
@@ -17,7 +16,7 @@ from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import MIN_FRAMES, DepthStatistics, FrameSource
+from bubbleviz.recordings import LAG, MIN_FRAMES, DepthStatistics, FrameSource, robust_sigma
 from bubbleviz.sensor import (
     ATMOSPHERES,
     LEAST_NOISE,
@@ -115,11 +114,40 @@ def rest_gauge(samples: Samples, sensor: Sensor) -> tuple[float, float | None]:
     return gauge, WEATHER_SIGMA_PA
 
 
+_HELD = 0.9  # share of the largest rise of the gas pressure from which on a press counts as held
+_CLEAR = 10.0  # standard deviations of the gas pressure by which a press must move it
+
+
+def held_frames(source: FrameSource, samples: Samples, progress: Progress = quiet) -> list[int]:
+    """Frames after the contact-free ones in which the gas pressure is near its largest.
+
+    None of them where there is no gas pressure, or no press that moves it ten times its noise.
+    """
+    free = samples.gas_pressure_pa
+    if free is None:
+        return []
+    rest = float(np.median(free))
+    later = range(max(samples.frames) + 1, len(source))
+    rises = []
+    for k in later:
+        value = source[k].gas_pressure_pa
+        rises.append(np.nan if value is None else value - rest)
+        progress("finding the press", (k - later.start) / len(later))
+    rise = np.array(rises)
+    if not np.isfinite(rise).any() or np.nanmax(rise) < _CLEAR * max(robust_sigma(free), 1e-9):
+        return []
+    return [later[k] for k in np.flatnonzero(rise > _HELD * np.nanmax(rise))]
+
+
 def collect_press(
     source: FrameSource, found: Identification, progress: Progress = quiet
 ) -> Samples | None:
-    """Frames of a later press that is held and whose gas pressure is known; None without one."""
-    frames = settled(held_frames(source, found.samples, progress))
+    """Frames of a later press that is held and whose gas pressure is known; None without one.
+
+    Those whose images a camera's temporal filter has cleared of what was before them.
+    """
+    held = dict.fromkeys(held_frames(source, found.samples, progress))
+    frames = [k for k in held if k - LAG in held]
     return collect(source, found.given, frames, progress) if len(frames) >= MIN_FRAMES else None
 
 

@@ -8,9 +8,9 @@ from io import BytesIO
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.tension import local_tension
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.camera import RayCaster
+from bubbleviz.membrane import local_tension
 
 _SEQUENTIAL, _DIVERGING = "viridis", "RdBu_r"
 _MISSING = "#28282c"  # colour of pixels without a number

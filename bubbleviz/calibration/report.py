@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -20,7 +19,7 @@ from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.calibration.verdict import judge, parameters, validation_advice
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_existing, whole_file, write_ply
+from bubbleviz.files import file_hash, refuse_existing, whole_file, write_ply
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
@@ -30,18 +29,6 @@ _MESH_COMMENT = "membrane in the bubble frame B, metres"
 Origin = dict[str, Any]
 """Of an identification: `recording`, `recording_sha256`, `sensor_file`, `date` (ISO 8601, UTC) and
 `report`, its path from the sensor file's folder."""
-
-
-def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, or of the files in a folder one after the other by name."""
-    path = Path(path)
-    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-    digest = hashlib.sha256()
-    for each in files:
-        with each.open("rb") as stream:
-            while chunk := stream.read(1 << 20):
-                digest.update(chunk)
-    return digest.hexdigest()
 
 
 def output_files(out_toml: str | Path) -> tuple[Path, Path, Path]:

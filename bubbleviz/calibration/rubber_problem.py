@@ -26,7 +26,6 @@ from scipy import sparse
 from scipy.optimize import least_squares
 from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.calibration.contact_free import SIGNIFICANT
 from bubbleviz.calibration.errors import cluster_covariances, student
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.camera import RangeObserver, ShapeRanges
@@ -44,6 +43,7 @@ from bubbleviz.membrane import (
     prestressed,
 )
 from bubbleviz.recordings import (
+    SIGNIFICANT,
     error_of_mean,
     robust_sigma,
     tukey_loss,

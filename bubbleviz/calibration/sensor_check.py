@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from bubbleviz.calibration.contact_free import SIGNIFICANT
 from bubbleviz.camera import BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
@@ -24,6 +23,7 @@ from bubbleviz.membrane import Inflation
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import (
     MIN_FRAMES,
+    SIGNIFICANT,
     WEATHER_PA,
     Frame,
     error_of_mean,

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.contact_free import find_contact_free
 from bubbleviz.calibration.identification import (
     Identification,
     assemble,
@@ -40,14 +39,14 @@ from bubbleviz.calibration.validation import Validation
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
-from bubbleviz.recordings import FrameSource, KeptFrames, Recording
+from bubbleviz.recordings import FrameSource, KeptFrames, Recording, find_contact_free
 from bubbleviz.sensor import Sensor
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration.contact_free import ContactFree
     from bubbleviz.calibration.rest_frames import Ranges
     from bubbleviz.calibration.surface import Name, Surfaces
     from bubbleviz.calibration.validation import KnownPress
+    from bubbleviz.recordings import ContactFree
 
 
 class Step(IntEnum):

@@ -15,9 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
-from bubbleviz.calibration.contact_free import SIGNIFICANT
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import MIN_FRAMES, mean_inflation, robust_sigma
+from bubbleviz.recordings import MIN_FRAMES, SIGNIFICANT, mean_inflation, robust_sigma
 
 _DELAYS_S = np.linspace(-0.3, 0.3, 121)  # of depth filters of some ten frames at most
 _APART = 5  # contact-free frames between two presses; fewer are a failed image

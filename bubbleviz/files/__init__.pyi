@@ -37,6 +37,7 @@ from .preset_files import (
 from .reading import (
     damage as damage,
     exists as exists,
+    file_hash as file_hash,
     plain_numbers as plain_numbers,
     read_npy as read_npy,
     read_npz as read_npz,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import warnings
 import zipfile
@@ -86,3 +87,15 @@ def plain_numbers(array: Any) -> np.ndarray:
     if array.dtype.kind not in "biuf":
         raise ValueError(f"values of {array.dtype} are no numbers")
     return array.astype(np.float64)
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, or of the files in a folder one after the other by name."""
+    path = Path(path)
+    files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for each in files:
+        with each.open("rb") as stream:
+            while chunk := stream.read(1 << 20):
+                digest.update(chunk)
+    return digest.hexdigest()

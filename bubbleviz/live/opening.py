@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from bubbleviz.calibration import PressureZero
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
@@ -30,6 +29,7 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.replay import Replay
 from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import AUTO, FrameMessages, preset_of_size
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 

@@ -72,10 +72,11 @@ from .sparse_factor import (
     symmetric_lu as symmetric_lu,
 )
 from .stiffness import (
-    area_and_bending as area_and_bending,
-    area_shares as area_shares,
+    balance_gradient as balance_gradient,
     balance_tension as balance_tension,
     cotangent_laplacian as cotangent_laplacian,
+    least_squares_tension as least_squares_tension,
+    local_tension as local_tension,
     mean_curvature as mean_curvature,
 )
 from .submodel import (

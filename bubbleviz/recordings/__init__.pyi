@@ -10,6 +10,12 @@ from .colour_topics import (
     is_own as is_own,
     size_of as size_of,
 )
+from .contact_free import (
+    SIGNIFICANT as SIGNIFICANT,
+    ContactFree as ContactFree,
+    find_contact_free as find_contact_free,
+    tile_depths as tile_depths,
+)
 from .depth_statistics import (
     LAG as LAG,
     MIN_FRAMES as MIN_FRAMES,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from bubbleviz.calibration import collect, find_contact_free, held_frames, tile_depths
+from bubbleviz.calibration import collect, held_frames
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, find_contact_free, tile_depths
 
 from .twin import FREE, PRESSED, make_twin, nominal_sensor
 

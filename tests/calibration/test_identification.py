@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import find_contact_free, identify, write_sensor
+from bubbleviz.calibration import identify, write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import balance_tension, build_mesh, mesh_cap, spherical_cap
+from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
 
 from .twin import ATMOSPHERE, FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import ENOUGH, PASSED, PressureZero
+from bubbleviz.pressure_zero import ENOUGH, PASSED, PressureZero
 from bubbleviz.recordings import Frame
 
 REFERENCE = 103_910.5

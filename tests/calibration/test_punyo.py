@@ -5,20 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import (
-    collect,
-    collect_press,
-    file_hash,
-    find_contact_free,
-    identify,
-    with_rubber,
-    write_sensor,
-)
+from bubbleviz.calibration import collect, collect_press, identify, with_rubber, write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
+from bubbleviz.files import file_hash
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Recording
+from bubbleviz.recordings import Recording, find_contact_free
 from bubbleviz.sensor import load_sensor
 
 from .twin import residuals_and_bias

@@ -5,14 +5,15 @@ import os
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import (
-    Quantity,
+from bubbleviz.calibration import Quantity, covariances, identify
+from bubbleviz.membrane import (
+    EllipsoidalCap,
+    MembraneMesh,
     balance_gradient,
-    covariances,
-    identify,
+    balance_tension,
     local_tension,
+    mesh_cap,
 )
-from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, balance_tension, mesh_cap
 from bubbleviz.simulation import DepthNoise
 
 from .domes import GAUGE, oval, sphere

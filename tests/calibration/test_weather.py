@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.calibration import zero_of
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import RubberForward
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.pressure_zero import zero_of
 from bubbleviz.recordings import HeldFrames, Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import find_contact_free
-from bubbleviz.recordings import Recording
+from bubbleviz.recordings import Recording, find_contact_free
 from bubbleviz.shear import recorded_texture
 from tests.colour.speckle import camera, clean_image, dragged
 from tests.recordings.bagmaker import PERIOD, SECOND, START, BagMaker

@@ -11,7 +11,6 @@ from wire import CLOUD, STORE, WRENCH
 import bubbleviz as bv
 from bubbleviz.api.estimator import PRODUCTS
 from bubbleviz.api.watching import Watcher
-from bubbleviz.calibration import ENOUGH, PressureZero
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
     DIAGNOSTICS,
@@ -24,6 +23,7 @@ from bubbleviz.live import (
     status_of,
 )
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.pressure_zero import ENOUGH, PressureZero
 from bubbleviz.recordings import Frame, FrameMessages, RecordingWriter
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object

@@ -8,8 +8,8 @@ from fakes import DentSource, record, small_sensor
 from mcap.reader import make_reader
 from window_driver import Driver
 
-from bubbleviz.calibration import ENOUGH
 from bubbleviz.live import SensorPlace, SessionPreset
+from bubbleviz.pressure_zero import ENOUGH
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.live.connection import single
 

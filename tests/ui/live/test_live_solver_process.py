@@ -10,9 +10,9 @@ import pytest
 from live_bench import sensor_file, two
 
 from benchmarks.window.live_soak import free_port
-from bubbleviz.calibration import PressureZero
 from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.pressure_zero import PressureZero
 from bubbleviz_ui.engine.solver import OpenRequest, Solver
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.connection import single

@@ -19,17 +19,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import (
-    SIGNIFICANT,
-    ContactFree,
-    Ranges,
-    Step,
-    in_words,
-    numbers,
-    tidy,
-    without,
-)
-from bubbleviz.recordings import HeldFrames, TimeAxis
+from bubbleviz.calibration import Ranges, Step, in_words, numbers, tidy, without
+from bubbleviz.recordings import SIGNIFICANT, ContactFree, HeldFrames, TimeAxis
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration

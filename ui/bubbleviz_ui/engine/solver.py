@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.calibration import PressureZero, zero_of, zeroed
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
 from bubbleviz.errors import InputError
@@ -20,6 +19,7 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import Measured, SideBySide
 from bubbleviz.pipeline import LOOKS, FrameOptions, Pipeline, Product
+from bubbleviz.pressure_zero import PressureZero, zero_of, zeroed
 from bubbleviz.processes import PipelineProcess
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import (
@@ -569,7 +569,9 @@ def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
     if not isinstance(source, Recording):
         return ""
     # what the window starts without
-    from bubbleviz.calibration import ENOUGH, check_sensor, find_contact_free
+    from bubbleviz.calibration import check_sensor
+    from bubbleviz.pressure_zero import ENOUGH
+    from bubbleviz.recordings import find_contact_free
 
     first = HeldFrames([source[k] for k in range(min(ENOUGH, len(source)))], source.name)
     try:

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.calibration import PressureZero
 from bubbleviz.errors import InputError
 from bubbleviz.live import LiveStream
 from bubbleviz.membrane import MembraneMesh
+from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import Frame, Gap, usual_step
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor

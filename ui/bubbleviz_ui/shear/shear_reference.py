@@ -63,7 +63,7 @@ class ShearReference:
 
     def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
         # what shear needs takes long to load, and nobody else needs it
-        from bubbleviz.calibration import find_contact_free
+        from bubbleviz.recordings import find_contact_free
         from bubbleviz.shear import PassingTexture, TractionOptions, watch_recorded_texture
 
         self._possible = pipeline.estimator.solver_name == RUBBER
