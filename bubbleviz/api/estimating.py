@@ -13,7 +13,7 @@ import numpy as np
 import bubbleviz
 from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
 from bubbleviz.api.frames import Frames, open
-from bubbleviz.api.results import FrameResult, OneBlasThread, Run, TrackedRun
+from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
@@ -162,14 +162,10 @@ def estimate(
     options = patch_options(kappa)
     if isinstance(frames, np.ndarray):
         raise InputError("estimate takes frames or a recording; use bv.Estimator for arrays")
+    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Frame | Sequence | Path):
-        from bubbleviz.api.watching import Watcher  # opens networks and cameras
-
-        _refuse_files(out, csv)
-        how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
         how |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
-        watcher = Watcher.on(frames.live, frames.uri, frames.sensor_or(sensor), **how)
-        return watcher.results(timeout_s)
+        return _watched(frames, sensor, timeout_s, out, csv, **how)
     if csv is not None and out is None:
         raise InputError(f"{csv}: is written together with RESULT.npz; give out, too")
     _check_outputs(out, csv, overwrite=overwrite)
@@ -179,18 +175,13 @@ def estimate(
         texture, products = None, _PRODUCTS
         if shear:
             texture, products = _texture(chosen, pipeline, friction), products | SHEAR
-        zero = recorded_zero(chosen.source, pipeline) if zero_gas else None
-        made_by = _made_by(pipeline, solver, zero)
-        said = {
-            "recording": shown_name(chosen.source),
-            "sensor": name,
-            "out": None if out is None else str(out),
-            "solver": made_by["solver"],
+        zero, run = _begun(chosen, name, pipeline, out, **how)
+        run.said |= {
+            "solver": run.made_by["solver"],
             "kappa": kappa,
             "texture": texture,
             "gas_zero": None if zero is None else zero.words,
         }
-        run = Run(pipeline.model, said, made_by)
         seen, equal = False, EqualImages()
         with ExitStack() as stack:
             write: Callable[[Result], object] = lambda _: None  # noqa: E731
@@ -205,14 +196,8 @@ def estimate(
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, seen)
-        warnings = (
-            _note(chosen),
-            frame_solver.gas_warning("recording"),
-            _camera_warning(pipeline),
-            frame_solver.drift_warning(),
-            equal.warning,
-        )
-        said["warning"] = "; ".join(filter(None, warnings)) or None
+        warnings = frame_solver.gas_warning("recording"), _camera_warning(pipeline), equal.warning
+        _end(run, chosen, frame_solver, *warnings)
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -252,7 +237,7 @@ def track(
     object: str | Path | RigidObject,
     sensor: SensorName = AUTO,
     **options: Unpack[Tracking],
-) -> TrackedRun: ...
+) -> Run: ...
 @overload
 def track(
     frames: Stream,
@@ -275,7 +260,7 @@ def track(
     overwrite: bool = False,
     timeout_s: float | None = STOPPED_AFTER_S,
     progress: Progress = quiet,
-) -> TrackedRun | Iterator[FrameResult]:
+) -> Run | Iterator[FrameResult]:
     """Follow a known object through frames, as `bubbleviz pose` does.
 
     Parameters
@@ -298,8 +283,8 @@ def track(
 
     Returns
     -------
-    TrackedRun or iterator of FrameResult
-        With `T_B_O` and columns `pose_…`; a pose that is `lost` is the last good one.
+    Run or iterator of FrameResult
+        With `T_B_O`, `poses` and columns `pose_…`; a pose that is `lost` is the last good one.
 
     Raises
     ------
@@ -308,34 +293,21 @@ def track(
     """
     start = parse_pose(init) if isinstance(init, str) else init
     obj = load_object(object, unit)
+    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Sequence | Path):
-        from bubbleviz.api.watching import Watcher  # opens networks and cameras
-
-        _refuse_files(out)
-        own = frames.sensor_or(sensor)
-        how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
-        watcher = Watcher.on(frames.live, frames.uri, own, object=obj, init=start, **how)
-        return watcher.results(timeout_s)
+        return _watched(frames, sensor, timeout_s, out, object=obj, init=start, **how)
     _check_outputs(out, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
         pipeline.follow(obj, start)
-        zero = recorded_zero(chosen.source, pipeline) if zero_gas else None
-        said = {
-            "recording": shown_name(chosen.source),
-            "sensor": name,
-            "object": obj.name if isinstance(object, RigidObject) else str(object),
-            "out": None if out is None else str(out),
-            "texture": None,
-        }
-        run = TrackedRun(pipeline.model, said, _made_by(pipeline, solver, zero))
+        zero, run = _begun(chosen, name, pipeline, out, **how)
+        run.said["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OF_OBJECT if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zero=zero)
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
-        warnings = _note(chosen), frame_solver.drift_warning()
-        said["warning"] = "; ".join(filter(None, warnings)) or None
+        _end(run, chosen, frame_solver)
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -387,9 +359,52 @@ def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
         raise InputError(f"{given[0]}: given for both --out and --csv; choose two names")
 
 
-def _refuse_files(*paths: str | Path | None) -> None:
-    for path in filter(None, paths):
+def _watched(
+    stream: Stream,
+    sensor: SensorName,
+    timeout_s: float | None,
+    *files: str | Path | None,
+    **how: Any,
+) -> Iterator[FrameResult]:
+    """Results of a stream's newest frames; `how` as of `Estimator`."""
+    from bubbleviz.api.watching import Watcher  # opens networks and cameras
+
+    for path in filter(None, files):
         raise InputError(f"{path}: estimate of a stream writes no files; use watch(source, out=…)")
+    return Watcher.on(stream.live, stream.uri, stream.sensor_or(sensor), **how).results(timeout_s)
+
+
+def _begun(
+    frames: Frames,
+    sensor_name: str,
+    pipeline: Pipeline,
+    out: str | Path | None,
+    *,
+    solver: str | None,
+    friction: float | None,
+    zero_gas: bool,
+) -> tuple[PressureZero | None, Run]:
+    """Zero of the gas pressure, and a run without frames that says what it is made of."""
+    zero = recorded_zero(frames.source, pipeline) if zero_gas else None
+    made_by = {
+        "sensor_toml": sensor_to_toml(pipeline.model.sensor),
+        "version": bubbleviz.__version__,
+        "solver": solver or pipeline.estimator.solver_name,
+    }
+    if zero is not None and zero.offset_pa is not None:
+        made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
+    said = {
+        "recording": shown_name(frames.source),
+        "sensor": sensor_name,
+        "out": None if out is None else str(out),
+    }
+    return zero, Run(pipeline.model, said, made_by)
+
+
+def _end(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:
+    """Have a run say what does not fit together; a recording also what is missing of it."""
+    note = frames.source.bag.note if isinstance(frames.source, Recording) else ""
+    run.said["warning"] = "; ".join(filter(None, (note, *warnings, solver.drift_warning()))) or None
 
 
 def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
@@ -404,22 +419,6 @@ def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
     return watch_recorded_texture(
         pipeline, source, lambda: find_contact_free(source).frames, friction
     )
-
-
-def _made_by(pipeline: Pipeline, solver: str | None, zero: PressureZero | None) -> dict[str, str]:
-    made_by = {
-        "sensor_toml": sensor_to_toml(pipeline.model.sensor),
-        "version": bubbleviz.__version__,
-        "solver": solver or pipeline.estimator.solver_name,
-    }
-    if zero is not None and zero.offset_pa is not None:
-        made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
-    return made_by
-
-
-def _note(frames: Frames) -> str:
-    """Note on missing parts of a recording; empty for other frames."""
-    return frames.source.bag.note if isinstance(frames.source, Recording) else ""
 
 
 def _camera_warning(pipeline: Pipeline) -> str:
@@ -468,7 +467,7 @@ _REASONS: dict[PoseStatus, str] = {
 }
 
 
-def _check_any_pose(run: TrackedRun) -> None:
+def _check_any_pose(run: Run) -> None:
     statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
         why = _REASONS[statuses.most_common(1)[0][0]]

@@ -239,17 +239,24 @@ class Run(Sequence[FrameResult], Summary):
         Facts of the summary that are not of the frames: recording, sensor, solver, warning, ….
     made_by : dict
         What RESULT.npz keeps of how it was made.
+
+    Attributes
+    ----------
+    poses : list of dict
+        Lines of POSES.csv, where an object was tracked.
     """
 
     def __init__(self, model: SensorModel, said: dict[str, Any], made_by: dict[str, str]) -> None:
         self.model, self.said, self.made_by = model, said, made_by
+        self.poses: list[PoseRow] = []
         self._numbers = FrameTable(model.sensor.name)
         self._results: list[FrameResult] = []
 
     def add(self, result: Result, *, keep: bool) -> None:
         """Take the next frame."""
-        pose = None if result.pose is None else pose_columns(pose_row(result))
-        self._numbers.add(result, pose)
+        pose = [] if result.pose is None else [pose_row(result)]
+        self.poses += pose
+        self._numbers.add(result, pose_columns(pose[0]) if pose else None)
         if keep:
             frame = replace(result.frame, depth_m=_NO_IMAGE, find_colour=None)
             light = replace(result, frame=frame)
@@ -405,7 +412,7 @@ class Run(Sequence[FrameResult], Summary):
             archive = stack.enter_context(whole_file(out, overwrite=overwrite))
             table = stack.enter_context(whole_file(csv, overwrite=overwrite)) if csv else None
             count, shape = len(self) if frames is None else frames, self.model.view.shape
-            shear = self.said["texture"] is not None
+            shear = self.said.get("texture") is not None
             writer = ResultWriter(archive, self.model.mesh, count, shape, shear=shear)
             yield stack.enter_context(writer).add
             writer.finish(**self.made_by)
@@ -413,16 +420,31 @@ class Run(Sequence[FrameResult], Summary):
                 sensor = self.model.sensor.name
                 write_rows(table, [csv_row(row, sensor) for row in writer.rows])
 
+    def save_poses(self, out: str | Path, *, overwrite: bool = False) -> None:
+        """Write POSES.csv.
+
+        Raises
+        ------
+        InputError
+            No object was tracked, or the file exists or cannot be written.
+        """
+        if not self.poses:
+            raise InputError(f"{self.said['recording']}: no object was tracked; use bv.track")
+        write_poses(Path(out), self.poses, "csv", overwrite=overwrite)
+
     def facts(self) -> dict[str, Any]:
-        """Summary of the run, with the statistics of its frames."""
-        return {**self.said, **statistics(self.rows())}
+        """Summary of the run, with the statistics of its frames, or of the poses where tracked."""
+        tracked = "object" in self.said
+        return self.said | (_of_poses(self.poses) if tracked else statistics(self.rows()))
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
         told = self.facts()
-        if told["traction_status"] is not None:
-            told["shear"] = _shear_text(told)
-        return _in_lines(told, _FOUND)
+        told |= {"way": "patch out, first frame left out"} | _pose_words(told) | _shear_words(told)
+        lines = [] if told["out"] is None else [f"wrote   {told['out']}"]
+        lines.append(f"frames  {told['frames']}: {counted(told['status'])}")
+        known = (key for key in _LINES if told.get(key) is not None)
+        return "\n".join([*lines, *(_LINES[key].format(told[key], **told) for key in known)])
 
     def _of_frames(self, name: str) -> np.ndarray:
         return np.array([row[name] for row in self.rows()])
@@ -486,86 +508,19 @@ def load_run(path: str | Path) -> Run:
     return run
 
 
-class TrackedRun(Run):
-    """Poses of an object, with what was found beside them."""
-
-    def __init__(self, model: SensorModel, said: dict[str, Any], made_by: dict[str, str]) -> None:
-        super().__init__(model, said, made_by)
-        self.poses: list[PoseRow] = []
-
-    def add(self, result: Result, *, keep: bool) -> None:
-        """Take the next frame."""
-        super().add(result, keep=keep)
-        self.poses.append(pose_row(result))
-
-    def save_poses(self, out: str | Path, *, overwrite: bool = False) -> None:
-        """Write POSES.csv.
-
-        Raises
-        ------
-        InputError
-            The file exists or cannot be written.
-        """
-        write_poses(Path(out), self.poses, "csv", overwrite=overwrite)
-
-    def facts(self) -> dict[str, Any]:
-        """Summary of the poses; medians over the frames with one, times without the first."""
-        good = [row for row in self.poses if row["status"] == "ok"]
-        areas = [(row["patch_area_m2"], row["object_patch_area_m2"]) for row in good]
-        both = [pair for pair in areas if np.isfinite(pair).all()]
-        patch, by_object = np.median(both, axis=0).tolist() if both else (None, None)
-        times = _over(good[1:], "total_ms")
-        return {
-            **{key: self.said[key] for key in ("recording", "sensor", "object", "out", "warning")},
-            "frames": len(self),
-            "status": dict(Counter(row["status"] for row in self.poses)),
-            "median_fitness": _known(np.median, _over(good, "fitness")),
-            "median_rmse_m": _known(np.median, _over(good, "rmse_m")),
-            "median_total_ms": _known(np.median, times),
-            "p95_total_ms": _known(_p95, times),
-            "median_patch_area_m2": patch,
-            "median_object_patch_area_m2": by_object,
-        }
-
-    def to_text(self) -> str:
-        """Text for the terminal, with units."""
-        told = self.facts()
-        if told["median_patch_area_m2"] is not None:
-            told["areas"] = (
-                f"{1e6 * told['median_patch_area_m2']:.0f} mm² by the contact pressure, "
-                f"{1e6 * told['median_object_patch_area_m2']:.0f} mm² by the object"
-            )
-        if told["median_rmse_m"] is not None:
-            told["percent"] = 100.0 * told["median_fitness"]
-            told["rmse_mm"] = 1e3 * told["median_rmse_m"]
-        return _in_lines(told, _TRACKED)
-
-
-_FOUND = {
+_LINES = {
+    "fit": "fit     {} (medians)",
     "median_contact_force_n": "force   {:.3g} N median in contact, {max_force_n:.3g} N highest",
     "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench, less its "
     "contact-free bias",
     "gas_zero": "{}",
     "shear": "{}\n        {texture}",
-    "median_total_ms": "time    depth image in → patch out, first frame left out: {:.1f} ms "
-    "median, {p95_total_ms:.1f} ms p95",
-    "median_contact_total_ms": "        {:.1f} ms median in contact",
-}
-_TRACKED = {
-    "percent": "fit     {:.0f} % of the patch on the object, rmse {rmse_mm:.2f} mm (medians)",
-    "median_total_ms": "time    depth image in → pose out while tracking: {:.1f} ms median, "
+    "median_total_ms": "time    depth image in → {way}: {:.1f} ms median, "
     "{p95_total_ms:.1f} ms p95",
+    "median_contact_total_ms": "        {:.1f} ms median in contact",
     "areas": "patch   {} (medians)",
 }
-
-
-def _in_lines(told: dict[str, Any], lines: dict[str, str]) -> str:
-    """Text of a summary: a line for each fact that is known."""
-    wrote = [] if told["out"] is None else [f"wrote   {told['out']}"]
-    known = [
-        text.format(told[key], **told) for key, text in lines.items() if told.get(key) is not None
-    ]
-    return "\n".join([*wrote, f"frames  {told['frames']}: {counted(told['status'])}", *known])
+"""Lines of a summary, by the fact without which there is none."""
 
 
 def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -603,15 +558,49 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _shear_text(told: dict[str, Any]) -> str:
+def _of_poses(rows: Sequence[PoseRow]) -> dict[str, Any]:
+    """Statistics of poses; medians over the frames with one, times without the first."""
+    good = [row for row in rows if row["status"] == "ok"]
+    areas = [(row["patch_area_m2"], row["object_patch_area_m2"]) for row in good]
+    both = [pair for pair in areas if np.isfinite(pair).all()]
+    patch, by_object = np.median(both, axis=0).tolist() if both else (None, None)
+    times = _over(good[1:], "total_ms")
+    return {
+        "frames": len(rows),
+        "status": dict(Counter(row["status"] for row in rows)),
+        "median_fitness": _known(np.median, _over(good, "fitness")),
+        "median_rmse_m": _known(np.median, _over(good, "rmse_m")),
+        "median_total_ms": _known(np.median, times),
+        "p95_total_ms": _known(_p95, times),
+        "median_patch_area_m2": patch,
+        "median_object_patch_area_m2": by_object,
+    }
+
+
+def _pose_words(told: dict[str, Any]) -> dict[str, str]:
+    if "object" not in told:
+        return {}
+    words = {"way": "pose out while tracking"}
+    if told["median_rmse_m"] is not None:
+        share, off_mm = 100.0 * told["median_fitness"], 1e3 * told["median_rmse_m"]
+        words["fit"] = f"{share:.0f} % of the patch on the object, rmse {off_mm:.2f} mm"
+    if told["median_patch_area_m2"] is not None:
+        mm2 = [1e6 * told[key] for key in ("median_patch_area_m2", "median_object_patch_area_m2")]
+        words["areas"] = f"{mm2[0]:.0f} mm² by the contact pressure, {mm2[1]:.0f} mm² by the object"
+    return words
+
+
+def _shear_words(told: dict[str, Any]) -> dict[str, str]:
+    if told.get("traction_status") is None:
+        return {}
     status = counted(told["traction_status"])
     if told["median_traction_force_n"] is None:
-        return f"shear   {status}"
-    return (
-        f"shear   {told['median_traction_force_n']:.3g} ± "
+        return {"shear": f"shear   {status}"}
+    return {
+        "shear": f"shear   {told['median_traction_force_n']:.3g} ± "
         f"{told['median_traction_half_width_n']:.2g} N (95 %) "
         f"median with friction: {status}; its direction has not been verified"
-    )
+    }
 
 
 def _over(rows: Sequence[dict[str, Any]], key: str) -> list[float]:
