@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 
 import bubbleviz as bv
-from bubbleviz.api.connecting import Stream
 from bubbleviz.api.results import FrameResult
+from bubbleviz.live import LiveStream
 
 SPEED_M_PER_S = 0.005
 VALID_S = 0.1  # three frames at 30 Hz
@@ -46,7 +46,7 @@ class PrintedRobot:
         print("stop")
 
 
-def press_until(stream: Stream, robot: Robot, force_n: float) -> FrameResult | None:
+def press_until(stream: LiveStream, robot: Robot, force_n: float) -> FrameResult | None:
     """Move on while the force is below `force_n`; the frame that ended it, None if none came.
 
     A frame without a number to trust ends it, too: nobody presses on blindly. When the camera sends

@@ -12,11 +12,10 @@ from __future__ import annotations
 import sys
 
 import bubbleviz as bv
-from bubbleviz.api.connecting import Stream
-from bubbleviz.live import ResultMessages, SessionOptions, ZenohPublisher
+from bubbleviz.live import LiveStream, ResultMessages, SessionOptions, ZenohPublisher
 
 
-def publish_results(stream: Stream, out: ZenohPublisher, prefix: str = "/bubbleviz/") -> int:
+def publish_results(stream: LiveStream, out: ZenohPublisher, prefix: str = "/bubbleviz/") -> int:
     """Estimate every newest frame and publish what was found; count of frames."""
     messages, count = None, 0
     for found in bv.estimate(stream):

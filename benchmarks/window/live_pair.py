@@ -117,7 +117,7 @@ class _Counts:
         used["solver processes"] = sum(process_seconds(pid) for pid in solvers)
         return cls(
             time.monotonic(),
-            [frames.stream.counters().frames for frames in run.frames],
+            [frames.stream.counters.frames for frames in run.frames],
             [len(frames) for frames in run.frames],
             session.window.view.render_count,
             used,

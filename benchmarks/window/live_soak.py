@@ -161,11 +161,11 @@ def _run(sensor: Sensor, seconds: float, path: Path, publisher: Publisher) -> Me
                 raise InputError(f"nothing arrived: {stream.status().text}")
             estimator = Estimator(sensor, intrinsics=first.intrinsics, zero_gas=False)
             watcher = Watcher(stream, estimator.solver)
-            skipped_before = stream.counters().skipped
+            skipped_before = stream.counters.skipped
             ages, memory = _solve_for(watcher, seconds)
             sent = publisher.images_sent()
             drain(stream)
-            skipped = stream.counters().skipped - skipped_before
+            skipped = stream.counters.skipped - skipped_before
     finally:
         status = recorder.stop()
     if status.problem:
@@ -190,8 +190,8 @@ def _solve_for(watcher: Watcher, seconds: float) -> tuple[list[float], list[tupl
 def drain(stream: LiveStream) -> None:
     """Wait until nothing comes any more."""
     received = -1
-    while stream.counters().received != received:
-        received = stream.counters().received
+    while stream.counters.received != received:
+        received = stream.counters.received
         time.sleep(0.3)
 
 

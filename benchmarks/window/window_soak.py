@@ -97,7 +97,7 @@ def _soak(
     stream = run.frames[0].stream
     session.wait_for(lambda: len(run.frames[0]) > 0, "the first solved frame")
     session.window.picture_age.begin(10**7)
-    skipped, solved = stream.counters().skipped, len(run.frames[0])
+    skipped, solved = stream.counters.skipped, len(run.frames[0])
     pictures, memory = session.window.view.render_count, list[tuple[float, int]]()
     began = time.monotonic()
     gaps_ms.clear()  # of starting
@@ -106,7 +106,7 @@ def _soak(
         memory.append((time.monotonic() - began, resident_bytes()))
     pictures_hz = (session.window.view.render_count - pictures) / (time.monotonic() - began)
     ages, solved = session.window.picture_age.ages_s, len(run.frames[0]) - solved
-    skipped = stream.counters().skipped - skipped
+    skipped = stream.counters.skipped - skipped
     sent = publisher.images_sent()
     drain(stream)
     state = live.recording.state()

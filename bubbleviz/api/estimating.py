@@ -39,7 +39,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
 
 if TYPE_CHECKING:
-    from bubbleviz.api.connecting import Stream
+    from bubbleviz.live import LiveStream
 
 SensorName = str | Path | Sensor
 Recorded = Sequence[Frame] | str | Path
@@ -85,10 +85,10 @@ def estimate(
 def estimate(frames: Recorded, sensor: SensorName = AUTO, **options: Unpack[Estimating]) -> Run: ...
 @overload
 def estimate(
-    frames: Stream, sensor: SensorName = AUTO, **options: Unpack[Estimating]
+    frames: LiveStream, sensor: SensorName = AUTO, **options: Unpack[Estimating]
 ) -> Iterator[FrameResult]: ...
 def estimate(
-    frames: Frame | Recorded | Stream,
+    frames: Frame | Recorded | LiveStream,
     sensor: SensorName = AUTO,
     *,
     kappa: float | None = None,
@@ -109,7 +109,7 @@ def estimate(
 
     Parameters
     ----------
-    frames : Frame, sequence of Frame, path or Stream
+    frames : Frame, sequence of Frame, path or LiveStream
         What `open`, `simulate` or `connect` returned, a slice of it, or the path of a recording.
         For arrays use `Estimator`.
     sensor : str, path or Sensor
@@ -240,13 +240,13 @@ def track(
 ) -> Run: ...
 @overload
 def track(
-    frames: Stream,
+    frames: LiveStream,
     object: str | Path | RigidObject,
     sensor: SensorName = AUTO,
     **options: Unpack[Tracking],
 ) -> Iterator[FrameResult]: ...
 def track(
-    frames: Recorded | Stream,
+    frames: Recorded | LiveStream,
     object: str | Path | RigidObject,
     sensor: SensorName = AUTO,
     *,
@@ -265,7 +265,7 @@ def track(
 
     Parameters
     ----------
-    frames : sequence of Frame, path or Stream
+    frames : sequence of Frame, path or LiveStream
     object : str, path or RigidObject
         Mesh file or preset.
     sensor, solver, friction, zero_gas, timeout_s, progress
@@ -360,7 +360,7 @@ def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
 
 
 def _watched(
-    stream: Stream,
+    stream: LiveStream,
     sensor: SensorName,
     timeout_s: float | None,
     *files: str | Path | None,
@@ -371,7 +371,8 @@ def _watched(
 
     for path in filter(None, files):
         raise InputError(f"{path}: estimate of a stream writes no files; use watch(source, out=…)")
-    return Watcher.on(stream.live, stream.uri, stream.sensor_or(sensor), **how).results(timeout_s)
+    own = stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
+    return Watcher.on(stream, own, **how).results(timeout_s)
 
 
 def _begun(

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tqdm import tqdm
 
-from bubbleviz.api.connecting import offered
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, set_aside
-from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream, patience_s
+from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.wording import count_of
@@ -103,11 +102,11 @@ def record(
         recorder.start(out)
         try:
             with stopped_by_signals() as stop, stream:
-                first = _wait(stream, recorder, stop, duration_s, patience_s(source))
+                first = _wait(stream, recorder, stop, duration_s)
         finally:
             status = recorder.stop()
         _check(status, stream, source)
-    now, counters = time.monotonic(), stream.counters()
+    now, counters = time.monotonic(), stream.counters
     return RecordSummary(
         source=source,
         out=str(status.path),
@@ -130,19 +129,19 @@ def _wait(
     recorder: Recorder,
     stop: threading.Event,
     duration_s: float | None,
-    patience: float,
 ) -> float | None:
     """Wait until recording ends; returns when the first message came (`time.monotonic`)."""
     began, first = time.monotonic(), None
     with tqdm(unit=" messages", disable=None, file=sys.stderr) as bar:  # only on a terminal
-        for first in _looks(stop, duration_s, lambda: stream.counters().received > 0):
+        for first in _looks(stop, duration_s, lambda: stream.counters.received > 0):
             status = recorder.status()
-            if status is None or status.problem or stream.source.link == "ended":
+            if status is None or status.problem or stream.ended:
                 break
             stream.take()  # frees the slot of a frame that is not solved here
             bar.n = status.messages
             bar.set_postfix_str(f"{status.size_bytes / 1e6:.1f} MB, {stream.status().text}")
-            if first is None and duration_s is not None and time.monotonic() - began > patience:
+            waited_s = time.monotonic() - began
+            if first is None and duration_s is not None and waited_s > stream.patience_s:
                 break
     return first
 
@@ -169,7 +168,7 @@ def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
     if problem and not (lost and status.messages):  # what came before it was lost is in the file
         raise InputError(f"--source {source}: {problem}")
     if not status.messages:
-        there = offered(stream)
+        there = stream.offered
         raise InputError(f"--source {source}: nothing arrived ({there}); nothing was written")
 
 

@@ -9,14 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
 
-from bubbleviz.api.connecting import nothing_arrived, sensor_of
+from bubbleviz.api.connecting import sensor_of
 from bubbleviz.api.estimator import Estimator, FrameSolver
 from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
@@ -31,7 +30,6 @@ from bubbleviz.live import (
     ResultMessages,
     ZenohPublisher,
     open_stream,
-    patience_s,
 )
 from bubbleviz.recordings import AUTO, RESULTS, Frame, Message
 from bubbleviz.result import Result
@@ -41,8 +39,6 @@ from bubbleviz.sensor import Sensor, with_colour_delay
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
 
-CAMERA_S = 0.5
-"""How long the first frames may come without camera info before the sensor file's counts."""
 _LOOK_S = 0.1  # s between looks at the stream; chosen
 _DIAGNOSTICS_S = 1.0  # s between diagnostics, ROS's usual 1 Hz
 
@@ -62,7 +58,6 @@ class Watcher:
     def on(
         cls,
         stream: LiveStream,
-        source: str,
         sensor: Sensor,
         *,
         stop: threading.Event | None = None,
@@ -75,16 +70,13 @@ class Watcher:
         """
         if how.get("shear"):
             stream.follow_colour()
-        check = partial(stream.check_size, f"--source {source}", sensor.name)
-        first = _first_frame(stream, stop or threading.Event(), patience_s(source), check)
-        if first is None:
-            raise nothing_arrived(stream, source)
-        return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **how).solver, first)
 
-    @property
-    def ended(self) -> bool:
-        """Whether the source has no more frames."""
-        return self.stream.source.link == "ended"
+        def waiting() -> None:
+            if stop is not None and stop.is_set():
+                raise stream.nothing_arrived()
+
+        first = stream.first_frame(waiting=waiting)
+        return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **how).solver, first)
 
     def step(self, timeout_s: float) -> Result | None:
         """Solve the newest frame; None when none came in time."""
@@ -100,26 +92,6 @@ class Watcher:
         """What was found in the newest frame, over and over, until the source ends."""
         for result in self.stream.each(self.step, timeout_s):
             yield FrameResult(result, self.solver.pipeline.model)
-
-
-def _first_frame(
-    stream: LiveStream, stop: threading.Event, patience: float, check: Callable[[], None]
-) -> Frame | None:
-    """The first frame with camera info, or the first at all if none arrives."""
-    began, frame = time.monotonic(), None
-    deadline: float | None = None
-    while not stop.is_set():
-        frame = stream.take(0.1) or frame
-        now, ended = time.monotonic(), stream.source.link == "ended"
-        if frame is None:
-            check()
-            if ended or now - began > patience:
-                return None
-            continue
-        deadline = deadline or now + CAMERA_S
-        if frame.intrinsics is not None or ended or now > deadline:
-            return frame
-    return frame
 
 
 @dataclass(frozen=True)
@@ -213,7 +185,7 @@ def watch(
             stream.follow_colour()
         publisher = None if place is None else stack.enter_context(ZenohPublisher(place))
         stack.enter_context(stream)
-        watcher = Watcher.on(stream, source, own, stop=stop, **how)
+        watcher = Watcher.on(stream, own, stop=stop, **how)
 
         def send(message: Message) -> None:
             if publisher is not None:
@@ -251,7 +223,7 @@ def _watch(
             silent = _tell_silence(stream, silent)
             if time.monotonic() - told >= _DIAGNOSTICS_S:
                 told, status = time.monotonic(), stream.status()
-                counters, newest = stream.counters(), _newest(watcher.last, texture)
+                counters, newest = stream.counters, _newest(watcher.last, texture)
                 send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
                 bar.set_postfix_str(", ".join(filter(None, (*newest, status.text))))
     elapsed = time.monotonic() - began
@@ -269,7 +241,7 @@ def _watch(
         latency_p95_s=None if latency is None else latency.p95_s,
         pressure_offset_pa=None if zero is None else zero.offset_pa,
         shear=shear,
-        counters=stream.counters().as_dict(),
+        counters=stream.counters.as_dict(),
         warning="; ".join(filter(None, warnings)) or None,
     )
 
@@ -283,7 +255,7 @@ def _until_over(
     """
     began = time.monotonic()
     while not stop.is_set() and (duration_s is None or time.monotonic() - began < duration_s):
-        ended = watcher.ended  # looked at first: a frame may come before the end is seen
+        ended = watcher.stream.ended  # looked at first: a frame may come before the end is seen
         result = watcher.step(_LOOK_S)
         if ended and result is None:
             return
@@ -293,7 +265,7 @@ def _until_over(
 def _tell_silence(stream: LiveStream, told: bool) -> bool:
     """Say, once an outage, that no depth images come; whether they still do not."""
     silent_s = stream.status().silent_s or 0.0
-    if silent_s < STOPPED_AFTER_S or stream.source.link == "ended":
+    if silent_s < STOPPED_AFTER_S or stream.ended:
         return False
     if not told:
         said = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"

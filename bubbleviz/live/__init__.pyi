@@ -22,7 +22,6 @@ from .opening import (
     is_simulated as is_simulated,
     load_session as load_session,
     open_stream as open_stream,
-    patience_s as patience_s,
     sensor_for_source as sensor_for_source,
 )
 from .publisher import (

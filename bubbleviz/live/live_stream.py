@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -11,10 +12,11 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from bubbleviz.errors import StreamStoppedError
+from bubbleviz.errors import InputError, StreamStoppedError
 from bubbleviz.live.assembler import Counters, FrameAssembler
 from bubbleviz.live.live_source import Link, LiveSource
 from bubbleviz.recordings import NO_COLOUR, Frame, Message, size_refusal
+from bubbleviz.sensor import Sensor
 
 # How a live source is doing.
 
@@ -63,6 +65,8 @@ def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
 
 LOOK_S = 0.1
 """How often the end of the source is looked for while a frame is waited for without end."""
+CAMERA_S = 0.5
+"""How long the first frames may come without camera info before the sensor file's counts."""
 SEVERAL = 5
 """Images of another size that are no accident: not garbage, nor of a topic beside the depth's."""
 
@@ -72,18 +76,41 @@ Outage = tuple[int, int]  # arrival of the frames before and after, ns since 197
 
 
 class LiveStream:
-    """Frames of a live source, the newest first.
+    """Newest frames of a live source; a frame that is not taken in time is skipped.
 
-    A session of two sensors has two of these; they share nothing.
+    A context manager; iterating yields frames until the source ends. It raises `InputError` if the
+    first frame does not come within 10 s, and `StreamStoppedError` if a later one does not come
+    within `timeout_s`; both say what is missing.
+
+    Parameters
+    ----------
+    source : LiveSource
+        Not started: the stream starts and stops it.
+    sensor : Sensor
+        Whose frames they are.
+    assembler : FrameAssembler, optional
+    uri : str
+        What the source was opened by, for messages.
+    patience_s : float
+        How long the first frame may take, s.
+    timeout_s : float, optional
+        Longest wait for a later frame while iterating, s; None waits for ever, also for the first.
     """
 
     def __init__(
         self,
-        source: LiveSource,  # not started; the stream starts and stops it
+        source: LiveSource,
+        sensor: Sensor,
         assembler: FrameAssembler | None = None,
+        *,
+        uri: str = "",
+        patience_s: float = math.inf,
+        timeout_s: float | None = STOPPED_AFTER_S,
     ) -> None:
         self.name = source.name
-        self.source = source
+        self.source, self.sensor, self.uri = source, sensor, uri or source.name
+        self.patience_s, self.timeout_s = patience_s, timeout_s
+        self._started = False
         self._assembler = assembler or FrameAssembler()
         self._newest: Frame | None = None  # not taken yet; a newer one replaces it
         self._skipped = 0  # frames that were replaced so
@@ -101,13 +128,20 @@ class LiveStream:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        self.close()
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self._last_frame_ns is None and not self.ended:
+            yield self.first_frame(math.inf if self.timeout_s is None else None, camera_s=0.0)
+        yield from self.each(self.take, self.timeout_s)
 
     def start(self) -> None:
-        """Start the source; InputError when that is impossible."""
-        self.source.start(self._deliver)
+        """Start the source, once; InputError when that is impossible."""
+        if not self._started:
+            self._started = True
+            self.source.start(self._deliver)
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """Stop the source and wake threads that wait for a frame."""
         self.source.stop()
         with self._changed:
@@ -150,12 +184,53 @@ class LiveStream:
         self._assembler.follow_colour(on)
         self.source.follow_colour(on)
 
+    @property
+    def ended(self) -> bool:
+        """Whether the source has no more frames."""
+        return self.source.link == "ended"
+
+    def first_frame(
+        self,
+        patience_s: float | None = None,
+        waiting: Callable[[], object] = lambda: None,
+        camera_s: float = CAMERA_S,
+    ) -> Frame:
+        """Wait for the first frame, and so much longer for one with camera info.
+
+        Parameters
+        ----------
+        patience_s : float, optional
+            In place of the stream's own, s.
+        waiting : callable
+            Called now and then until it is there; what it raises ends the waiting.
+        camera_s : float
+
+        Raises
+        ------
+        InputError
+            None came, or only such as are not of the sensor's camera.
+        """
+        patience_s = self.patience_s if patience_s is None else patience_s
+        began, camera_by, frame = time.monotonic(), math.inf, None
+        while True:
+            frame = self.take(LOOK_S) or frame
+            now, ended = time.monotonic(), self.ended
+            if frame is not None:
+                camera_by = min(camera_by, now + camera_s)
+                if frame.intrinsics is not None or ended or now >= camera_by:
+                    return frame
+            else:
+                self._check_size()
+                if ended or now - began > patience_s:
+                    raise self.nothing_arrived()
+            waiting()
+
     def take(self, timeout_s: float = 0.0) -> Frame | None:
-        """The newest frame that was not taken yet, waiting for one; None when none came."""
+        """Newest frame that was not taken yet, waiting for one; None if none came in time."""
         deadline = time.monotonic() + timeout_s
         while True:
             frame = self._take(min(max(deadline - time.monotonic(), 0.0), self._patience_s()))
-            ended = self.source.link == "ended"
+            ended = self.ended
             if frame is None:
                 with self._lock:  # at the end there is nothing left to wait for
                     self._put(self._assembler.flush(None if ended else time.time_ns()))
@@ -192,7 +267,7 @@ class LiveStream:
         """
         wait_s = LOOK_S if timeout_s is None else timeout_s
         while True:
-            ended = self.source.link == "ended"  # first: a frame may come before the end is seen
+            ended = self.ended  # first: a frame may come before the end is seen
             asked_s = time.monotonic()
             made = take(wait_s)
             waited = time.monotonic() - asked_s >= wait_s
@@ -205,6 +280,20 @@ class LiveStream:
                     f"{self.silence()}; check the camera and its connection, or give a longer "
                     "timeout_s"
                 )
+
+    def nothing_arrived(self) -> InputError:
+        """The error to raise about a source without a depth image; says why where that is known."""
+        seen = self.source.problem or self.counters.problem or self.offered
+        return InputError(
+            f"--source {self.uri}: no depth image arrived: {seen}; check the place and the depth "
+            "topic"
+        )
+
+    @property
+    def offered(self) -> str:
+        """Topics that the source has, in words."""
+        topics = ", ".join(topic.name for topic in self.source.topics)
+        return f"topics found: {topics}" if topics else "no topics were found"
 
     def silence(self) -> str:
         """That no depth image comes, for how long, and why where that is known."""
@@ -221,26 +310,24 @@ class LiveStream:
         """What to say of a camera that sends one image on and on; empty where none does."""
         return self._assembler.equal.warning
 
+    @property
     def counters(self) -> Counters:
-        """The counts so far; the window asks for them and waits for no image to be decoded."""
+        """Counts of received, skipped and faulty messages so far."""
+        # the window asks for them and waits for no image to be decoded
         return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed)
 
-    def check_size(
-        self,
-        images: str,  # what the source is called in the error
-        sensor_name: str,
-    ) -> None:
+    def _check_size(self) -> None:
         """Refuse a source with nothing but images of another size than the sensor's camera has.
 
         Raises InputError: it has sent several of them, or ended, and none that fits.
         """
         with self._lock:
             counters, own = self._assembler.counters, self._assembler.size
-            enough = 1 if self.source.link == "ended" else SEVERAL
+            enough = 1 if self.ended else SEVERAL
             wrong = counters.frames == 0 and counters.wrong_size >= enough
             size = self._assembler.other_size
         if wrong and size is not None and own is not None:
-            raise size_refusal(images, size, sensor_name, own)
+            raise size_refusal(f"--source {self.uri}", size, self.sensor.name, own)
 
     def _size_refused(self) -> str:
         """What to say of images that are of another size since the last frame; empty for none."""

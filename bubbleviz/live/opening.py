@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import DepthCamera
-from bubbleviz.errors import InputError
 from bubbleviz.files import (
     MOST_COLOUR_DELAY_S,
     SYNTHETIC_SENSOR,
@@ -25,7 +23,7 @@ from bubbleviz.files import (
 )
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.live_source import LiveSource, SourceUri, SyntheticOptions, parse_uri
-from bubbleviz.live.live_stream import LiveStream
+from bubbleviz.live.live_stream import STOPPED_AFTER_S, LiveStream
 from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.replay import Replay
 from bubbleviz.live.topic_names import TopicNames
@@ -35,7 +33,8 @@ from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 
 FIRST_MESSAGE_S = 10.0
 SIMULATED_S = 120.0
-"""Patience with a robot's network, and with a simulation that is made before it is sent."""
+"""Patience with the first message of a robot's network, and of a simulation, which is made before
+it is sent."""
 DEFAULT_PREFIX = "/bubble"  # of the topics of a source that has none itself
 
 
@@ -44,16 +43,12 @@ def is_simulated(text: str) -> bool:
     return text.strip().startswith("synthetic:")
 
 
-def patience_s(text: str) -> float:
-    """How long the first message of a source may take, s: all of a simulation is made before it."""
-    return SIMULATED_S if is_simulated(text) else FIRST_MESSAGE_S
-
-
 def open_stream(
     text: str,  # `scheme:place?option=value&…`, see `parse_uri`
     sensor: Sensor,  # simulated by `synthetic:`; its image size is the one that counts
     *,
     any_size: bool = False,  # accept images of any size: recording alone needs no sensor file
+    timeout_s: float | None = STOPPED_AFTER_S,  # as of `LiveStream`
 ) -> LiveStream:
     """Stream of a source, not started yet.
 
@@ -72,7 +67,10 @@ def open_stream(
         lag_s=options.lag,
         colour_delay_s=camera.colour_delay_s,
     )
-    return LiveStream(source, assembler)
+    patience_s = SIMULATED_S if is_simulated(text) else FIRST_MESSAGE_S
+    return LiveStream(
+        source, sensor, assembler, uri=text, patience_s=patience_s, timeout_s=timeout_s
+    )
 
 
 def _synthetic(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
@@ -121,15 +119,13 @@ _MAKERS: dict[str, _Maker] = {
 # The sensor preset that fits a live source, by the size of its images.
 
 
-LOOK_S = 0.1  # s between calls of `waiting`
-
-
 def sensor_for_source(
     text: str,  # as `--source`
     name: str,
-    patience_s: float = float("inf"),  # how long the first image may take, s
+    # in place of the source's own patience with the first image, s
+    patience_s: float | None = None,
     # called with the stream now and then until the image is there; what it raises ends the waiting
-    waiting: Callable[[LiveStream], None] = lambda _: None,
+    waiting: Callable[[LiveStream], object] = lambda _: None,
 ) -> str:
     """Name of the sensor for a live source: as given, or for `auto` the one preset that fits.
 
@@ -146,20 +142,9 @@ def sensor_for_source(
     if uri.scheme == "realsense":
         raise uri.refusal("its images have the size that the sensor file asks for; give --sensor")
     with open_stream(text, load_sensor(SYNTHETIC_SENSOR), any_size=True) as stream:
-        return preset_of_size(_image_size(stream, text, patience_s, waiting), f"--source {text}")
-
-
-def _image_size(
-    stream: LiveStream, text: str, patience_s: float, waiting: Callable[[LiveStream], None]
-) -> tuple[int, int]:
-    deadline = time.monotonic() + patience_s
-    while (frame := stream.take(LOOK_S)) is None:
-        waiting(stream)
-        if stream.source.link == "ended" or time.monotonic() > deadline:
-            why = stream.source.problem or stream.counters().problem or "give --sensor"
-            raise InputError(f"--source {text}: no depth image arrived; {why}")
-    height, width = frame.depth_m.shape
-    return width, height
+        first = stream.first_frame(patience_s, lambda: waiting(stream), camera_s=0.0)
+    height, width = first.depth_m.shape
+    return preset_of_size((width, height), f"--source {text}")
 
 
 # Session presets: which sensors are shown at once, and where they are in the world.
@@ -260,7 +245,7 @@ class LiveSession:
 
     def __exit__(self, *_: object) -> None:
         for each in self.sensors:
-            each.stream.stop()
+            each.stream.close()
         if self.recorder.recording:
             self.recorder.stop()
 

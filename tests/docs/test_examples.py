@@ -117,6 +117,6 @@ def test_the_force_goes_out_as_a_ros_2_message(recording, sensor):
         bv.connect(f"zenoh:{place}?wrench={WRENCH}", sensor) as listening,
         replay as stream,
     ):
-        listening.live.listen(lambda message: arrived.append(message.topic))
+        listening.listen(lambda message: arrived.append(message.topic))
         count = ros2_without_ros.publish_results(stream, UntilArrived(out, stream, arrived))
     assert WRENCH in arrived and count > 0

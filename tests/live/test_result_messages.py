@@ -219,7 +219,7 @@ def test_weather_is_not_contact(small_sensor):
     worst = {}
     for zeroed in (False, True):
         source = Weather(press(small_sensor, 90))
-        with LiveStream(source) as stream:
+        with LiveStream(source, small_sensor) as stream:
             solver = bv.Estimator(small_sensor, zero_gas=zeroed).solver
             watcher, zero = Watcher(stream, solver), solver.zero
             statuses = []

@@ -61,7 +61,7 @@ def test_the_simulation_streams_stamped_with_the_present(small_sensor):
     assert all(frame is not None for frame in later)
     assert stream.status().state == "ended"
     assert stream.take(1.0) is None or stream.take(1.0) is None
-    assert stream.counters().bad_stamps == 0
+    assert stream.counters.bad_stamps == 0
 
 
 def test_every_round_shows_the_same_stamped_anew(small_sensor, eventually):
@@ -101,10 +101,10 @@ def test_newest_wins_and_what_is_passed_by_is_counted(small_sensor, eventually):
     stream.listen(seen.append)
     with stream:
         assert stream.take(60.0) is not None
-        eventually(lambda: stream.counters().frames > 30)
+        eventually(lambda: stream.counters.frames > 30)
         frame = stream.take(10.0)
         assert frame.index >= 30
-        assert stream.counters().skipped >= 25
+        assert stream.counters.skipped >= 25
     images = [message.sequence for message in seen if message.type == IMAGE]
     assert images == list(range(len(images)))  # who listens misses none
 
@@ -121,7 +121,7 @@ def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor):
     stream.listen(wait)
     with stream:
         assert waiting.wait(60.0)
-        assert stream.counters().received == 0
+        assert stream.counters.received == 0
         assert stream.status().state == "connecting"
         assert len(stream.source.topics) == 3
         assert stream.take() is None
@@ -150,7 +150,7 @@ def test_a_looped_replay_goes_on(recording, small_sensor):
             frame = stream.take(30.0)
             if frame.index > 35:
                 break
-        counters = stream.counters()
+        counters = stream.counters
     assert (counters.bad_stamps, counters.out_of_order, counters.duplicate) == (0, 0, 0)
 
 
@@ -159,7 +159,7 @@ def test_another_camera_s_recording_is_counted_not_solved(recording, eventually)
     with stream:
         eventually(lambda: stream.status().state == "ended")
         assert stream.take() is None
-        assert stream.counters().wrong_size == 10
+        assert stream.counters.wrong_size == 10
 
 
 @pytest.mark.parametrize("rows", [True, False])
@@ -241,8 +241,8 @@ def test_two_sensors_are_recorded_into_one_file_and_told_apart(
         for each in session.sensors:
             frame = each.stream.take(60.0)
             assert frame is not None
-        eventually(lambda: all(s.stream.counters().frames > 12 for s in session.sensors))
-    sent = {s.place.name: s.stream.counters() for s in session.sensors}
+        eventually(lambda: all(s.stream.counters.frames > 12 for s in session.sensors))
+    sent = {s.place.name: s.stream.counters for s in session.sensors}
     pressures = {}
     for side, counters in sent.items():
         assert (counters.undecodable, counters.duplicate) == (0, 0)
@@ -299,14 +299,14 @@ def test_a_file_of_the_realsense_sdk_is_played_and_looped(realsense_file, small_
     assert [message.sequence for message in images] == list(range(12))
     np.testing.assert_allclose(np.diff([m.stamp_ns for m in images]), SECOND / 30, atol=2000)
     assert stream.status().state == "ended"
-    assert stream.counters().missed == 0
+    assert stream.counters.missed == 0
     # looped it goes on
     with open_stream(f"realsense:{realsense_file}?loop=1", small_sensor) as stream:
         frame = stream.take(30.0)
         while frame is not None and frame.index < 30:
             frame = stream.take(30.0)
         assert frame is not None
-        assert stream.counters().bad_stamps == 0
+        assert stream.counters.bad_stamps == 0
 
 
 def test_without_the_package_one_line_says_what_to_install(small_sensor, monkeypatch):
@@ -332,7 +332,7 @@ def test_streams_end_when_their_source_fails(small_sensor, eventually):
         poses[:, 0, 3] = 0.07
         return SyntheticSource(small_sensor, oversized_nut(), poses)
 
-    stream = LiveStream(SyntheticLive("broken", make, 30.0))
+    stream = LiveStream(SyntheticLive("broken", make, 30.0), small_sensor)
     with stream:
         eventually(lambda: stream.status().state == "ended")
         assert "rim" in stream.source.problem

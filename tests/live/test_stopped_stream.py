@@ -43,11 +43,11 @@ def test_estimating_a_stream_that_stops_ends_with_one_error(gaps, sensor):
         with pytest.raises(StreamStoppedError) as error:
             for each in bv.estimate(stream):
                 found.append(each.time_s)
-        silent_s = stream.live.status().silent_s
+        silent_s = stream.status().silent_s
     assert found and max(found) < GAP_S
     assert silent_s is not None and STOPPED_AFTER_S <= silent_s < GAP_S
     said = str(error.value)
-    assert said.startswith(f"{stream.live.name}: no depth image for 1.")
+    assert said.startswith(f"{stream.name}: no depth image for 1.")
     assert "check the camera" in said and "timeout_s" in said and "\n" not in said
     assert isinstance(error.value, bv.InputError)
 

@@ -54,10 +54,10 @@ def frame_of(k):
 def watched(*frames):
     """Results of frames, one after the other."""
     source = HandedSource()
-    with LiveStream(source) as stream:
+    with LiveStream(source, sensor()) as stream:
         stream.follow_colour()
         source.hand(frames[0])
-        watcher = Watcher.on(stream, "handed", sensor(), zero_gas=False, shear=True)
+        watcher = Watcher.on(stream, sensor(), zero_gas=False, shear=True)
         for k, frame in enumerate(frames):
             if k:
                 source.hand(frame)

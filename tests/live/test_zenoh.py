@@ -62,7 +62,7 @@ def test_topics_are_found_and_frames_made(layout, small_sensor):
             ("/gas", "sensor_msgs/msg/FluidPressure"),
         ]
         assert stream.status().state == "live"
-        counters = stream.counters()
+        counters = stream.counters
         assert (counters.undecodable, counters.bad_stamps, counters.missed) == (0, 0, 0)
 
 
@@ -186,13 +186,11 @@ def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
         eventually(
             lambda: (
                 stream.take(0.05),
-                (c := stream.counters()).undecodable >= 4
-                and c.wrong_size >= 2
-                and c.bad_stamps >= 3,
+                (c := stream.counters).undecodable >= 4 and c.wrong_size >= 2 and c.bad_stamps >= 3,
             )[1]
         )
-        assert stream.counters().frames > 10
-        assert "/cam/depth" in stream.counters().problem
+        assert stream.counters.frames > 10
+        assert "/cam/depth" in stream.counters.problem
         assert stream.status().state == "live"
     # so is another type under the same name
     port = free_port()
@@ -203,9 +201,9 @@ def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
         stream_of(port, small_sensor, "?depth=/cam/depth") as stream,
     ):
         eventually(lambda: (node.put(depth, image(time.time_ns())), stream.take(0.05))[1])
-        assert stream.counters().wrong_type == 0
+        assert stream.counters.wrong_type == 0
         node.put(other, b"\0\1\0\0\4\0\0\0abc\0")
-        eventually(lambda: stream.counters().wrong_type == 1)
+        eventually(lambda: stream.counters.wrong_type == 1)
 
 
 def test_through_a_router_as_rmw_zenoh_has_it(small_sensor, eventually):
@@ -235,11 +233,11 @@ def test_what_a_publisher_counted_and_never_arrived_is_missed(small_sensor, even
     port = free_port()
     key = KEYS["rmw"]["/cam/depth"]
     with open_session(str(port)) as node, stream_of(port, small_sensor, "?depth=/cam/depth") as s:
-        eventually(lambda: (node.put(key, b"", attachment=attachment(1)), s.counters().received)[1])
+        eventually(lambda: (node.put(key, b"", attachment=attachment(1)), s.counters.received)[1])
         for sequence in (2, 3, 6, 7, 7, 10):
             node.put(key, image(time.time_ns()), attachment=attachment(sequence))
-        eventually(lambda: s.counters().frames == 6)
-        assert s.counters().missed == 4
+        eventually(lambda: s.counters.frames == 6)
+        assert s.counters.missed == 4
 
 
 def test_two_sensors_share_nothing(small_sensor):

@@ -87,9 +87,9 @@ class Bench(Driver):
 
     def messages_come(self, count, sensor=0):
         """Wait until so many more messages of a sensor have arrived."""
-        counters = self.run.session.sensors[sensor].stream.counters
-        enough = counters().received + count
-        self.wait(lambda: counters().received >= enough)
+        stream = self.run.session.sensors[sensor].stream
+        enough = stream.counters.received + count
+        self.wait(lambda: stream.counters.received >= enough)
 
     def learn_zero(self, reading_pa=None, shift_pa=0.0):
         """Have the zero of the gas pressure learned from readings at rest; returns it."""

@@ -92,8 +92,8 @@ def test_garbage_is_counted_shown_and_survived(open_bench):
     with robot(port, 0, "bad"):
         bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
         stream = bench.run.frames[0].stream
-        bench.wait(lambda: min(stream.counters().wrong_size, stream.counters().bad_stamps) > 0)
-        bench.wait(lambda: stream.counters().undecodable > 2)
+        bench.wait(lambda: min(stream.counters.wrong_size, stream.counters.bad_stamps) > 0)
+        bench.wait(lambda: stream.counters.undecodable > 2)
         bench.window.live.show_now()
         text = bench.window.live.counts.toolTip()
         for words in ("undecodable", "of wrong size", "with bad stamps", "/cam/depth: "):

@@ -43,9 +43,8 @@ def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
     stream = open_stream("synthetic:?rate=100&frames=2", sensor)
     frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
     with stream:
-        while not frames.came(60.0):
-            pass
-        frames.begin(frames.first_ns)
+        first = stream.first_frame()
+        frames.begin(first.arrival_ns, first)
     solver.open(OpenRequest("press", LiveOpener(frames), lambda: sensor, 0, demand))
     while solver.newest(demand, lambda: False) is not None:  # what had arrived before it ended
         pass
@@ -63,9 +62,8 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     solver, stream = Solver(), open_stream("synthetic:?rate=100&frames=30", sensor)
     frames = LiveFrames("press", stream, zero, paired=True)
     with stream:
-        while not frames.came(60.0):
-            pass
-        frames.begin(frames.first_ns)
+        first = stream.first_frame()
+        frames.begin(first.arrival_ns, first)
         solver.open(OpenRequest("press", LiveOpener(frames), lambda: sensor, 0, demand))
         session = solver.session
         assert session is not None and session.beside is not None

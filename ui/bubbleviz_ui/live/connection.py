@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.errors import InputError
 from bubbleviz.live import (
     LiveSession,
     LiveStream,
@@ -19,8 +20,6 @@ from bubbleviz.live import (
 from bubbleviz.progress import Progress
 from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.live.live_frames import LiveFrames
-
-LOOK_S = 0.05  # s between looks whether to stop
 
 
 @dataclass(frozen=True)
@@ -88,16 +87,16 @@ class Connection(QObject):
             for k, each in enumerate(session.sensors)
         )
         try:
-            for source, each in zip(frames, session.sensors, strict=True):
-                while not source.came(LOOK_S):
-                    waiting(source.stream)
-                    _check(source.stream, each.place.sensor)
+            first = [
+                each.stream.first_frame(math.inf, partial(waiting, each.stream))
+                for each in session.sensors
+            ]
         except BaseException:
             session.__exit__()
             raise
-        epoch_ns = min(source.first_ns for source in frames)
-        for source in frames:
-            source.begin(epoch_ns)
+        epoch_ns = min(frame.arrival_ns for frame in first)
+        for source, frame in zip(frames, first, strict=True):
+            source.begin(epoch_ns, frame)
         return LiveRun(self.preset, session, frames)
 
     def _tell(self, done: Done) -> None:
@@ -131,23 +130,16 @@ def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) 
     """The preset with the names of sensors that were left to the size of the images."""
     places = tuple(
         place.model_copy(
-            update={"sensor": sensor_for_source(place.source, place.sensor, waiting=waiting)}
+            update={"sensor": sensor_for_source(place.source, place.sensor, math.inf, waiting)}
         )
         for place in preset.sensors
     )
     return preset.model_copy(update={"sensors": places})
 
 
-def _check(stream: LiveStream, sensor_name: str) -> None:
-    stream.check_size(stream.name, sensor_name)
-    if stream.source.link == "ended" and not stream.counters().frames:
-        why = stream.source.problem or stream.counters().problem or "it ended without an image"
-        raise InputError(f"{stream.name}: {why}")
-
-
 def _waiting_for(stream: LiveStream) -> str:
     """What a stream without a frame so far is waited for, and what came instead."""
-    counters, topics = stream.counters(), stream.source.topics
+    counters, topics = stream.counters, stream.source.topics
     if counters.problem and not stream.status().problem:
         return f"no depth image yet: {counters.problem}"
     if topics:

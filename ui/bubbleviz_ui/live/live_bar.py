@@ -211,7 +211,7 @@ class LiveBar(QFrame):
                 self._say(live.state.badge)
             return
         self.record.show_now()
-        status, counters = live.sensor.stream.status(), live.sensor.stream.counters()
+        status, counters = live.sensor.stream.status(), live.sensor.stream.counters
         drawn = live.link != "connecting"  # until then something else may be open
         badge = live.state.badge if drawn else "connecting"
         self._say(badge, status.silence or self._rate_text(counters.frames))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,8 +25,6 @@ SHOWN = 3
 """Frames that are kept however old: the one in the picture, and those solved or taken meanwhile."""
 RECENT = 100
 """Frames that tell the usual time from one to the next."""
-CAMERA_S = 0.5
-"""How long the first frames may come without camera info before the sensor file's counts."""
 
 Listener = Callable[[Result, MembraneMesh], None]
 
@@ -56,7 +53,6 @@ class LiveFrames:
         self._times_s = np.zeros(0)
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
-        self._first: tuple[Frame, float] | None = None
         self._let_go_of_colour: Callable[[], None] | None = None
         self._at_end: Callable[[], None] | None = None
         self._over = False
@@ -99,27 +95,10 @@ class LiveFrames:
         if self._at_end is not None:
             self._at_end()
 
-    def came(self, timeout_s: float) -> bool:
-        """Wait for the first frame, with camera info or without where none comes."""
-        frame = self.stream.take(timeout_s)
-        now = time.monotonic()
-        if frame is not None:
-            self._first = (frame, now if self._first is None else self._first[1])
-        if self._first is None:
-            return False
-        first, since = self._first
-        return first.intrinsics is not None or now - since >= CAMERA_S
-
-    @property
-    def first_ns(self) -> int:
-        """When the first frame arrived, ns since 1970; 0 before."""
-        return 0 if self._first is None else self._first[0].arrival_ns
-
-    def begin(self, epoch_ns: int) -> None:
+    def begin(self, epoch_ns: int, first: Frame) -> None:
         """Begin with the first frame; time began at `epoch_ns` for all sensors of a session."""
-        if self._first is not None:
-            self._epoch_ns = epoch_ns
-            self._take(self._first[0])
+        self._epoch_ns = epoch_ns
+        self._take(first)
 
     def follow_colour(self, on: bool) -> None:
         """Have the frames from now on with colour images, or without: only who asks gets them."""
@@ -138,7 +117,7 @@ class LiveFrames:
     @property
     def ended(self) -> bool:
         """Whether no frame is to be waited for."""
-        return self.stream.source.link == "ended"
+        return self.stream.ended
 
     def at(self, time_s: float) -> int:
         """The kept frame nearest to a time."""

@@ -59,7 +59,7 @@ class ResultSender:
         now = time.monotonic()
         if self._messages is not None and now - self._told >= DIAGNOSTICS_S:
             self._told = now
-            status, counters = self._stream.status(), self._stream.counters()
+            status, counters = self._stream.status(), self._stream.counters
             self._send(self._messages.diagnostics(time.time_ns(), status, counters, self._last))
 
 
