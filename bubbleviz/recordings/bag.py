@@ -18,7 +18,6 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.files import damage, exists
 from bubbleviz.recordings.bag_storage import (
-    MAGIC,
     McapStorage,
     Ros1Storage,
     SqliteStorage,
@@ -93,7 +92,10 @@ class Bag:
     def _open(self) -> None:
         # whether messages are compressed one by one, so that the first bytes of one need all of it
         self.inflates = False
-        self._storages = self._ros1_files() if self.ros1 else self._ros2_files()
+        if self.ros1:
+            self._storages = self._ros1_files()
+        else:
+            self._storages = [self._ros2_file(file) for file in self._ros2_files()]
         counts: Counter[tuple[str, str]] = Counter()
         for connection in (each for storage in self._storages for each in storage.connections):
             counts[str(connection.topic), str(connection.msgtype)] += int(connection.msgcount)
@@ -108,31 +110,22 @@ class Bag:
 
         return [Ros1Storage(self._opened(Reader(self.path)))]
 
-    def _ros2_files(self) -> list[Storage]:
-        described = (self.path / "metadata.yaml").exists()
-        if described and all(map(_is_whole_mcap, self.path.glob("*.mcap"))):
-            check_unpacked(self.path)
-            folder = self._opened(_ros2_readers()[""](self.path))
-            self.inflates = folder.metadata.compression_mode == "message"
-            return [_storage(reader) for reader in folder.storages]
-        return [self._open_bare(file) for file in self._bare_files()]
+    def _ros2_file(self, file: Path) -> Storage:
+        if file.suffix == ".db3":
+            from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    def _open_bare(self, file: Path) -> Storage:
-        kinds = _ros2_readers()
-        if file.suffix not in (".mcap", ".db3"):
+            return SqliteStorage(self._opened(Sqlite3Reader(file)))
+        if file.suffix != ".mcap":
             raise InputError(
                 f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
             )
-        if file.suffix != ".mcap" or _is_whole_mcap(file):
-            return _storage(self._opened(kinds[file.suffix](file)))
         storage = McapStorage(self._open_files.enter_context(file.open("rb")))
-        lost = (
-            f"; {storage.lost_bytes / 1e3:.3g} kB behind it are lost" if storage.lost_bytes else ""
-        )
-        self.note = self.note or (
-            f"{file.name} ends early, as when recording or copying is cut off: it is here up to "
-            f"its last whole chunk{lost}"
-        )
+        if storage.is_cut:
+            lost = f"; {storage.lost_bytes / 1e3:.3g} kB behind it are lost"
+            self.note = self.note or (
+                f"{file.name} ends early, as when recording or copying is cut off: it is here up "
+                f"to its last whole chunk{lost if storage.lost_bytes else ''}"
+            )
         return storage
 
     def _opened(self, reader: Any) -> Any:
@@ -141,9 +134,14 @@ class Bag:
         self._open_files.callback(reader.close)
         return reader
 
-    def _bare_files(self) -> list[Path]:
+    def _ros2_files(self) -> list[Path]:
         if self.path.is_file():
             return [self.path]
+        if (self.path / "metadata.yaml").exists():
+            check_unpacked(self.path)
+            folder = self._opened(_folder_reader()(self.path))
+            self.inflates = folder.metadata.compression_mode == "message"
+            return [each.path for each in folder.storages]
         files = sorted(f for f in self.path.iterdir() if f.suffix in (".mcap", ".db3"))
         if not files:
             raise InputError(
@@ -154,43 +152,25 @@ class Bag:
 
 
 @cache
-def _ros2_readers() -> dict[str, Any]:
-    """Readers of rosbags by suffix, of which only indexes are asked; that of folders by none."""
+def _folder_reader() -> Any:
+    """Reader by rosbags of folders: of their metadata, and of files compressed as a whole."""
     from rosbags.rosbag2.reader import DirectoryReader
-    from rosbags.rosbag2.storage_mcap import McapReader, Statistics
-    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    class IndexReader(McapReader):  # type: ignore[misc]
-        """Of a file without an index it reads nothing, where rosbags unpacks all without limit."""
+    class NamedFile:
+        """A file of the folder, which is opened here and not by rosbags."""
 
-        def meta_scan(self) -> None:
-            self.chunks.clear()  # `McapStorage` then walks the file
-            self.statistics = Statistics(0, 0, 0, 0, 0, 0, 0, 0, {})
+        connections: ClassVar[list[Any]] = []
+
+        def __init__(self, path: Path) -> None:
+            self.path = path
+
+        def open(self) -> None: ...
+        def close(self) -> None: ...
 
     class FolderReader(DirectoryReader):  # type: ignore[misc]
-        STORAGE_PLUGINS: ClassVar[Any] = {"mcap": IndexReader, "sqlite3": Sqlite3Reader}
+        STORAGE_PLUGINS: ClassVar[Any] = {"mcap": NamedFile, "sqlite3": NamedFile}
 
-    return {".mcap": IndexReader, ".db3": Sqlite3Reader, "": FolderReader}
-
-
-def _storage(reader: Any) -> Storage:
-    """Random access to a file of a rosbag2 that rosbags has opened."""
-    is_mcap = isinstance(reader, _ros2_readers()[".mcap"])
-    return McapStorage(reader.bio, reader) if is_mcap else SqliteStorage(reader)
-
-
-def _is_whole_mcap(file: Path) -> bool:
-    """Tell a recorder that was killed from a whole file, and both from something else."""
-    size = file.stat().st_size
-    with file.open("rb") as stream:
-        begin = stream.read(8)
-        stream.seek(max(size - 8, 0))
-        end = stream.read(8)
-    if size == 0:
-        raise InputError(f"{file}: the file is empty; record or copy it again")
-    if begin != MAGIC:
-        raise InputError(f"{file}: not an MCAP file; check what it is")
-    return end == MAGIC and size >= 16
+    return FolderReader
 
 
 class Messages:

@@ -291,31 +291,43 @@ class McapStorage:
     is walked record by record: that reads no chunk but those without an index or with new topics.
     """
 
-    def __init__(
-        self,
-        file: BinaryIO,
-        reader: Any = None,  # open; tells the chunks. None where the file has no end.
-    ) -> None:
+    def __init__(self, file: BinaryIO) -> None:
         self._file = FilePart(file, 0, os.fstat(file.fileno()).st_size)
         self._cache = ChunkCache(self._load)
         self._places: list[_ChunkPlace] = []
         # rows of `entries` by channel, one after the other, of messages without an index
         self._found: dict[int, array[int]] = {}
-        self.lost_bytes = 0  # bytes behind the last whole chunk of a file without its end
-        chunks = [] if reader is None else reader.chunks
-        if chunks and all(chunk.message_index_offsets for chunk in chunks):
-            self._places = [
-                _ChunkPlace(c.chunk_start_offset, c.message_index_offsets) for c in chunks
-            ]
-            self.connections: list[Any] = reader.connections
-            return
         self._types: dict[int, str] = {}
         self._topics: dict[int, tuple[str, str]] = {}
-        self._walk(reader.data_end if reader else self._file.size, cut=reader is None)
-        self.connections = [
-            _Connection(channel, topic, kind, len(self.entries(channel)))
-            for channel, (topic, kind) in self._topics.items()
+        size = self._file.size
+        if size == 0 or self._bytes(0, 8) != MAGIC:
+            raise ValueError("it is no MCAP file" if size else "the file is empty")
+        self.is_cut = size < 16 or self._bytes(size - 8, 8) != MAGIC  # whether it has no end
+        self.lost_bytes = 0  # bytes behind the last whole chunk of such a file
+        counts: dict[int, int] = {}
+        if self.is_cut or not self._take_summary(file, counts):
+            self._walk(size if self.is_cut else size - 8)
+        self.connections: list[Any] = [
+            _Connection(channel, *names, counts.get(channel) or len(self.entries(channel)))
+            for channel, names in self._topics.items()
         ]
+
+    def _take_summary(self, file: BinaryIO, counts: dict[int, int]) -> bool:
+        """Take chunks, topics and counts from the end of a file; whether they are all there."""
+        from mcap.reader import SeekingReader
+
+        file.seek(0)  # where the library looks for what an MCAP file begins with
+        summary = SeekingReader(file, record_size_limit=MAX_SIZE).get_summary()
+        chunks = [] if summary is None else summary.chunk_indexes
+        if summary is None or not (chunks and all(c.message_index_offsets for c in chunks)):
+            return False
+        self._places = [_ChunkPlace(c.chunk_start_offset, c.message_index_offsets) for c in chunks]
+        for channel in summary.channels.values():
+            schema = summary.schemas.get(channel.schema_id)
+            self._topics[channel.id] = channel.topic, schema.name if schema else ""
+        if summary.statistics is not None:
+            counts.update(summary.statistics.channel_message_counts)
+        return True
 
     def entries(self, channel: int) -> np.ndarray:
         numbers: list[int] = []
@@ -373,9 +385,9 @@ class McapStorage:
             raise ValueError("a message index is damaged")
         return self._bytes(offset + 15, count)
 
-    def _walk(self, stop: int, *, cut: bool) -> None:
+    def _walk(self, stop: int) -> None:
         """Find chunks, topics and messages where the file does not list them at its end."""
-        walked = end = len(MAGIC)
+        walked, end, cut = len(MAGIC), len(MAGIC), self.is_cut
         for opcode, at, length in _records(self._file, walked, stop):
             walked = at + 9 + length
             if opcode == _CHUNK_OP:
