@@ -128,14 +128,14 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     assert value != after.found.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
     replace("3", "5")
     assert "at least 5" in bench.said
-    assert panel.verdict.text().startswith("Out of date, of what was chosen before: ")
+    assert panel.verdict.text().startswith("Outdated: settings changed since. ")
     tips = [panel.steps.button(k).toolTip() for k in range(7)]
     assert tips[0].endswith("needs attention") and not any(tip.endswith("done") for tip in tips)
     bench.step(6)
     assert not panel.report.use_it.isEnabled() and not panel.report.save_as.isEnabled()
     bench.undo()
     assert panel.report.use_it.isEnabled() and panel.report.save_as.isEnabled()
-    assert bench.answer is replaced and "Out of date" not in panel.verdict.text()
+    assert bench.answer is replaced and "Outdated" not in panel.verdict.text()
 
 
 def test_cancel_leaves_everything_as_it_was(drive):

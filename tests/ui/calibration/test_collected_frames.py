@@ -94,7 +94,7 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive):
     bench.wait(lambda: len(box.collector.frames) > 0)
     bench.click(box.stop)  # too few: refused, and nothing of the old frames passes for theirs
     assert "at least 5" in bench.said
-    assert panel.verdict.text().startswith("Out of date")
+    assert panel.verdict.text().startswith("Outdated")
     assert panel.steps.button(0).toolTip().endswith("needs attention")
     cameras[0].stuck = None
     bench.collect(9)
@@ -104,7 +104,7 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive):
     assert new.draft.found.tension.tension.value != old.draft.found.tension.tension.value
     shown = float(re.search(r"γ0 = (\S+) N/m", panel.verdict.text())[1])
     assert shown == pytest.approx(new.draft.found.tension.tension.value, rel=0.01)
-    assert "Out of date" not in panel.verdict.text()
+    assert "Outdated" not in panel.verdict.text()
 
 
 def test_collected_frames_outlive_close_and_connecting_again(drive):

@@ -10,7 +10,6 @@ from bubbleviz.files import preset_names
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import products
 from bubbleviz_ui.model.scene_presets import load_scene, read_scene
-from bubbleviz_ui.view3d.layers_panel import CLOUD_POINTS
 
 RUNS = {
     "calibrate": {"estimate", "fine_contact", "patch", "cloud", "residual"},
@@ -44,7 +43,7 @@ def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive):
         checked = {layer for layer, box in boxes.items() if box.isChecked()}
         assert checked == set(preset.layers), name
         assert driver.window.layers.cloud_points.currentIndex() >= 0, name
-        assert preset.cloud.points in CLOUD_POINTS, name
+        assert preset.cloud.points in Choices.about("cloud_points").titles, name
         driver.seek(7)
         before = driver.pipeline.counts.copy()
         driver.seek(8)

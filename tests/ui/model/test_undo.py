@@ -224,7 +224,8 @@ def test_every_control_shows_what_undo_brings_back(drive):
             window.pose.object.currentText(), window.pose.unit.currentText(),
             window.pose.search.isChecked(), window.pose.track.isChecked(),
             window.pose.stage.currentText(), window.threshold.least.value(),
-            window.compare.a.nodes.value(), window.compare.b.solver.currentText(),
+            window.compare.a.controls["nodes"].value(),
+            window.compare.b.controls["solver"].currentText(),
             window.shear.flow.currentText(), window.shear.bounded.isChecked(),
             [action.isChecked() for action in window.plots.boxes.values()],
             [action.isChecked() for action in window.images.boxes.values()],
@@ -271,10 +272,10 @@ def test_a_dropped_object_and_compared_settings_are_undone(drive, tmp_path, monk
     # compared settings are undone in their boxes
     driver.show("compare")
     panel = driver.window.compare
-    driver.type(panel.b.nodes, "300")
+    driver.type(panel.b.controls["nodes"], "300")
     driver.wait(lambda: panel.b.setting.options.nodes == 300)
-    driver.undo(panel.b.nodes)
-    assert panel.b.nodes.value() == 0 and panel.b.setting.options.nodes is None
+    driver.undo(panel.b.controls["nodes"])
+    assert panel.b.controls["nodes"].value() == 0 and panel.b.setting.options.nodes is None
     assert panel.b.setting.options == EstimatorOptions("linear")
     assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
 
@@ -282,13 +283,13 @@ def test_a_dropped_object_and_compared_settings_are_undone(drive, tmp_path, monk
     monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)
     column, stack = panel.b, driver.window.undo_stack
     before = stack.index()
-    for box in (column.nodes, column.pressure_scale):
+    for box in (column.controls["nodes"], column.controls["pressure_scale"]):
         box.setFocus()
         for _ in range(4):
             driver.bot.keyClick(box, Qt.Key.Key_Up)
-    assert column.nodes.value() == 400 and stack.index() == before + 2
-    driver.undo(column.nodes)
-    assert column.nodes.value() == 400
+    assert column.controls["nodes"].value() == 400 and stack.index() == before + 2
+    driver.undo(column.controls["nodes"])
+    assert column.controls["nodes"].value() == 400
     assert column.setting.options.pressure_scale == EstimatorOptions().pressure_scale
-    driver.undo(column.nodes)
-    assert column.nodes.value() == 0
+    driver.undo(column.controls["nodes"])
+    assert column.controls["nodes"].value() == 0

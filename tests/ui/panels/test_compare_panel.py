@@ -92,20 +92,20 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     driver.settle()
     assert driver.pipeline.options.solver == "linear" and state.choices.kappa == 2.5
     assert window.kappa.solver.currentText() == "setting B of Compare"
-    panel.b.block.setValue(2)  # of what is in use
+    panel.b.controls["block"].setValue(2)  # of what is in use
     driver.wait(lambda: driver.pipeline.options.block == 2)
     session = driver.solver.session
-    panel.a.block.setValue(3)  # of what is not
+    panel.a.controls["block"].setValue(3)  # of what is not
     driver.settle()
     assert driver.solver.session is session
-    driver.type(panel.b.kappa, "4.5")
+    driver.type(panel.b.controls["kappa"], "4.5")
     driver.wait(driver.thresholded)
     assert state.choices.kappa == window.kappa.box.value() == 4.5
-    panel.a.kappa.setValue(7.0)
+    panel.a.controls["kappa"].setValue(7.0)
     assert state.choices.kappa == 4.5
     for _ in range(2):
         window.undo_stack.undo()
-    assert state.choices.kappa == panel.b.kappa.value() == 2.5
+    assert state.choices.kappa == panel.b.controls["kappa"].value() == 2.5
     for _ in range(3):
         window.undo_stack.undo()
     driver.wait(lambda: driver.pipeline.options.solver is None)
@@ -172,8 +172,8 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive)
     driver.choose(force_unit="N")
     assert text(driver, "tangential", of_b=True) == "– N"  # the linear model has none
 
-    driver.type(panel.a.friction, "0")
-    assert panel.a.friction.text() == "none"
+    driver.type(panel.a.controls["friction"], "0")
+    assert panel.a.controls["friction"].text() == "none"
     driver.wait(lambda: text(driver, "tangential") == "– N")
     driver.click(panel.a.used)
     driver.wait(lambda: driver.pipeline.options.friction == 0.0)

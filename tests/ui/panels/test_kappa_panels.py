@@ -78,8 +78,8 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     assert not bench.pipelines
     panel = compare(driver)
     status = panel.a.values["status"]
-    panel.b.pressure_scale.setValue(0.5)
-    panel.b.block.setValue(3)
+    panel.b.controls["pressure_scale"].setValue(0.5)
+    panel.b.controls["block"].setValue(3)
     options = EstimatorOptions("linear", pressure_scale=0.5, block=3)
     assert panel.b.setting.options == options
     driver.wait(lambda: options in bench.pipelines)
@@ -154,7 +154,7 @@ def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_
     # two settings are measured against it
     driver.choose(kappa=None)
     panel = compare(driver)
-    panel.b.nodes.setValue(100)
+    panel.b.controls["nodes"].setValue(100)
     driver.wait(lambda: panel.b.values["nodes"].text() not in ("–", panel.a.values["nodes"].text()))
     truth = truth_of(press, CONTACT)
     for side in (panel.a, panel.b):

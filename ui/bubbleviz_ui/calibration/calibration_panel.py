@@ -41,7 +41,7 @@ from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import unsaved
 from bubbleviz_ui.shell.message_bars import StepButtons, StepState
 
-OUTDATED = "Out of date, of what was chosen before:"
+OUTDATED = "Outdated: settings changed since."
 WIDTH = 380  # px: two columns of numbers with units
 
 

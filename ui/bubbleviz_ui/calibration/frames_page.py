@@ -247,7 +247,7 @@ class CollectBox(QGroupBox):
         self.target.setToolTip("Stop when half of the 95 % interval of γ0 is smaller; 0: never")
         self.untouched.setChecked(True)
         self.untouched.setToolTip("As the sensor in use sees it")
-        self.stop.setText("Use what is there")
+        self.stop.setText("Stop and use these frames")
         self.cancel.setText("Cancel")
         row = fill(QHBoxLayout(), self.count, QLabel("or until ±"), self.target, 1)
         buttons = QHBoxLayout()

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import (
-    QDoubleSpinBox,
     QFileDialog,
     QFrame,
     QHBoxLayout,
@@ -28,16 +27,13 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState, new_name
 from bubbleviz_ui.model.source_facts import Badge
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.binding import bind, watch_controls
+from bubbleviz_ui.panels.binding import control, watch_controls
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.view3d.render_view import View
 
 # Record button, with what is written so far, markers and notes.
-
-
-MOST_PRE_ROLL_S = 60.0  # kept in memory: 1.1 GB of 16-bit 640×480 at 30 Hz
 
 
 class RecordControls(QWidget):
@@ -50,11 +46,8 @@ class RecordControls(QWidget):
         self.button.setText("● Record")
         self.button.setCheckable(True)
         self.button.setToolTip("Record (Ctrl+R)")
-        self.pre_roll = QDoubleSpinBox(
-            minimum=0.0, maximum=MOST_PRE_ROLL_S, decimals=1, suffix=" s before"
-        )
-        bind(self.pre_roll, live.state, "pre_roll_s")
-        self.pre_roll.setToolTip("How much of what came before the button is recorded, too")
+        self.pre_roll = control(live.state, "pre_roll_s")
+        self.pre_roll.setPrefix(f"{self.pre_roll.accessibleName()} ")
         self.folder = QToolButton()
         self.folder.setText("Folder…")
         self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")

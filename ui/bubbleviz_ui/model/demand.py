@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from bubbleviz.pipeline import LOOKS, OF_COLOUR, OF_OBJECT, FrameOptions, Product, stages
 from bubbleviz.result import Result
 from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, Products
+from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, PLOTS, Products
 
 if TYPE_CHECKING:
     from bubbleviz.shear import FlowPreset
@@ -21,22 +21,6 @@ if TYPE_CHECKING:
 
 POSE_CONSUMERS = frozenset({"object", "fit", "pose", "object_patch"})
 """Who wants the pose of the object while it is tracked."""
-
-PLOTS: Mapping[str, Products] = MappingProxyType(
-    {
-        "force": PATCH,
-        "gas": ESTIMATE,
-        "area": PATCH,
-        "center": PATCH,
-        "residual": ESTIMATE,
-        "solve": PATCH,
-        "latency": NOTHING,
-        "kappa": ESTIMATE,
-        "shear": frozenset({"traction"}),
-        "slip": frozenset({"slip"}),
-    }
-)
-"""Products by the name of a plot."""
 
 CLOUD_COLOURS: Mapping[str, Products] = MappingProxyType(
     {"residual": ESTIMATE | {"residual"}, "patch": PATCH | {"pixel_mask"}, "plain": NOTHING}
@@ -125,7 +109,7 @@ def of_object(choices: Choices) -> Products:
 
 def plotted(choices: Choices) -> Products:
     """What the chosen plots need of every frame."""
-    return NOTHING.union(*(PLOTS[name] for name in choices.plots))
+    return NOTHING.union(*(PLOTS[name].needs for name in choices.plots))
 
 
 def _looks(choices: Choices) -> Products:

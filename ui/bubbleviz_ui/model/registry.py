@@ -131,3 +131,42 @@ ASKING: Mapping[str, PanelKind] = MappingProxyType(
     {panel.choice: panel for panel in PANELS.values() if panel.choice}
 )
 """Panels that show results, by their name in `Choices.panels`."""
+
+
+@dataclass(frozen=True)
+class PlotKind:
+    """A plot of the plots panel."""
+
+    title: str  # In its menu
+    needs: Products  # Asked of every frame
+
+
+PLOTS: Mapping[str, PlotKind] = MappingProxyType(
+    {
+        "force": PlotKind("Force", PATCH),
+        "gas": PlotKind("Gas pressure change p_v", ESTIMATE),
+        "area": PlotKind("Patch area", PATCH),
+        "center": PlotKind("Centre of pressure", PATCH),
+        "residual": PlotKind("Residual rms", ESTIMATE),
+        "solve": PlotKind("Run time", PATCH),
+        "shear": PlotKind("Force with friction", frozenset({"traction"})),
+        "slip": PlotKind("Slipping share", frozenset({"slip"})),
+        "latency": PlotKind("Latency", NOTHING),
+        "kappa": PlotKind("κ-curve", ESTIMATE),
+    }
+)
+"""By name, in the order of their menu."""
+
+IMAGES: Mapping[str, str] = MappingProxyType(
+    {
+        "depth": "Depth",
+        "change": "Change",
+        "residual": "Residual",
+        "noise": "Noise σ",
+        "used": "Pixels used",
+        "patch": "Contact patch",
+        "colour": "Colour",
+        "flow": "Flow",
+    }
+)
+"""Titles of the images that the images panel can show, by name, in the order of its menu."""

@@ -149,7 +149,7 @@ class SettingsHistory:
             return
         old = {name: getattr(before, name) for name in names}
         new = {name: getattr(self._state.choices, name) for name in names}
-        text = Choices.words("view_from" if "view_from" in names else min(names))
+        text = Choices.about("view_from" if "view_from" in names else min(names)).label
         drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
         part: Hashable = names if drags else None
         if "compared" in names and names <= {"compared", "kappa"}:  # κ comes with what is in use

@@ -63,6 +63,10 @@ class Unit:
         return f"{value} ({least}…{most}) {self.symbol}"
 
 
+PLAIN = Unit("", 1.0, 2)
+"""Of numbers without one."""
+
+
 class Share(Unit):
     """Per cent of something, to `digits` significant ones: it may be far below one."""
 

@@ -1,4 +1,4 @@
-"""Widgets bound to choices: each shows its field of `Choices`, and what the user sets is chosen."""
+"""Controls of settings: made from what `Choices` says of each, and bound to it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from PySide6.QtWidgets import (
     QAbstractButton,
     QAbstractSlider,
     QAbstractSpinBox,
+    QCheckBox,
     QComboBox,
     QDoubleSpinBox,
+    QFormLayout,
     QLineEdit,
     QMenu,
     QSlider,
@@ -21,10 +23,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from bubbleviz_ui.model.choices import About, Choices
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
 
-Control = QAbstractButton | QAction | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
+Box = QAbstractButton | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
+Control = Box | QAction
 
 
 def _same(value: Any) -> Any:
@@ -100,40 +104,93 @@ def bind_option(control: Control, state: SessionState, field: str, option: str) 
     bind(control, state, field, lambda value: value == option, chosen)
 
 
-def bind_quantity(
-    box: QDoubleSpinBox,
+def control(
     state: SessionState,
     field: str,  # Of `Choices`
-    unit: Callable[[Units], Unit],  # Its unit among the operator's
-    most_si: float,  # most_si, step_si: Largest value and a step; the smallest is 0
-    step_si: float,
-    zero: float | None = None,  # What is chosen at 0
-) -> None:
-    """Bind a box to a field in SI, shown in the operator's unit."""
+    about: About | None = None,  # Where it is of another setting, which is in the field
+    inside: Callable[[Any], Any] = _same,  # That setting of the field's value
+    around: Callable[[Any], Any] = _same,  # Value of the field with that setting changed
+) -> Any:
+    """Control of a setting, as `About` describes it, bound to it."""
+    about = Choices.about(field) if about is None else about
+    box = widget(about)
+    is_number = isinstance(box, QSpinBox | QDoubleSpinBox)
+    usual = about.low if about.usual is None else about.usual
+    optional = getattr(Choices(), field) is None or inside is not _same
 
-    def shown(value: float | None) -> float:
-        now = unit(state.units)
-        box.setDecimals(now.digits)
-        box.setRange(0.0, now.of(most_si))
-        box.setSingleStep(now.of(step_si))
-        box.setSuffix(f" {now.symbol}")
-        return now.of(value or 0.0)
+    def shown(value: Any) -> Any:
+        value = inside(value)
+        if about.slider:
+            return round(value / about.step)
+        if not is_number:
+            return value
+        unit = _fitted(box, about, state.units)
+        return unit.of(usual if value is None else value)
 
-    def chosen(number: float) -> float | None:
-        return unit(state.units).to_si(number) if number > 0 else zero
+    def chosen(value: Any) -> Any:
+        if about.slider:
+            value *= about.step
+        elif is_number:
+            value = _unit(about, state.units).to_si(value)
+            value = round(value) if isinstance(box, QSpinBox) else value
+            value = None if optional and value == usual else value
+        return around(value)
 
-    box.setKeyboardTracking(False)
     bind(box, state, field, shown, chosen)
+    return box
 
 
-def menu_button(
-    text: str, tip: str, state: SessionState, field: str, titles: Mapping[str, str]
-) -> tuple[QToolButton, dict[str, QAction]]:
+def widget(about: About) -> Box:
+    """Control of a setting, not bound to it: a choice of titles, a number, or yes and no."""
+    box: Box
+    if about.titles is not None:
+        box = options(QComboBox(), about.titles)
+    elif about.slider:
+        box = QSlider(Qt.Orientation.Horizontal)
+        box.setRange(round(about.low / about.step), round(about.high / about.step))
+    elif about.high > about.low:
+        box = QSpinBox() if isinstance(about.low, int) else QDoubleSpinBox()
+        box.setSpecialValueText(about.lowest)
+        box.setKeyboardTracking(False)
+    else:
+        box = QCheckBox(about.label)
+    box.setToolTip(about.tip)
+    box.setAccessibleName(about.label)
+    return box
+
+
+def form(*controls: QWidget) -> QFormLayout:
+    """Controls one under the other, each beside its label."""
+    rows = QFormLayout()
+    for box in controls:
+        rows.addRow("" if isinstance(box, QCheckBox) else box.accessibleName(), box)
+    return rows
+
+
+def _unit(about: About, units: Units) -> Unit:
+    unit: Unit = getattr(units, about.unit) if isinstance(about.unit, str) else about.unit
+    return unit
+
+
+def _fitted(box: Any, about: About, units: Units) -> Unit:
+    """Give a box of numbers the ends, the step and the unit that it has among the operator's."""
+    unit = _unit(about, units)
+    if isinstance(box, QDoubleSpinBox):
+        box.setDecimals(unit.digits)
+    number = float if isinstance(box, QDoubleSpinBox) else round
+    box.setRange(number(unit.of(about.low)), number(unit.of(about.high)))
+    box.setSingleStep(number(unit.of(about.step)))
+    box.setSuffix(f" {unit.symbol}" if unit.symbol else "")
+    return unit
+
+
+def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str, QAction]]:
     """Button with a menu whose actions say which names are in a field that is a set."""
-    button, actions = tool_button(text, tip), dict[str, QAction]()
+    about, actions = Choices.about(field), dict[str, QAction]()
+    button = tool_button(about.label, about.tip)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     menu = QMenu(button)
-    for name, title in titles.items():
+    for name, title in (about.titles or {}).items():
         actions[name] = action = menu.addAction(title)
         action.setCheckable(True)
         bind_member(action, state, field, name)

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
     QGridLayout,
     QLabel,
     QPushButton,
-    QSpinBox,
     QVBoxLayout,
     QWidget,
 )
 
-from bubbleviz.inverse import ESTIMATORS, MAX_NODES, EstimatorOptions
-from bubbleviz.membrane import MOST_FRICTION
 from bubbleviz.output import Measured
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz_ui.engine.controller import Controller
@@ -31,15 +26,11 @@ from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import force_text, tangential_text
 from bubbleviz_ui.model.units import NOTHING, Units
-from bubbleviz_ui.panels.binding import bind, bind_member, options, watch_controls
-from bubbleviz_ui.panels.kappa_panel import HIGHEST
+from bubbleviz_ui.panels.binding import bind_member, control, watch_controls
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
 NOT_MEASURED = None, None
-NODES, STEP = 5_000, 100
-"""Most nodes to choose, below MAX_NODES, and a step."""
-BLOCKS = 16
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
@@ -62,29 +53,10 @@ class Column:
 
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
-        self.solver = options(QComboBox(), {None: "default", **{name: name for name in ESTIMATORS}})
-        self.pressure_scale = QDoubleSpinBox(
-            minimum=0.1, maximum=100.0, singleStep=0.5, suffix=" ×"
-        )
-        self.friction = QDoubleSpinBox(minimum=0.0, maximum=MOST_FRICTION, singleStep=0.1)
-        self.friction.setSpecialValueText("none")
-        self.nodes = QSpinBox(singleStep=STEP)
-        self.nodes.setRange(0, min(NODES, MAX_NODES))
-        self.nodes.setSpecialValueText("sensor's")
-        self.block = QSpinBox(minimum=0, maximum=BLOCKS, suffix=" px")
-        self.block.setSpecialValueText("automatic")
-        self.kappa = QDoubleSpinBox(minimum=0.0, maximum=HIGHEST, singleStep=0.5)
-        self.kappa.setSpecialValueText("as shown")
+        self.controls = {each.name: self._control(each.name) for each in fields(Setting)}
         self.used = QPushButton(f"Use {SETTINGS[number]}")
         self.used.clicked.connect(self.use)
         self.values = {name: QLabel(NOTHING) for name in ROWS}
-        usual = EstimatorOptions()
-        self._bind("solver", None)
-        self._bind("pressure_scale", usual.pressure_scale)
-        self._bind("friction", usual.friction)
-        self._bind("nodes", 0)
-        self._bind("block", 0)
-        self._bind("kappa", 0.0)
         for label in self.values.values():
             label.setObjectName("value")
         self.title = QLabel(SETTINGS[number])
@@ -92,23 +64,18 @@ class Column:
         self.title.setStyleSheet(f"{colours}; padding: 1px 5px")
         self.title.setToolTip("The outline of its patch in the 3-D view has this colour")
 
-    def _bind(self, name: str, usual: Any) -> None:
-        """Bind a control to the field of its name; what is usual stands for None."""
+    def _control(self, name: str) -> Any:
+        """Control of the field of that name."""
 
-        def shown(settings: tuple[Setting, ...]) -> Any:
-            value = getattr(settings[self._number], name)
-            return usual if value is None else value
+        def inside(settings: tuple[Setting, ...]) -> Any:
+            return getattr(settings[self._number], name)
 
-        def chosen(value: Any) -> tuple[Setting, ...]:
+        def around(value: Any) -> tuple[Setting, ...]:
             settings = list(self._state.choices.compared)
-            new = replace(settings[self._number], **{name: None if value == usual else value})
-            settings[self._number] = new
+            settings[self._number] = replace(settings[self._number], **{name: value})
             return tuple(settings)
 
-        control = getattr(self, name)
-        if isinstance(control, QSpinBox | QDoubleSpinBox):
-            control.setKeyboardTracking(False)
-        bind(control, self._state, "compared", shown, chosen)
+        return control(self._state, "compared", Setting.about(name), inside, around)
 
     @property
     def setting(self) -> Setting:
@@ -165,30 +132,14 @@ class ComparePanel(QWidget):
         grid.setVerticalSpacing(3)
         for place, each in enumerate((self.a, self.b), start=1):
             grid.addWidget(each.title, 0, place)
-        controls = {
-            "Solver": ("solver", "Of the inverse problem: rubber is the exact membrane"),
-            "Pressure prior": (
-                "pressure_scale",
-                "Contact pressure expected, in gauge pressures: the larger, the less smoothing",
-            ),
-            "Friction μ": (
-                "friction",
-                "Coefficient of friction to expect of contacts; lowest value: none. Only the exact"
-                " membrane (rubber) has friction",
-            ),
-            "Nodes": ("nodes", "Of the mesh; where the sensor has a mesh file, that counts"),
-            "Pixel binning": ("block", "Side of the squares of pixels that are averaged"),
-            "κ": ("kappa", "Threshold as a multiple of the mean contact pressure"),
-            "": ("used", "Analyse all frames with it; undo brings the present solver back"),
-        }
-        for row, (title, (name, tip)) in enumerate(controls.items(), start=1):
-            grid.addWidget(QLabel(title), row, 0)
-            for place, each in enumerate((self.a, self.b), start=1):
-                control = getattr(each, name)
-                control.setToolTip(tip)
-                control.setMinimumWidth(94)
-                grid.addWidget(control, row, place)
-        for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(controls) + 1):
+        tip = "Analyse all frames with it; undo brings the present solver back"
+        for place, each in enumerate((self.a, self.b), start=1):
+            each.used.setToolTip(tip)
+            for row, made in enumerate((*each.controls.values(), each.used), start=1):
+                grid.addWidget(QLabel(made.accessibleName()), row, 0)
+                made.setMinimumWidth(94)
+                grid.addWidget(made, row, place)
+        for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(self.a.controls) + 2):
             grid.addWidget(QLabel(title), row, 0)
             for place, each in enumerate((self.a, self.b), start=1):
                 grid.addWidget(each.values[name], row, place)

@@ -18,6 +18,7 @@ from bubbleviz.diagnostics import Probed
 from bubbleviz.recordings import SeenColour
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.registry import IMAGES
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import NOTHING, Unit, Units
@@ -51,14 +52,14 @@ class Picture:
 
 PICTURES = MappingProxyType(
     {
-        "depth": Picture("Depth", "range", lambda u: u.length),
-        "change": Picture("Change", "around zero", lambda u: u.length),
-        "residual": Picture("Residual", "around zero", lambda u: u.fine_length),
-        "noise": Picture("Noise σ", "range", lambda u: u.fine_length),
-        "used": Picture("Pixels used", "mask"),
-        "patch": Picture("Contact patch", "mask"),
-        "colour": Picture("Colour", "colour"),
-        "flow": Picture("Flow", "range", lambda u: u.pixels),
+        "depth": Picture(IMAGES["depth"], "range", lambda u: u.length),
+        "change": Picture(IMAGES["change"], "around zero", lambda u: u.length),
+        "residual": Picture(IMAGES["residual"], "around zero", lambda u: u.fine_length),
+        "noise": Picture(IMAGES["noise"], "range", lambda u: u.fine_length),
+        "used": Picture(IMAGES["used"], "mask"),
+        "patch": Picture(IMAGES["patch"], "mask"),
+        "colour": Picture(IMAGES["colour"], "colour"),
+        "flow": Picture(IMAGES["flow"], "range", lambda u: u.pixels),
     }
 )
 """What the panel can show, by name."""
@@ -239,9 +240,7 @@ class ImagesPanel(QWidget):
         self.cells: dict[str, ImageCell] = {}
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._draw)
-        titles = {name: picture.title for name, picture in PICTURES.items()}
-        tip = "What is shown, and so computed"
-        self.choose, self.boxes = menu_button("Images", tip, state, "images", titles)
+        self.choose, self.boxes = menu_button(state, "images")
         self.lines = [Elided(Qt.TextElideMode.ElideRight) for _ in range(3)]
         self._lay_out()
         controller.shown.connect(self._on_shown)

@@ -11,7 +11,6 @@ from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QCheckBox,
-    QComboBox,
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
@@ -25,19 +24,18 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.diagnostics import KappaCurve
-from bubbleviz.inverse import SOLVER_NAMES, Component
+from bubbleviz.inverse import Component
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.choices import SETTINGS, solver_title
+from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import doubt_text, force_text
 from bubbleviz_ui.model.units import NOTHING, Units
-from bubbleviz_ui.panels.binding import bind, bind_quantity, options, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
-LOWEST, HIGHEST = 0.1, 100.0
 STEPS_PER_DECADE = 100
 BEFORE = 3.0
 """κ to begin with where the threshold was automatic."""
@@ -57,22 +55,17 @@ class KappaPanel(QWidget):
             " (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
+        about = Choices.about("kappa")
         self.slider.setRange(
-            *(round(STEPS_PER_DECADE * math.log10(end)) for end in (LOWEST, HIGHEST))
+            *(round(STEPS_PER_DECADE * math.log10(end)) for end in (about.low, about.high))
         )
         self.slider.setPageStep(10)
-        self.slider.setToolTip(
-            "κ: threshold as a multiple of the mean contact pressure (section V-C of the paper)"
-        )
-        self.box = QDoubleSpinBox(minimum=LOWEST, maximum=HIGHEST, decimals=2, prefix="κ = ")
-        self.box.setToolTip(self.slider.toolTip())
+        self.slider.setToolTip(about.tip)
+        self.box = QDoubleSpinBox(minimum=about.low, maximum=about.high, decimals=2, prefix="κ = ")
+        self.box.setToolTip(about.tip)
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
-        self.solver = options(
-            QComboBox(),
-            {name: solver_title(name) for name in (None, *SOLVER_NAMES, *SETTINGS)},
-        )
-        self.solver.setToolTip("Solver of the inverse problem (Eq. 23); changing it starts anew")
+        self.solver = control(state, "solver")
         self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
         self.by_object.setToolTip("Patch by the object at its pose: the green outline")
         self.doubt = QLabel(wordWrap=True)
@@ -90,7 +83,7 @@ class KappaPanel(QWidget):
         form.addRow("Patch area", self.area)
         form.addRow("By the object", self.by_object)
         form.addRow("Force", self.force)
-        form.addRow("Solver", self.solver)
+        form.addRow(self.solver.accessibleName(), self.solver)
         fill(
             QVBoxLayout(self),
             self.automatic,
@@ -102,7 +95,6 @@ class KappaPanel(QWidget):
         )
 
     def _bind(self, state: SessionState) -> None:
-        bind(self.solver, state, "solver")
         bind(self.automatic, state, "kappa", lambda kappa: kappa is None, self._automatic)
         self._kappa = (
             bind(self.slider, state, "kappa", _to_steps, _to_kappa),
@@ -270,7 +262,6 @@ ROW = 20
 """Height of a row of the table, screen pixels."""
 HEIGHT = 300
 """Of both plots, screen pixels."""
-LARGEST_M2, STEP_M2 = 0.01, 5e-6  # m²: any bubble; 5 mm²
 COLUMNS = ("Area", "Force", "Peak pressure", "")
 TIPS = {
     "Force": "Length of the force on the part, friction included; as vectors, the forces of all"
@@ -291,19 +282,14 @@ class ThresholdPanel(QWidget):
         self.histogram: KappaHistogram | None = None
         self.curve: KappaPlot | None = None
         self.table = QTableWidget(0, len(COLUMNS))
-        self.least = QDoubleSpinBox()
-        self.least.setSpecialValueText("nothing")
-        self.least.setToolTip("Parts of the patch smaller than this are not contact")
+        self.least = control(state, "least_area_m2")
         self._lay_out()
-        bind_quantity(
-            self.least, state, "least_area_m2", lambda u: u.area, LARGEST_M2, STEP_M2, zero=0.0
-        )
         controller.shown.connect(self._draw)
         watch_controls(self)
         state.choices_changed.connect(self._draw)
 
     def _lay_out(self) -> None:
-        row = fill(QHBoxLayout(), QLabel("Remove parts below"), (self.least, 1))
+        row = fill(QHBoxLayout(), QLabel(self.least.accessibleName()), (self.least, 1))
         table = self.table
         for column, title in enumerate(COLUMNS):
             header = QTableWidgetItem(title)

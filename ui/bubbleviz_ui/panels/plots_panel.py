@@ -40,9 +40,7 @@ class PlotsPanel(QWidget):
         self._pointed: tuple[str, float] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
-        titles = {**{name: trace.title for name, trace in TRACES.items()}, "kappa": "κ-curve"}
-        tip = "What is plotted, and so computed"
-        self.choose, self.boxes = menu_button("Plots", tip, state, "plots", titles)
+        self.choose, self.boxes = menu_button(state, "plots")
         self.analyse = QPushButton("Analyse all frames")
         self.analyse.setToolTip("Compute what these plots need of all frames, in the background")
         self.cancel = QPushButton("Cancel")

@@ -14,6 +14,7 @@ from PySide6.QtGui import QColor, QPainterPath
 from PySide6.QtWidgets import QGraphicsPathItem
 
 from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, History, thinned
+from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_host import PlotFrame
@@ -43,44 +44,44 @@ class Trace:
 TRACES = MappingProxyType(
     {
         "force": Trace(
-            "Force",
+            PLOTS["force"].title,
             lambda u: u.force,
             {"force_n": BLUE, MEASURED_FORCE: ORANGE},
             ("", "wrench"),
             {"force_n": "force_half_width_n"},
         ),
         "gas": Trace(
-            "Gas pressure change p_v",
+            PLOTS["gas"].title,
             lambda u: u.gas_pressure,
             {"gas_law_pa": BLUE, "gas_measured_pa": ORANGE},
             ("gas law", "measured"),
             short="p_v",
         ),
-        "area": Trace("Patch area", lambda u: u.area, {"area_m2": BLUE}),
+        "area": Trace(PLOTS["area"].title, lambda u: u.area, {"area_m2": BLUE}),
         "center": Trace(
-            "Centre of pressure",
+            PLOTS["center"].title,
             lambda u: u.length,
             {"center_x_m": ORANGE, "center_y_m": GREEN, "center_z_m": BLUE},
             ("x", "y", "z"),
             short="Centre",
         ),
-        "residual": Trace("Residual rms", lambda u: u.fine_length, {"residual_m": BLUE}),
+        "residual": Trace(PLOTS["residual"].title, lambda u: u.fine_length, {"residual_m": BLUE}),
         "solve": Trace(
-            "Run time",
+            PLOTS["solve"].title,
             lambda u: u.duration,
             {"solve_ms": BLUE, "total_ms": ORANGE},
             ("solver", "total"),
         ),
         "shear": Trace(
-            "Force with friction",
+            PLOTS["shear"].title,
             lambda u: u.force,
             {"shear_normal_n": ORANGE, "shear_tangential_n": BLUE},
             ("normal", "tangential"),
             {"shear_tangential_n": "shear_tangential_half_n"},
             short="Shear",
         ),
-        "slip": Trace("Slipping share", lambda u: u.share, {"slip_share": BLUE}),
-        "latency": Trace("Latency", lambda u: u.duration, {"latency_ms": BLUE}),
+        "slip": Trace(PLOTS["slip"].title, lambda u: u.share, {"slip_share": BLUE}),
+        "latency": Trace(PLOTS["latency"].title, lambda u: u.duration, {"latency_ms": BLUE}),
     }
 )
 """Plots over time by name."""

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from PySide6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer
 from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import (
-    QComboBox,
     QHBoxLayout,
     QLabel,
     QSizePolicy,
@@ -16,10 +15,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.model.choices import SPEEDS
+from bubbleviz_ui.model.choices import SPEEDS, Choices
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING
-from bubbleviz_ui.panels.binding import bind, options, tool_button, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, tool_button, watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell import theme
@@ -66,7 +65,6 @@ def _triangle(centre: float, direction: float, name: str) -> QPolygonF:
 
 SOON_MS = 200
 """Between repaints of the timeline while playing, ms; new numbers repaint it besides."""
-MODES = {False: "real time", True: "every frame"}
 JUMPS = {
     -1.0: ("−1", "Ctrl+←"),
     -0.1: ("−0.1", "Shift+←"),
@@ -75,7 +73,7 @@ JUMPS = {
 }
 """How far, in words and by which keys, by the seconds."""
 SWITCHES = {
-    "Loop": "Begin again after the last frame, or the range's (L)",
+    "Loop": Choices.about("loop").tip,
     "Mark": "Mark this frame (M); PgUp, PgDn go to marked frames",
     "Freeze": "Stand still while the live source goes on (F)",
 }
@@ -106,12 +104,7 @@ class PlaybackPanel(QWidget):
         self.strip = RangeStrip()
         self.strip.hide()
         self.readout = QLabel()
-        self.speed = options(QComboBox(), {speed: f"{speed:g}×" for speed in SPEEDS})
-        self.speed.setToolTip("Playback speed (Ctrl+↑, Ctrl+↓)")
-        self.mode = options(QComboBox(), MODES)
-        self.mode.setToolTip(
-            "Keep time and leave frames out, or wait for every frame however slow (E)"
-        )
+        self.speed, self.mode = control(state, "speed"), control(state, "every_frame")
         self.loop, self.mark, self.freeze = (
             tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
         )
@@ -160,10 +153,7 @@ class PlaybackPanel(QWidget):
         self.back.clicked.connect(lambda: state.step(-1))
         self.forward.clicked.connect(lambda: state.step(1))
         self.play.clicked.connect(lambda: state.set_playing(not state.playing))
-        for control, field in (
-            (self.speed, "speed"), (self.mode, "every_frame"), (self.loop, "loop")
-        ):  # fmt: skip
-            bind(control, state, field)
+        bind(self.loop, state, "loop")
         self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
         self.freeze.clicked.connect(state.freeze)
         self.now.clicked.connect(lambda: state.freeze(False))

@@ -25,12 +25,12 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.jobs import Jobs
-from bubbleviz_ui.model.choices import POSE_CHOICES
+from bubbleviz_ui.model.choices import POSE_CHOICES, Choices
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
-from bubbleviz_ui.panels.binding import bind, bind_member, options, watch_controls
+from bubbleviz_ui.panels.binding import bind_member, control, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
 from bubbleviz_ui.panels.time_plot import alone
 from bubbleviz_ui.pose.pose_session import NUMBERS, copied_pose, known_pose, pose_words
@@ -227,7 +227,7 @@ class PosePanel(QWidget):
         self._curves: Curves | None = None
         self.loading = Jobs("plots")  # Where what draws its curves is loaded
         self.object = QComboBox()
-        self.unit = QComboBox()
+        self.unit = control(state, "pose_unit")
         self.start = StartBoxes(state.units)
         self.search = QCheckBox("Search pose")
         self.move_it = QPushButton("Move in view")
@@ -239,7 +239,7 @@ class PosePanel(QWidget):
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")
         self.patch = QCheckBox(LAYERS["object_patch"].title)
-        self.stage = QComboBox()
+        self.stage = control(state, "pose_stage")
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("T_B_O as text: position in m, quaternion x y z w, 4×4 matrix")
         self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
@@ -284,8 +284,6 @@ class PosePanel(QWidget):
         for path in sorted(presets_folder("objects").glob("*.*")):
             self.object.addItem(path.stem.replace("_", " "), path.stem)
         self.object.addItem(FROM_FILE, FROM_FILE)
-        options(self.unit, {None: "unit by name", "m": "metres", "mm": "millimetres"})
-        self.unit.setToolTip("Unit of a mesh file; by name: mm where it ends in _mm, else m")
         self.search.setChecked(True)
         self.search.setToolTip("Try the object's faces all around instead of a start")
         self.move_it.setCheckable(True)
@@ -294,11 +292,9 @@ class PosePanel(QWidget):
         )
         self.here.setToolTip("Take the pose that is shown as the start")
         self.track.setCheckable(True)
-        self.track.setToolTip("Follow the object from frame to frame")
+        self.track.setToolTip(Choices.about("pose_track").tip)
         self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
-        options(self.stage, {2: "both stages", 1: "stage one"})
         self.patch.setToolTip(LAYERS["object_patch"].tip)
-        self.stage.setToolTip("Which result the object is drawn at")
 
     def _lay_out(self) -> None:
         column = QVBoxLayout(self)
@@ -316,7 +312,7 @@ class PosePanel(QWidget):
         for name, title in NUMBERS.items():
             form.addRow(title, self.values[name])
         form.insertRow(3, "T_B_O", self.copy)
-        form.addRow("Shown", self.stage)
+        form.addRow(self.stage.accessibleName(), self.stage)
         form.addRow("Outline", self.patch)
         column.addLayout(form)
         self._room = QVBoxLayout()
@@ -331,8 +327,6 @@ class PosePanel(QWidget):
     def _connect(self) -> None:
         session, state = self.session, self._state
         self.object.activated.connect(lambda _: self._on_object())
-        bind(self.unit, state, "pose_unit")
-        bind(self.stage, state, "pose_stage")
         bind_member(self.patch, state, "layers", "object_patch")
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)

@@ -16,12 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, presets_folder, whole_file
-from bubbleviz.inverse import ESTIMATORS, SOLVER_NAMES
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
-from bubbleviz_ui.model.choices import OWN_CHOICES, SETTINGS, SPEEDS, Choices
-from bubbleviz_ui.model.demand import PLOTS
-from bubbleviz_ui.model.registry import ASKING, LAYERS
+from bubbleviz_ui.model.choices import OWN_CHOICES, Choices, Setting
 
 # Live sensors in a session file: what of the disk they name. No Qt in here.
 
@@ -137,21 +134,14 @@ def usable_choices(fields: dict[str, Any]) -> Choices:
     usable: dict[str, Any] = {}
     for name, value in fields.items():
         try:
-            usable[name] = getattr(_CHOICES.validate_python({name: value}), name)
+            usable[name] = Choices.known(
+                name, getattr(_CHOICES.validate_python({name: value}), name)
+            )
         except (ValidationError, AttributeError):
             continue
     choices = Choices(**usable)
-    known = choices.solver in (None, *SOLVER_NAMES, *SETTINGS)
-    comparable = all(each.solver in (None, *ESTIMATORS) for each in choices.compared)
-    return replace(
-        choices,
-        layers=choices.layers & frozenset(LAYERS),
-        panels=choices.panels & frozenset(ASKING),
-        plots=choices.plots & frozenset(PLOTS),
-        speed=choices.speed if choices.speed in SPEEDS else 1.0,
-        solver=choices.solver if known else None,
-        compared=choices.compared if comparable else Choices.compared,
-    )
+    comparable = all(Setting.known("solver", s.solver) == s.solver for s in choices.compared)
+    return choices if comparable else replace(choices, compared=Choices.compared)
 
 
 def name_of(sensor: Sensor) -> str | None:

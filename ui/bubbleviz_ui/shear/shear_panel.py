@@ -9,7 +9,6 @@ from PySide6.QtCore import QTimer
 from PySide6.QtGui import QColor, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
-    QComboBox,
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
@@ -20,12 +19,12 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.diagnostics import Measure, ShearEllipse, ShearNumbers
-from bubbleviz.membrane import MOST_FRICTION
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import NOTHING, SYSTEMS, Unit, Units
-from bubbleviz_ui.panels.binding import bind, options, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, form, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE
@@ -139,9 +138,8 @@ def _text(measure: Measure, unit: Unit) -> str:
 EVERY_MS = 150
 """Numbers are written this often: nobody reads faster."""
 LOOKING = "Looking for contact-free colour images…"
-PRESETS = {"fast": "fast", "balanced": "balanced", "fine": "fine"}
-MU, LEAST = 0.5, 0.01
-"""Friction bound to begin with, and the least."""
+MU = 0.5
+"""Friction bound to begin with."""
 
 
 class ShearPanel(QWidget):
@@ -154,14 +152,14 @@ class ShearPanel(QWidget):
         self.reference.setToolTip("Contact-free colour images that motion is measured from")
         self.collect = QPushButton("Collect again")
         self.collect.setToolTip("Find the contact-free colour images anew; do not touch meanwhile")
-        self.flow = options(QComboBox(), PRESETS)
-        self.flow.setToolTip("Optical flow: fast, or with less error")
-        self.bounded = QCheckBox("Friction bound")
-        self.bounded.setToolTip("Keep the tangential below μ times the normal traction (Coulomb)")
+        self.flow = control(state, "flow_preset")
+        about = Choices.about("friction")
+        self.bounded = QCheckBox(about.label)
         self.friction = QDoubleSpinBox(
-            minimum=LEAST, maximum=MOST_FRICTION, decimals=2, singleStep=0.05, prefix="μ = "
+            minimum=about.low, maximum=about.high, singleStep=about.step, prefix="μ = "
         )
-        self.friction.setToolTip(self.bounded.toolTip())
+        for box in (self.bounded, self.friction):
+            box.setToolTip(about.tip)
         self.friction.setKeyboardTracking(False)
         self.state = QLabel(NOTHING, wordWrap=True)
         self.values = {name: QLabel(NOTHING, wordWrap=True) for name in NUMBERS}
@@ -177,13 +175,12 @@ class ShearPanel(QWidget):
         watch_controls(self)
 
     def _lay_out(self) -> None:
-        numbers, settings = QFormLayout(), QFormLayout()
+        numbers, settings = QFormLayout(), form(self.flow)
         for name, title in NUMBERS.items():
             numbers.addRow(title, self.values[name])
-        settings.addRow("Optical flow", self.flow)
         settings.addRow(self.bounded, self.friction)
-        for form in (numbers, settings):
-            form.setHorizontalSpacing(16)
+        for rows in (numbers, settings):
+            rows.setHorizontalSpacing(16)
         fill(
             QVBoxLayout(self),
             self.state,
@@ -198,7 +195,6 @@ class ShearPanel(QWidget):
         )
 
     def _connect(self, state: SessionState, controller: Controller) -> None:
-        bind(self.flow, state, "flow_preset")
         bind(self.bounded, state, "friction", lambda mu: mu is not None, self._bound)
         self._mu = bind(self.friction, state, "friction")
         if state.choices.friction is None:

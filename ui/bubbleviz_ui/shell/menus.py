@@ -16,7 +16,7 @@ import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.solver import RECORDINGS
-from bubbleviz_ui.model.choices import LOOPBACK
+from bubbleviz_ui.model.choices import LOOPBACK, Choices
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -148,7 +148,7 @@ class Menus:
             state.source_changed,
         )
         self._add(menu, "Next marker", lambda: state.seek_marker(1), "PgDown")
-        self._add(menu, "Marker before", lambda: state.seek_marker(-1), "PgUp")
+        self._add(menu, "Previous marker", lambda: state.seek_marker(-1), "PgUp")
         menu.addSeparator()
         CheckMark(
             self._switch(menu, "F&reeze a live source", "F"),
@@ -157,7 +157,7 @@ class Menus:
             state.frozen_changed,
             state.source_changed,
         )
-        self._add(menu, "Back to &now", lambda: state.freeze(False), "N")
+        self._add(menu, "Go &live", lambda: state.freeze(False), "N")
 
     def _live(self, menu: QMenu) -> None:
         window, live = self._window, self._window.live_controller
@@ -180,7 +180,7 @@ class Menus:
         )
         self._add(menu, "Publish &at…", self._publish_at)
         self._add(menu, "Gas pressure &zero now", live.zero_now, "Ctrl+Shift+G")
-        self._add(menu, "The &other sensor", live.choose_other, "B")
+        self._add(menu, "Switch sens&or", live.choose_other, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window
@@ -206,8 +206,8 @@ class Menus:
             lambda _: self._toggle_full_screen(),
             menu.aboutToShow,
         )
-        self._theme(menu.addMenu("&Theme"))
-        self._units(menu.addMenu("&Units"))
+        self._one_of(menu.addMenu("&Theme"), "theme")
+        self._one_of(menu.addMenu("&Units"), *SYSTEMS)
         menu.addSeparator()
         for panel in window.panels.values():
             if isinstance(panel, QDockWidget):
@@ -237,26 +237,16 @@ class Menus:
         window = self._bar.window()
         window.setWindowState(window.windowState() ^ Qt.WindowState.WindowFullScreen)
 
-    def _units(self, menu: QMenu) -> None:
-        """A choice of each kind of unit, with a line between kinds."""
-        menu.setObjectName("menu_units")
-        for kind, system in SYSTEMS.items():
-            self._one_of(menu, kind, {symbol: symbol for symbol in system})
+    def _one_of(self, menu: QMenu, *fields: str) -> None:
+        """An action for each value of each setting, with a line between settings."""
+        menu.setObjectName(menu.title().replace("&", "menu_").lower())
+        for field in fields:
+            group = QActionGroup(menu)
+            for value, title in (Choices.about(field).titles or {}).items():
+                action = group.addAction(menu.addAction(title))
+                action.setCheckable(True)
+                bind_option(action, self._window.state, field, value)
             menu.addSeparator()
-
-    def _theme(self, menu: QMenu) -> None:
-        menu.setObjectName("menu_theme")
-        self._one_of(
-            menu, "theme", {"system": "As the &system", "dark": "&Dark", "light": "&Light"}
-        )
-
-    def _one_of(self, menu: QMenu, field: str, titles: dict[str, str]) -> None:
-        """An action for each value of a choice."""
-        group = QActionGroup(menu)
-        for value, title in titles.items():
-            action = group.addAction(menu.addAction(title))
-            action.setCheckable(True)
-            bind_option(action, self._window.state, field, value)
 
     def _add(
         self,

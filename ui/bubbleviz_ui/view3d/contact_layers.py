@@ -13,7 +13,7 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import Measured
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import COLOUR_MAPS
+from bubbleviz_ui.model.choices import Choices, ColourMap
 from bubbleviz_ui.model.source_facts import DOUBTS, force_text, tangential_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
@@ -43,7 +43,7 @@ class MembraneLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._map = COLOUR_MAPS[0]
+        self._map: ColourMap = Choices.colour_map
         self._table = lookup_table(pressure_colours(self._map))
         actor = self.add(
             canvas.surface.poly,

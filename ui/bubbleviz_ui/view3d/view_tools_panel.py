@@ -9,10 +9,6 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
     QButtonGroup,
-    QCheckBox,
-    QComboBox,
-    QDoubleSpinBox,
-    QFormLayout,
     QHBoxLayout,
     QLabel,
     QPushButton,
@@ -25,10 +21,10 @@ from PySide6.QtWidgets import (
 from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
-from bubbleviz_ui.model.choices import COLOUR_MAPS
+from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind, options, tool_button, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, form, tool_button, watch_controls
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
@@ -41,7 +37,6 @@ from bubbleviz_ui.view3d.tools import Distance, Turntable, Viewpoint, still
 VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
-SECTIONS = {None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"}
 TOOLS = {
     "rotate": ("Rotate", "Drag rotates the scene, the wheel goes nearer"),
     "probe": ("Probe", "Click on the membrane or a point: its numbers stay until Esc"),
@@ -53,8 +48,6 @@ HINTS = {
     "distance": ("Click on two points", "", ""),
 }
 """In place of numbers."""
-LARGEST_PIXELS = 8192
-MOST_EXAGGERATED = 10.0
 SECTION_STEPS = 200
 WIDTH = 286
 """Room for the numbers of a place, screen pixels."""
@@ -77,7 +70,7 @@ class ViewTools(QWidget):
         self._marks, self._text = ProbeMarks(view), PlaceText(view, state.units)
         self._reach_m = 0.1
         self._make_buttons()
-        self._make_settings()
+        self._make_settings(state)
         self._lay_out()
         self._bind(state)
         self._connect(controller)
@@ -101,21 +94,15 @@ class ViewTools(QWidget):
         self.tools["rotate"].setChecked(True)
         self.reading = [QLabel() for _ in range(3)]
 
-    def _make_settings(self) -> None:
-        self.colour_map = options(QComboBox(), {name: name for name in COLOUR_MAPS})
-        self.colour_map.setToolTip("Colours of the contact pressure, perceptually uniform")
-        self.exaggeration = QDoubleSpinBox(
-            minimum=0.0, maximum=MOST_EXAGGERATED, singleStep=0.5, suffix=" ×"
-        )
-        self.exaggeration.setToolTip("Displacement u drawn so many times as large")
-        self.section = options(QComboBox(), SECTIONS)
+    def _make_settings(self, state: SessionState) -> None:
+        self.colour_map = control(state, "colour_map")
+        self.exaggeration = control(state, "exaggeration")
+        self.section = control(state, "section_axis")
+        self.flipped = control(state, "section_flipped")
         self.section_at = QSlider(Qt.Orientation.Horizontal)
         self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
-        self.flipped = QCheckBox("other side")
+        self.section_at.setToolTip(Choices.about("section_at_m").tip)
         self.section_text = QLabel()
-        self.section.setToolTip("Cut the membrane open across an axis of the bubble frame B")
-        self.section_at.setToolTip("Where the cutting plane is")
-        self.flipped.setToolTip("Show what is on the other side of the plane")
         self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")
@@ -123,19 +110,16 @@ class ViewTools(QWidget):
         self.turn = tool_button("Turntable", tip, checkable=True, slim=True)
 
     def _lay_out(self) -> None:
-        form = QFormLayout()
-        form.addRow("Colours", self.colour_map)
-        form.addRow("Exaggerate", self.exaggeration)
-        form.addRow("Section", self.section)
-        form.addRow(self.section_text, self.section_at)
-        form.addRow("", self.flipped)
-        form.addRow("Picture", _row(self.width_box, QLabel("×"), self.height_box, self.save))
+        rows = form(self.colour_map, self.exaggeration, self.section)
+        rows.addRow(self.section_text, self.section_at)
+        rows.addRow("", self.flipped)
+        rows.addRow("Picture", _row(self.width_box, QLabel("×"), self.height_box, self.save))
         fill(
             QVBoxLayout(self),
             _row(*self.views.values()),
             _row(*self.tools.values(), self.turn),
             *self.reading,
-            form,
+            rows,
             1,
             margins=(8, 10, 4, 10),
             spacing=6,
@@ -144,10 +128,6 @@ class ViewTools(QWidget):
         self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
 
     def _bind(self, state: SessionState) -> None:
-        bind(self.colour_map, state, "colour_map")
-        bind(self.exaggeration, state, "exaggeration")
-        bind(self.section, state, "section_axis")
-        bind(self.flipped, state, "section_flipped")
         self._at = bind(
             self.section_at,
             state,
@@ -231,8 +211,8 @@ class ViewTools(QWidget):
     def _on_choices(self) -> None:
         choices, length = self._state.choices, self._state.units.length
         self.section_text.setText(f"at {length.text(choices.section_at_m)}")
-        for control in (self.section_at, self.flipped):
-            control.setEnabled(choices.section_axis is not None)
+        for box in (self.section_at, self.flipped):
+            box.setEnabled(choices.section_axis is not None)
         self._on_picked(self.picked.place)
 
     # -- pictures -----------------------------------------------------------------------------
@@ -256,10 +236,11 @@ class ViewTools(QWidget):
 
 
 def _pixels() -> QSpinBox:
-    box = QSpinBox(minimum=16, maximum=LARGEST_PIXELS)
+    about = Choices.about("picture_size")
+    box = QSpinBox(minimum=int(about.low), maximum=int(about.high))
     box.setKeyboardTracking(False)
     box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
-    box.setToolTip("Pixels")
+    box.setToolTip(about.tip)
     return box
 
 
