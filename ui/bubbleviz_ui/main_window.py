@@ -25,10 +25,9 @@ from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.upkeep import MemoryRelease
-from bubbleviz_ui.engine.worker import Failed
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import LiveBar, PictureAge
@@ -139,7 +138,7 @@ class MainWindow(QMainWindow):
         self.session_saver = SessionSaver(self, self)
         self.costs = Costs()
         self.gamma0 = Gamma0Panel(
-            Calibration(controller, self.undo_stack), state.units, self.playback.strip
+            Calibration(controller, self.settings), state.units, self.playback.strip
         )
         self.pose = PosePanel(state, PoseSession(controller, self.settings))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
@@ -152,7 +151,7 @@ class MainWindow(QMainWindow):
         self._source: object = None
         self._asks = True
         self._export: ExportDialog | None = None
-        self.importing, self._reading = Jobs("import"), Jobs("information")
+        self.importing, self._reading = Worker("import"), Worker("information")
         self._import: ImportDialog | None = None
         self._memory = MemoryRelease(state)
         self._lay_out()
@@ -279,9 +278,9 @@ class MainWindow(QMainWindow):
             host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
-        for jobs in (self.importing, self._reading, self.pose.loading):
-            jobs.cancel()
-            jobs.close()
+        for worker in (self.importing, self._reading, self.pose.loading):
+            worker.cancel()
+            worker.close()
         self._memory.close()
         self.undo_stack.clear()  # its steps would keep what they change alive
         self.overlay.close()

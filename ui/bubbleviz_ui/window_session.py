@@ -220,7 +220,7 @@ class WindowSession:
 
         if isValid(self.window):
             self.window.end()
-        self.controller.worker.wait(PATIENCE_S)  # for a long step that closing did not wait for
+        self.controller.worker.close(PATIENCE_S)  # for a long step that closing did not wait for
         self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
         self.application.processEvents()
         self.interrupt.close()

@@ -19,10 +19,9 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.progress import Cancelled
 from bubbleviz.result import Estimate, FineContact
-from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.solver import KeptEstimates, OpenRequest, Solver
 from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
-from bubbleviz_ui.engine.worker import Deferred, Worker
+from bubbleviz_ui.engine.worker import KEYS, Deferred, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -33,68 +32,69 @@ def wait(qtbot):
     return lambda done: qtbot.waitUntil(done, timeout=PATIENCE_MS)
 
 
-# -- jobs ---------------------------------------------------------------------------------------
+# -- functions in order -------------------------------------------------------------------------
 
 
 @pytest.fixture
 def jobs(qtbot):
-    made = Jobs("jobs of a test")
+    made = Worker("worker of a test")
     yield made
     made.cancel()
     made.close(60.0)
 
 
-def test_jobs_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(wait, jobs):
-    ended, here = list[Done](), threading.current_thread()
+def test_functions_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(wait, jobs):
+    ended, here = [], threading.current_thread()
     threads = set[threading.Thread]()
 
-    def refuse(_):
+    def refuse():
         threads.add(threading.current_thread())
         raise InputError("x.toml: not there")
 
-    def break_down(_):
+    def break_down():
         raise ZeroDivisionError("by nothing")
 
-    def then(done):
+    def then(end):
         assert threading.current_thread() is here
-        ended.append(done)
+        ended.append(end)
 
-    for job in (refuse, break_down, lambda _: 3, lambda _: 4):
-        jobs.run(job, then)
+    for function in (refuse, break_down, lambda: 3, lambda: 4):
+        jobs.submit(function, then, then)
     wait(lambda: len(ended) == 4)
     assert here not in threads and not jobs.busy
-    assert ended[0] == Done(message="x.toml: not there")
+    assert ended[0] == Failed("", "x.toml: not there")
     assert ended[1].message == "ZeroDivisionError: by nothing" and "refuse" not in ended[1].details
     assert "break_down" in ended[1].details
-    assert ended[2:] == [Done(3), Done(4)]
+    assert ended[2:] == [3, 4]
 
 
-def test_progress_is_told_and_ends_a_job_that_is_replaced(wait, jobs):
-    told, ended = list[tuple[str, float]](), list[Done]()
+def test_progress_is_told_and_ends_a_function_that_is_cancelled(wait, jobs):
+    told, ended = list[tuple[str, float]](), []
     jobs.progressed.connect(lambda step, done: told.append((step, done)))
 
-    def endless(progress):
+    def endless():
         while True:
-            progress("on and on", 0.5)
+            jobs.progress("on and on", 0.5)
 
-    jobs.run(endless, ended.append)
+    jobs.submit(endless, ended.append, ended.append)
     wait(lambda: bool(told))
     assert told[0] == ("on and on", 0.5)
-    jobs.replace(lambda _: "new", ended.append)
+    jobs.cancel()
+    jobs.submit(lambda: "new", ended.append)
     wait(lambda: bool(ended))
-    assert ended == [Done("new")]
+    assert ended == ["new"]
 
 
 def test_an_answer_that_comes_too_late_is_let_go(jobs):
     began, go = Event(), Event()
-    ended, unwanted = list[Done](), list[str]()
+    ended, unwanted = [], list[str]()
 
-    def slow(_):
+    def slow():
         began.set()
         assert go.wait(240.0)
         return "a source that is open"
 
-    jobs.run(slow, ended.append, unwanted.append)
+    jobs.submit(slow, ended.append, ended.append, unwanted=unwanted.append)
     assert began.wait(240.0)
     jobs.cancel()
     go.set()
@@ -103,47 +103,47 @@ def test_an_answer_that_comes_too_late_is_let_go(jobs):
 
 
 def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot):
-    jobs, done = Jobs("wanted"), list[int]()
+    jobs, done = Worker("wanted"), list[int]()
     for number in range(20):
-        jobs.run(lambda _, number=number: done.append(number))
-    jobs.close()
+        jobs.submit(lambda number=number: done.append(number))
+    assert jobs.close()
     assert done == list(range(20))
-    jobs, go_on, ended = Jobs("held"), Event(), Event()
-    jobs.run(lambda _: (go_on.wait(), ended.set()))
-    jobs.close(0.0)
+    jobs, go_on, ended = Worker("held"), Event(), Event()
+    jobs.submit(lambda: (go_on.wait(), ended.set()))
+    assert not jobs.close(0.0)
     assert not ended.is_set()
     go_on.set()
     assert ended.wait(240.0)  # it is not lost
 
 
-def test_a_job_that_outlasts_closing_does_not_change_the_exit_code():
+def test_a_function_that_outlasts_closing_does_not_change_the_exit_code():
     """SciPy's factorisations of a thread that is left behind would (scipy#25404)."""
     words = """
 import threading
 from PySide6.QtCore import QCoreApplication
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
-from bubbleviz_ui.engine.jobs import Jobs
-application, jobs, made = QCoreApplication([]), Jobs("slow"), threading.Event()
-def job(progress):
+from bubbleviz_ui.engine.worker import Worker
+application, worker, made = QCoreApplication([]), Worker("slow"), threading.Event()
+def function():
     kept = splu(eye_array(9, format="csc"))
     made.set()
     threading.Event().wait(0.5)  # longer than closing waits
     print(kept.shape)
-jobs.run(job)
+worker.submit(function)
 made.wait()
-jobs.cancel()
-jobs.close(0.01)
+worker.cancel()
+worker.close(0.01)
 """
     process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
     assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")
 
 
-def test_jobs_that_end_after_their_window_do_no_harm(qtbot):
+def test_functions_that_end_after_their_window_do_no_harm(qtbot):
     """Their threads are the last to know of them, while their ends are told in the GUI thread."""
     for _ in range(2_000):
-        jobs, go_on = Jobs("held"), Event()
-        jobs.run(lambda _, go_on=go_on: go_on.wait())
+        jobs, go_on = Worker("held"), Event()
+        jobs.submit(go_on.wait)
         jobs.close(0.0)
         del jobs
         go_on.set()
@@ -156,7 +156,7 @@ def test_jobs_that_end_after_their_window_do_no_harm(qtbot):
 
 @pytest.fixture
 def worker(qtbot):
-    made = Worker()
+    made = Worker("solver", KEYS)
     yield made
     made.close(60.0)
 
@@ -164,14 +164,14 @@ def worker(qtbot):
 def opened(wait, worker):
     """Wait until what was submitted to open something has been delivered."""
     done = []
-    worker.submit("open", lambda: None, done.append)
+    worker.submit(lambda: None, done.append, key="open")
     wait(lambda: bool(done))
 
 
 def holding(worker, key="follow"):
     """Have the worker wait until the event is set; submitted so, others wait behind it."""
     begun, go_on = Event(), Event()
-    worker.submit(key, lambda: (begun.set(), go_on.wait(240.0)), lambda _: None)
+    worker.submit(lambda: (begun.set(), go_on.wait(240.0)), lambda _: None, key=key)
     assert begun.wait(240.0)
     return go_on
 
@@ -179,53 +179,52 @@ def holding(worker, key="follow"):
 def test_the_latest_of_each_key_runs_the_most_urgent_first(wait, worker):
     opened(wait, worker)
     go_on, came = holding(worker), []
-    worker.submit("settle", lambda: "left", came.append)
-    for number in range(4):
-        worker.submit("frame", lambda number=number: number, came.append)
-    worker.submit("settle", lambda: "settled", came.append)
-    worker.submit("patch", lambda: "patch", came.append)
+    worker.submit(lambda: "left", came.append, key="settle")
+    replaced = [worker.submit(lambda k=k: k, came.append, key="frame") for k in range(4)]
+    worker.submit(lambda: "settled", came.append, key="settle")
+    worker.submit(lambda: "patch", came.append, key="patch")
     assert worker.urgent("frame") and not worker.urgent("patch")
     go_on.set()
     wait(lambda: len(came) == 3)
-    assert came == ["patch", 3, "settled"] and worker.dropped == 3
+    assert came == ["patch", 3, "settled"] and replaced == [False, True, True, True]
     go_on = holding(worker)
-    worker.submit("settle", lambda: "left", came.append)
-    worker.submit("frame", lambda: 4, came.append)  # the user has left that frame
-    worker.submit("analyse", lambda: "last", came.append)
+    worker.submit(lambda: "left", came.append, key="settle")
+    assert worker.drop("settle") and not worker.drop("settle")
+    worker.submit(lambda: "last", came.append, key="analyse")
     go_on.set()
     wait(lambda: came[-1] == "last")
-    assert came[3:] == [4, "last"]
+    assert came[3:] == ["last"]
 
 
 def test_what_is_not_due_or_deferred_lets_others_go_first(wait, worker):
     """A drag of κ is answered although the next live frame is not to be taken yet."""
     opened(wait, worker)
     came, calls = [], []
-    worker.submit("newest", lambda: None, came.append, due_s=time.perf_counter() + 1e6)
-    worker.submit("patch", lambda: "patch", came.append)
+    worker.submit(lambda: None, came.append, key="newest", due_s=time.perf_counter() + 1e6)
+    worker.submit(lambda: "patch", came.append, key="patch")
     wait(lambda: came == ["patch"])
 
     def newest():
         calls.append(worker.urgent("newest"))
         if len(calls) == 1:
-            worker.submit("patch", lambda: "patch again", came.append)
+            worker.submit(lambda: "patch again", came.append, key="patch")
             raise Deferred
         return "newest"
 
-    worker.submit("newest", newest, came.append)
+    worker.submit(newest, came.append, key="newest")
     wait(lambda: len(came) == 3)
     assert came[1:] == ["patch again", "newest"] and calls == [False, False]
 
 
 def test_what_was_meant_for_another_source_does_not_run(wait, worker):
     came = []
-    worker.submit("frame", lambda: "of nothing", came.append)  # nothing is open yet
+    worker.submit(lambda: "of nothing", came.append, key="frame")  # nothing is open yet
     opened(wait, worker)
     go_on = holding(worker, "open")
-    worker.submit("frame", lambda: "of the former", came.append)
+    worker.submit(lambda: "of the former", came.append, key="frame")
     go_on.set()
     opened(wait, worker)
-    worker.submit("frame", lambda: "of the new", came.append)
+    worker.submit(lambda: "of the new", came.append, key="frame")
     wait(lambda: bool(came))
     assert came == ["of the new"]
 
@@ -241,11 +240,11 @@ def test_what_fails_is_told_with_its_key_and_the_rest_goes_on(wait, worker):
     def open_nothing():
         raise Cancelled
 
-    worker.submit("open", refuse, came.append, request="file")
+    worker.submit(refuse, came.append, key="open", request="file")
     wait(lambda: len(failures) == 1)
-    worker.submit("open", open_nothing, came.append)  # nobody waits for it any more
-    worker.submit("patch", lambda: 1 / 0, came.append)
-    worker.submit("frame", lambda: "frame", came.append)  # what was open stays
+    worker.submit(open_nothing, came.append, key="open")  # nobody waits for it any more
+    worker.submit(lambda: 1 / 0, came.append, key="patch")
+    worker.submit(lambda: "frame", came.append, key="frame")  # what was open stays
     wait(lambda: came == ["frame"])
     assert [(f.key, f.message, f.request) for f in failures] == [
         ("open", "no such file", "file"),
@@ -255,14 +254,17 @@ def test_what_fails_is_told_with_its_key_and_the_rest_goes_on(wait, worker):
 
 
 def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(qtbot):
-    ended = Event()
-    worker = Worker(ended.set)
+    ended, came = Event(), []
+    worker = Worker("solver", KEYS, ended.set)
     go_on = holding(worker, "open")
-    worker.close(timeout_s=0.0)
-    assert not ended.is_set() and worker.running
+    worker.submit(lambda: "next", came.append, key="open")
+    assert not worker.close(timeout_s=0.0)
+    assert not ended.is_set()
     go_on.set()
-    worker.wait(240.0)
-    assert ended.is_set() and not worker.running
+    assert worker.close(240.0)
+    assert ended.is_set()
+    QCoreApplication.processEvents()
+    assert not came  # what waited is dropped
 
 
 def test_a_frame_past_the_end_opens_at_the_last(sensor):

@@ -103,8 +103,12 @@ class Waiting:
     def __init__(self):
         self.submitted = []
 
-    def submit(self, key, function, then, **_):
+    def submit(self, function, then, **_):
         self.submitted.append((function, then))
+        return False
+
+    def drop(self, key):
+        return False
 
     def urgent(self, key):
         return False

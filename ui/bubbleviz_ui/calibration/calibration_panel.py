@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.calibration import Step
 from bubbleviz.progress import Progress
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import TOPIC, Calibration, Work
 from bubbleviz_ui.calibration.frames_page import FramesPage
@@ -32,7 +32,6 @@ from bubbleviz_ui.calibration.pixels_page import PixelsPage, SurfacePage, Tensio
 from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
 from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.model.undo import Change
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
@@ -140,7 +139,7 @@ class Gamma0Panel(QWidget):
         # the user knows of no file
         new = load_sensor(path).model_copy(update={"name": name, "file": ""})
         open_sensor = self.calibration.controller.opening.use_sensor
-        self.calibration.stack.push(Change[Sensor]("Use the new sensor", open_sensor, present, new))
+        self.calibration.undo.push("Use the new sensor", open_sensor, present, new)
 
     def close_all(self) -> None:
         """Stop the threads, remove what was written for the time being."""

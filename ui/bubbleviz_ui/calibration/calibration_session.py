@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PySide6.QtCore import QObject, Signal
-from PySide6.QtGui import QUndoStack
 
 from bubbleviz.calibration import Draft, Settings, Step
 from bubbleviz.progress import Progress, part_of
@@ -17,11 +17,11 @@ from bubbleviz.recordings import FrameSource, HeldFrames, TimeAxis
 from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.solver import NothingOpen, Opened, OpenRequest, RecordingOpener
 from bubbleviz_ui.engine.upkeep import release_memory
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.model.undo import Change
+from bubbleviz_ui.model.undo import SettingsHistory, Step as UndoStep
 from bubbleviz_ui.model.units import Units
 
 if TYPE_CHECKING:
@@ -104,9 +104,9 @@ class Calibration(QObject):
     progressed = Signal(str, float)  # step in plain words and the share of it that is done
     said = Signal(object)  # a `UserMessage`
 
-    def __init__(self, controller: Controller, stack: QUndoStack) -> None:
+    def __init__(self, controller: Controller, undo: SettingsHistory) -> None:
         super().__init__()
-        self.controller, self.stack = controller, stack
+        self.controller, self.undo = controller, undo
         self.work = Work()
         # of `work` unless something is being computed or has failed
         self.answer = self._nothing = Answer(self.work, Draft(self.settings))
@@ -119,13 +119,13 @@ class Calibration(QObject):
         self._holding = False
         self._remembered: OrderedDict[Work, Answer] = OrderedDict()
         self.benches = Benches()
-        self._jobs = Jobs("calibration")
-        self._jobs.progressed.connect(self.progressed)
+        self._worker = Worker("calibration")
+        self._worker.progressed.connect(self.progressed)
         controller.opened.connect(self._on_opened)
 
     @property
     def busy(self) -> bool:
-        return self._jobs.busy
+        return self._worker.busy
 
     @property
     def outdated(self) -> bool:
@@ -169,39 +169,43 @@ class Calibration(QObject):
         """Stop computing; everything is as it was before."""
         if not self.busy:
             return
-        self._jobs.cancel()
+        self._worker.cancel()
         self._holding = True
-        while self.outdated and self._is_own(self.stack.index() - 1):
-            self.stack.undo()
+        while self.outdated and self._is_own(self.undo.stack.index() - 1):
+            self.undo.stack.undo()
         if self.outdated:  # another setting was changed meanwhile
-            self.stack.push(Change("Cancel", self._apply, self.work, self.answer.work))
+            self.undo.push("Cancel", self._apply, self.work, self.answer.work)
         self._holding = False
         self.changed.emit()
 
     def start(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
         """Run another long job of the session in its thread; `then` gets what it returns."""
 
-        def take(done: Done) -> None:
-            if not self._tell_problem(done):
-                then(done.answer)
+        def take(answer: Any) -> None:
+            then(answer)
             self.changed.emit()
 
-        self._jobs.replace(job, take)
+        self._run(job, take)
         self.changed.emit()
 
     def close(self) -> None:
         """Stop the thread; it lets go of the source."""
-        self._jobs.cancel()
-        self._jobs.run(lambda _: self.benches.close())
-        self._jobs.close()
+        self._worker.cancel()
+        self._worker.submit(self.benches.close)
+        self._worker.close()
+
+    def _run(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
+        """Do a job in place of what runs."""
+        self._worker.cancel()
+        self._worker.submit(partial(job, self._worker.progress), then, self._tell_problem)
 
     def _push(self, text: str, new: Work, gesture: Hashable) -> None:
         if new != self.work:
-            self.stack.push(Change(text, self._apply, self.work, new, gesture))
+            self.undo.push(text, self._apply, self.work, new, gesture)
 
     def _is_own(self, index: int) -> bool:
-        command = self.stack.command(index) if index >= 0 else None
-        return isinstance(command, Change) and command.apply == self._apply
+        command = self.undo.stack.command(index) if index >= 0 else None
+        return isinstance(command, UndoStep) and command.apply == self._apply
 
     def _apply(self, work: Work) -> None:
         """Make it the present work: its answer is remembered, or computed now."""
@@ -211,7 +215,7 @@ class Calibration(QObject):
         nothing = self._nothing if work == self._nothing.work else None
         known = nothing or self._remembered.get(work)
         if known is not None:
-            self._jobs.cancel()
+            self._worker.cancel()
             self.answer = known
         else:
             self._compute(work)
@@ -228,31 +232,27 @@ class Calibration(QObject):
             release_memory()  # hundreds of MB that it worked with
             return found
 
-        self._jobs.replace(compute, self._on_computed)
+        self._run(compute, self._on_computed)
 
-    def _on_computed(self, done: Done) -> None:
-        if not self._tell_problem(done):
-            self.answer = done.answer
-            self._remembered[done.answer.work] = done.answer
-            while len(self._remembered) > REMEMBERED:
-                self._remembered.popitem(last=False)
+    def _on_computed(self, answer: Answer) -> None:
+        self.answer = self._remembered[answer.work] = answer
+        while len(self._remembered) > REMEMBERED:
+            self._remembered.popitem(last=False)
         self.changed.emit()
 
-    def _tell_problem(self, done: Done) -> bool:
-        """Say why a job has no answer; whether it has none."""
-        if done.message:
-            self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
-        return bool(done.message)
+    def _tell_problem(self, failed: Failed) -> None:
+        self.said.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+        self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
         if opened.request.open_source is self._shown:
             return  # the same source with another sensor, perhaps the one identified here
         self._shown = opened.request.open_source
-        self.stack.clear()  # what could be undone belongs to the source that is gone
+        self.undo.stack.clear()  # what could be undone belongs to the source that is gone
         if self._goes_on(opened.request, lambda: opened.sensor):
             self._go_on(opened)
             return
-        self._jobs.cancel()
+        self._worker.cancel()
         self._remembered.clear()
         self._opener, self.given = opened.request.open_source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title

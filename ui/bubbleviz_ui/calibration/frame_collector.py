@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
@@ -12,7 +12,7 @@ from bubbleviz.progress import Progress
 from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.worker import Failed, Worker
 
 if TYPE_CHECKING:
     from bubbleviz.calibration import Quantity
@@ -39,7 +39,7 @@ class Collector(QObject):
         self._fits = False  # the sensor in use has explained a frame without contact
         self.name, self._sensor = "", None  # type: tuple[str, Sensor | None]
         self._looked_at = 0
-        self._jobs = Jobs("calibration")
+        self._worker = Worker("calibration")
 
     def start(
         self,
@@ -83,29 +83,31 @@ class Collector(QObject):
             self.complete.emit(HeldFrames(frames, self.name))
 
     def cancel(self) -> None:
-        self._jobs.cancel()
+        self._worker.cancel()
         self.active = False
         self.frames = []
         self.changed.emit()
 
     def close(self) -> None:
-        self._jobs.cancel()
-        self._jobs.close()
+        self._worker.cancel()
+        self._worker.close()
 
     def _look(self) -> None:
         many = len(self.frames)
         due = many >= max(FIRST_LOOK, self._looked_at + LOOK_EVERY)
-        if not due or not self._target or self._jobs.busy or self._sensor is None:
+        if not due or not self._target or self._worker.busy or self._sensor is None:
             return
         self._looked_at = many
         frames = HeldFrames(self.frames, self.name)
-        self._jobs.run(_estimate(frames, self._sensor), self._on_estimate)
+        function = partial(_estimate, frames, self._sensor, self._worker.progress)
+        self._worker.submit(function, self._on_estimate, self._on_failed)
 
-    def _on_estimate(self, done: Done) -> None:
-        if not self.active:
-            return
-        self.message = done.message
-        self.tension = done.answer
+    def _on_failed(self, failed: Failed) -> None:
+        self.message, self.tension = failed.message, None
+        self.changed.emit()
+
+    def _on_estimate(self, tension: Quantity | None) -> None:
+        self.message, self.tension = "", tension
         if self.tension is not None and (
             self.tension.half_width <= self._target * self.tension.value
         ):
@@ -113,14 +115,11 @@ class Collector(QObject):
         self.changed.emit()
 
 
-def _estimate(frames: HeldFrames, sensor: Sensor) -> Callable[[Progress], Quantity | None]:
-    def job(progress: Progress) -> Quantity | None:
-        nodes = sensor.membrane.nodes
-        settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
-        from bubbleviz.calibration import Workbench  # the window starts without
+def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantity | None:
+    from bubbleviz.calibration import Workbench  # the window starts without
 
-        found = Workbench(frames, sensor).work(settings, progress).found
-        # more frames do not narrow what comes of the gauge pressure
-        return found.tension.of_shape if found is not None else None
-
-    return job
+    nodes = sensor.membrane.nodes
+    settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
+    found = Workbench(frames, sensor).work(settings, progress).found
+    # more frames do not narrow what comes of the gauge pressure
+    return found.tension.of_shape if found is not None else None

@@ -94,7 +94,7 @@ class Analysis(QObject):
             demand = Demand(self._products, options=options, shear=Demand.of(choices).shear)
             frames, client = self._frames, self._client()
             function = partial(client.solver.analyse, frames, demand, kept_only=self._kept_only)
-            client.worker.submit("analyse", function, partial(self._take, frames, demand))
+            client.worker.submit(function, partial(self._take, frames, demand), key="analyse")
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Controller(QObject):
     @property
     def dropped(self) -> int:
         """Frames left out on purpose since the source was opened."""
-        return self.player.skipped + self.worker.dropped
+        return self.player.skipped + self.client.dropped
 
     @property
     def sensor(self) -> Sensor | None:
@@ -195,13 +195,13 @@ class Controller(QObject):
             if fitted is not None and answer[1] is not None:
                 fitted[1](answer[1])
 
-        client.worker.submit("follow", function, then, request=request)
+        client.worker.submit(function, then, key="follow", request=request)
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
         """Measure two settings, or none, on the frame at the cursor, in spare time."""
         client, index, stands = self.client, self.state.frame, not self._goes_on
         function = partial(client.solver.compare, index, settings, settled=stands)
-        client.worker.submit("compare", function, partial(self.compared.emit, settings))
+        client.worker.submit(function, partial(self.compared.emit, settings), key="compare")
 
     def collect(self) -> None:
         """Find the contact-free colour images anew."""
@@ -339,7 +339,7 @@ class Controller(QObject):
         self.opening.present = opened
         self.analysis.stop()
         self.player.turn_to(result.frame.index)
-        client.worker.dropped = 0
+        client.dropped = 0
         self.opened.emit(opened)
         self.state.set_playing(False)
         self.state.open(facts, result.frame.index, playing=playing, history=client.history)

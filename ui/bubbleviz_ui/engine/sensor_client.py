@@ -15,7 +15,7 @@ from bubbleviz.pipeline import OF_OBJECT, FrameOptions, Product
 from bubbleviz.recordings import Frame, Gap
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
-from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import History, grown
 from bubbleviz_ui.model.messages import RateMeter
@@ -56,7 +56,8 @@ class SensorClient(QObject):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.solver = Solver()  # Used in the worker's thread
-        self.worker = Worker(self.solver.close)
+        self.worker = Worker("solver", KEYS, self.solver.close)
+        self.dropped = 0  # Frames replaced by a newer one before their turn
         self.session = object()  # Stands for the open source; another one for each
         self.opened: Opened | None = None  # None before the first source
         self.facts: SourceFacts | None = None  # Of the source as it is now: a live one grows
@@ -96,7 +97,7 @@ class SensorClient(QObject):
     def open(self, request: OpenRequest) -> None:
         """Open a source in place of the present one."""
         self.worker.submit(
-            "open", partial(self.solver.open, request), self._take_opened, request=request
+            partial(self.solver.open, request), self._take_opened, key=OPEN, request=request
         )
 
     def ask_settled(self) -> None:
@@ -106,12 +107,14 @@ class SensorClient(QObject):
             products = self._shown_as.products - OF_OBJECT | due.looks
             demand = replace(due, products=products, options=self._options)
             function = partial(self.solver.frame, self.result.frame.index, demand, settled=True)
-            self.worker.submit("settle", function, self._take_settled)
+            self.worker.submit(function, self._take_settled, key="settle")
 
     def ask_frame(self, index: int, demand: Demand, *, anew: bool = False) -> None:
         """Ask for a frame; `anew` with the contact-free colour images found anew."""
         self.demand = demand
-        self.worker.submit("collect" if anew else "frame", *self.framing(index, demand, anew=anew))
+        self.worker.drop("settle")  # of the frame that the user has left
+        key, work = "collect" if anew else "frame", self.framing(index, demand, anew=anew)
+        self.dropped += self.worker.submit(*work, key=key)
 
     def framing(
         self, index: int, demand: Demand, *, anew: bool = False
@@ -137,7 +140,7 @@ class SensorClient(QObject):
         )
         then = partial(self._take_newest, at_once=at_once, looks=bool(wanted.looks))
         due_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
-        self.worker.submit("newest", function, then, due_s=due_s)
+        self.worker.submit(function, then, key="newest", due_s=due_s)
 
     def ask_patch(self) -> None:
         """Threshold the present result anew, where there is something to threshold."""
@@ -147,7 +150,7 @@ class SensorClient(QObject):
         demand = asked.looking(asked.looks & {"components"})
         demand = replace(demand, options=self._options)
         function = partial(self.solver.patch, result, demand)
-        self.worker.submit("patch", function, partial(self._take_patch, demand))
+        self.worker.submit(function, partial(self._take_patch, demand), key="patch")
 
     @property
     def _options(self) -> FrameOptions:

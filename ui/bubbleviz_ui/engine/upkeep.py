@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QCoreApplication, QObject, QTimer
 
-from bubbleviz_ui.engine.jobs import Jobs
+from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.model.session_state import SessionState
 
 EVERY_MS = 50
@@ -75,7 +75,7 @@ class MemoryRelease(QObject):
         super().__init__()
         self._state, self._release = state, release
         self._used, self._last_s = True, time.monotonic()
-        self._jobs = Jobs("memory")
+        self._worker = Worker("memory")
         self._timer = QTimer(self)
         self._timer.timeout.connect(lambda: self._on_tick())
         self._timer.start(rest_ms)
@@ -86,7 +86,7 @@ class MemoryRelease(QObject):
     def close(self) -> None:
         """Look no more."""
         self._timer.stop()
-        self._jobs.close()
+        self._worker.close()
 
     def _on_changed(self) -> None:
         self._used = True
@@ -96,7 +96,7 @@ class MemoryRelease(QObject):
         live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
         if self._used and (live or not self._state.playing):
             self._used, self._last_s = False, now
-            self._jobs.run(lambda _: self._release())
+            self._worker.submit(self._release)
 
 
 # ^C and SIGTERM as events of Qt's event loop.

@@ -15,8 +15,7 @@ from PySide6.QtCore import QObject, Qt, QTimer, Signal
 from bubbleviz.output import open_mp4, pose_columns
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.jobs import Done, Job, Jobs
-from bubbleviz_ui.engine.worker import Failed
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.view3d.text import text_at
 from bubbleviz_ui.view3d.tools import still
@@ -211,15 +210,15 @@ class Exporting(QObject):
         self._controller, self._state, self._view = controller, controller.state, view
         self._poses = poses
         self._video: VideoExport | None = None
-        self._jobs = Jobs("export")
-        self._jobs.progressed.connect(self.progressed)
+        self._worker = Worker("export")
+        self._worker.progressed.connect(self.progressed)
         controller.failed.connect(self._on_failed)
         controller.opened.connect(self._on_opened)
 
     @property
     def busy(self) -> bool:
         """An export goes on."""
-        return self._jobs.busy
+        return self._worker.busy
 
     def why_not(self) -> str:
         """Why nothing can be exported now; empty when something can."""
@@ -258,7 +257,7 @@ class Exporting(QObject):
             self._video = VideoExport(
                 self._controller, self._view, frames, size, path, fps, captioned=captioned
             )
-            job: Job = self._video.write
+            job: Callable[[Progress], str] = self._video.write
         else:
             # with the first export: the window starts without the writers of all kinds
             from bubbleviz_ui.export.file_export import export_to_files
@@ -266,21 +265,22 @@ class Exporting(QObject):
             poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
             how = (FrameOptions(*choices.rule), choices.options, poses)
             job = partial(export_to_files, open_source, sensor, frames, path, kind.what, *how)
-        self._jobs.run(job, partial(self._on_done, path))
+        function = partial(job, self._worker.progress)
+        self._worker.submit(function, partial(self._on_done, path), self._on_refused)
         self.progressed.emit("starting", 0.0)
         self.changed.emit()
 
     def cancel(self) -> None:
         """Stop; nothing of it is left."""
         if self.busy:
-            self._jobs.cancel()
+            self._worker.cancel()
             self._end_video()
             self.changed.emit()
 
     def close(self) -> None:
         """Stop, and wait for the thread."""
-        self._jobs.cancel()
-        self._jobs.close()
+        self._worker.cancel()
+        self._worker.close()
         self._end_video()
 
     def _end_video(self) -> None:
@@ -288,12 +288,14 @@ class Exporting(QObject):
         if video is not None:
             video.end()
 
-    def _on_done(self, path: Path, done: Done) -> None:
+    def _on_done(self, path: Path, done: str) -> None:
         self._end_video()
-        if done.message:
-            self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
-        else:
-            self.said.emit(UserMessage("notice", str(done.answer), file=path, topic=TOPIC))
+        self.said.emit(UserMessage("notice", done, file=path, topic=TOPIC))
+        self.changed.emit()
+
+    def _on_refused(self, failed: Failed) -> None:
+        self._end_video()
+        self.said.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:

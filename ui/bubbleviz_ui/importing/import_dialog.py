@@ -26,7 +26,7 @@ from bubbleviz.api.converting import ConvertSummary, convert
 from bubbleviz.files import free_name
 from bubbleviz.progress import Progress
 from bubbleviz.recordings import is_image_folder
-from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.recording_control import make_room
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.panels.binding import options
@@ -178,14 +178,14 @@ class ImportDialog(QDialog):
     def __init__(
         self,
         parent: QWidget,
-        jobs: Jobs,  # Where it is done
+        worker: Worker,  # Where it is done
         open_recording: Callable[[Path], None],  # Opens what was made
         folder: Callable[[], Path],  # Where recordings go
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import")
         self.setMinimumWidth(WIDTH)
-        self._jobs, self._open_recording, self._folder = jobs, open_recording, folder
+        self._worker, self._open_recording, self._folder = worker, open_recording, folder
         self._proposed = ""
         self.source = FileField("A recording", OTHERS)
         self.source.browse.setText("Recording…")
@@ -233,7 +233,7 @@ class ImportDialog(QDialog):
         self.begin.clicked.connect(lambda: self._begin())
         self.cancel.clicked.connect(lambda: self._cancel())
         self.open_made.clicked.connect(lambda: self._open())
-        self._jobs.progressed.connect(self._on_progress)
+        self._worker.progressed.connect(self._on_progress)
 
     def _choose_folder(self) -> None:
         path = folder_to_open(self, "A folder of depth images", of="import")
@@ -256,7 +256,7 @@ class ImportDialog(QDialog):
 
     def _show(self) -> None:
         """Show what applies to what was chosen, and what can be done now."""
-        path, busy = self.source.path, self._jobs.busy
+        path, busy = self.source.path, self._worker.busy
         self.images.show(path is not None and is_image_folder(path), enabled=not busy)
         self.about.setVisible(path is None)
         for widget in (self.source, self.folder, self.out):
@@ -274,27 +274,31 @@ class ImportDialog(QDialog):
             return
         self._tell(None, "")
         beside = self.images.beside if is_image_folder(path) else {}
-        self._jobs.run(partial(_imported, path, self.out_path, beside), self._on_done, _discard)
+        function = partial(_imported, path, self.out_path, beside, self._worker.progress)
+        self._worker.submit(function, self._on_done, self._on_failed, unwanted=_discard)
         self._on_progress("opening", 0.0)
         self._show()
 
     def _cancel(self) -> None:
-        self._jobs.cancel()
+        self._worker.cancel()
         self._show()
 
     def _on_progress(self, step: str, done: float) -> None:
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100.0 * done))
 
-    def _on_done(self, done: Done) -> None:
-        self._tell(done.answer, done.message)
+    def _on_failed(self, failed: Failed) -> None:
+        self._tell(None, failed.message)
         self._show()
-        if done.message and (done.details or not self.isVisible()):  # else the dialog says it
-            self.said.emit(UserMessage("error", done.message, done.details, topic=TOPIC))
-        elif self._summary is not None:
-            out = Path(self._summary.out)
-            remember("recording", out)
-            self.said.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
+        if failed.details or not self.isVisible():  # else the dialog says it
+            self.said.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+
+    def _on_done(self, summary: ConvertSummary) -> None:
+        self._tell(summary, "")
+        self._show()
+        out = Path(summary.out)
+        remember("recording", out)
+        self.said.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
 
     def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
         self._summary = summary
@@ -312,7 +316,6 @@ def _imported(path: Path, out: Path, beside: dict[str, Any], progress: Progress)
     return convert(path, out, progress=progress, **beside)
 
 
-def _discard(summary: ConvertSummary | None) -> None:
+def _discard(summary: ConvertSummary) -> None:
     """Remove what was finished in the moment it was cancelled."""
-    if summary is not None:
-        Path(summary.out).unlink(missing_ok=True)
+    Path(summary.out).unlink(missing_ok=True)

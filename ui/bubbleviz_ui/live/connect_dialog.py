@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -38,7 +39,7 @@ from bubbleviz.live import (
 )
 from bubbleviz.recordings import AUTO
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.shell.dock import fill
@@ -61,44 +62,36 @@ class Discovery(QObject):
     def __init__(self) -> None:
         super().__init__()
         self._source: LiveSource | None = None
-        self._asked = ""
-        self._jobs = Jobs("discovery")
+        self._worker = Worker("discovery")
         self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self._look)
 
     def look_at(self, text: str, sensor: Sensor) -> None:
         """Look at a source, given as `--source`."""
         self.stop()
-        self._asked = text
-
-        def take(done: Done) -> None:
-            source: LiveSource | None = done.answer
-            if text != self._asked:
-                self._let_go(source)
-            elif source is None:
-                self.found.emit((), done.message)
-            else:
-                self._source = source
-                self._timer.start()
-                self._look()
-
-        self._jobs.run(lambda _: _begin(text, sensor), take)
+        function = partial(_begin, text, sensor)
+        self._worker.submit(function, self._take, self._refuse, unwanted=LiveSource.stop)
 
     def stop(self) -> None:
         """Look at nothing."""
-        self._asked = ""
+        self._worker.cancel()
         self._timer.stop()
         source, self._source = self._source, None
-        self._let_go(source)
+        if source is not None:
+            self._worker.submit(source.stop)
 
     def close(self) -> None:
         """Stop; what is on ends by itself."""
         self.stop()
-        self._jobs.close(0.0)
+        self._worker.close(0.0)
 
-    def _let_go(self, source: LiveSource | None) -> None:
-        if source is not None:
-            self._jobs.run(lambda _: source.stop())
+    def _take(self, source: LiveSource) -> None:
+        self._source = source
+        self._timer.start()
+        self._look()
+
+    def _refuse(self, failed: Failed) -> None:
+        self.found.emit((), failed.message)
 
     def _look(self) -> None:
         if self._source is not None:

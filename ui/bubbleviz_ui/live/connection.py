@@ -17,8 +17,7 @@ from bubbleviz.live import (
     is_simulated,
     sensor_for_source,
 )
-from bubbleviz.progress import Progress
-from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.live.live_frames import LiveFrames
 
 
@@ -41,36 +40,38 @@ class Connection(QObject):
     """Starts the sources of a session and waits for the first frame of each."""
 
     ready = Signal(object)  # A `LiveRun`
-    failed = Signal(str, str)  # Why not, in one sentence, and the details of a bug
+    failed = Signal(object)  # A `Failed`
 
     def __init__(self, preset: SessionPreset, pre_roll_s: float) -> None:
         super().__init__()
         self.preset = preset
         self._pre_roll_s = pre_roll_s
         self._awaited: LiveStream | None = None
-        self._jobs = Jobs("live connection")
+        self._worker = Worker("live connection")
 
     def start(self) -> None:
         """Begin."""
-        self._jobs.run(self._connected, self._tell, _close)
+        self._worker.submit(
+            self._connected, self.ready.emit, self.failed.emit, unwanted=LiveRun.close
+        )
 
     def cancel(self) -> None:
         """Give up; nothing is emitted any more, and the sources are stopped soon."""
-        self._jobs.cancel()
+        self._worker.cancel()
 
     def wait(self, timeout_s: float) -> None:
         """Wait until the thread is gone."""
-        self._jobs.close(timeout_s)
+        self._worker.close(timeout_s)
 
     def text(self) -> str:
         """How far it is, in a few words."""
         stream = self._awaited
         return "starting" if stream is None else _waiting_for(stream)
 
-    def _connected(self, progress: Progress) -> LiveRun:
+    def _connected(self) -> LiveRun:
         def waiting(stream: LiveStream) -> None:
             self._awaited = stream
-            progress("waiting", 0.0)  # cancelled by this
+            self._worker.progress("waiting", 0.0)  # cancelled by this
 
         self.preset = _with_sensors(self.preset, waiting)
         self._awaited = None
@@ -98,17 +99,6 @@ class Connection(QObject):
         for source, frame in zip(frames, first, strict=True):
             source.begin(epoch_ns, frame)
         return LiveRun(self.preset, session, frames)
-
-    def _tell(self, done: Done) -> None:
-        if done.answer is not None:
-            self.ready.emit(done.answer)
-        else:
-            self.failed.emit(done.message, done.details)
-
-
-def _close(run: LiveRun | None) -> None:
-    if run is not None:
-        run.close()
 
 
 def single(source: str, sensor: str, colour_delay_s: float | None = None) -> SessionPreset:

@@ -9,9 +9,8 @@ from PySide6.QtCore import QObject, QTimer, Signal
 from bubbleviz.live import LiveSensor, SessionPreset
 from bubbleviz.recordings import gas_warning
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.jobs import Jobs
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
-from bubbleviz_ui.engine.worker import Failed
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
@@ -40,8 +39,8 @@ class LiveController(QObject):
         super().__init__()
         self._controller, self._pair, self.state = controller, pair, controller.state
         self._settings = settings
-        self._jobs = Jobs("live")
-        self.recording, self.publishing = Recording(self._jobs), Publishing()
+        self._worker = Worker("live")
+        self.recording, self.publishing = Recording(self._worker), Publishing()
         self.connection: Connection | None = None  # While a session is being brought up
         self.run: LiveRun | None = None  # What is connected
         self._marked: frozenset[int] = frozenset()
@@ -114,7 +113,7 @@ class LiveController(QObject):
         run, self.run, self._drawn = self.run, None, False
         self.state.set_link("disconnected")
         if run is not None:
-            self._jobs.run(lambda _: run.close())  # after the recording, which has the same thread
+            self._worker.submit(run.close)  # after the recording, which has the same thread
             self.changed.emit()
         self._timer.stop()
 
@@ -163,7 +162,7 @@ class LiveController(QObject):
         self.disconnect_all()
         self._pair.close()
         self.publishing.close()
-        self._jobs.close()
+        self._worker.close()
         if connection is not None:
             connection.wait(5.0)
 
@@ -216,7 +215,7 @@ class LiveController(QObject):
             frames.name, LiveOpener(frames), lambda: sensor, playing=True, live=True
         ):
             self.cancel()
-            self._jobs.run(lambda _: run.close())
+            self._worker.submit(run.close)
             return
         self.disconnect_all()
         self.run = run
@@ -225,11 +224,11 @@ class LiveController(QObject):
         self._timer.start()
         self.changed.emit()
 
-    def _on_not_connected(self, problem: str, details: str) -> None:
+    def _on_not_connected(self, failed: Failed) -> None:
         self.connection = None
         if self.run is None:
             self._timer.stop()
-        self.said.emit(UserMessage("error", problem, details, topic=OPENING))
+        self.said.emit(UserMessage("error", failed.message, failed.details, topic=OPENING))
         self.changed.emit()
 
     def _is_ours(self, request: OpenRequest) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import RESULTS, Message
 from bubbleviz.result import Result
-from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
@@ -77,7 +78,7 @@ class Publishing(QObject):
         self._senders: list[ResultSender] = []
         self._forget: list[Callable[[], None]] = []
         self._lock = Lock()
-        self._jobs = Jobs("publishing")
+        self._worker = Worker("publishing")
 
     def start(self, run: LiveRun) -> None:
         """Listen at the endpoint and publish what is solved from now on."""
@@ -90,7 +91,7 @@ class Publishing(QObject):
             sender = ResultSender(frames.stream, send, each.place.name if several else "")
             self._senders.append(sender)
             self._forget.append(frames.listen(sender))
-        self._jobs.run(lambda _: _publisher(endpoint), self._on_open)
+        self._worker.submit(partial(_publisher, endpoint), self._on_open, self._on_refused)
         self.changed.emit()
 
     def stop(self) -> None:
@@ -104,7 +105,7 @@ class Publishing(QObject):
         with self._lock:
             publisher, self._publisher = self._publisher, None
         if publisher is not None:
-            self._jobs.run(lambda _: publisher.close())
+            self._worker.submit(publisher.close)
         self.changed.emit()
 
     def diagnose(self) -> None:
@@ -121,15 +122,15 @@ class Publishing(QObject):
     def close(self) -> None:
         """Stop, and wait until it is done."""
         self.stop()
-        self._jobs.close()
+        self._worker.close()
 
-    def _on_open(self, done: Done) -> None:
-        publisher: ZenohPublisher | None = done.answer
-        if publisher is None:
-            self.stop()
-            self.said.emit(UserMessage("error", f"Not publishing: {done.message}", done.details))
-        elif not self.on:
-            self._jobs.run(lambda _: publisher.close())
+    def _on_refused(self, failed: Failed) -> None:
+        self.stop()
+        self.said.emit(UserMessage("error", f"Not publishing: {failed.message}", failed.details))
+
+    def _on_open(self, publisher: ZenohPublisher) -> None:
+        if not self.on:
+            self._worker.submit(publisher.close)
         else:
             with self._lock:
                 self._publisher = publisher

@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.files import free_name
 from bubbleviz.live import Recorder, RecorderStatus
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.jobs import Done, Jobs
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import MessageKind, UserMessage
 from bubbleviz_ui.shell.file_dialogs import remember
 
@@ -30,20 +30,20 @@ class RecordingState:
 class Recording(QObject):
     """The record button's work.
 
-    `jobs`: Where it is done.
+    `worker`: Where it is done.
     """
 
     changed = Signal()  # It began or ended
     said = Signal(object)  # A `UserMessage`
 
-    def __init__(self, jobs: Jobs) -> None:
+    def __init__(self, worker: Worker) -> None:
         super().__init__()
         # Where recordings go, each named by its time; `OWN_FOLDER` is made with the first
         self.folder = OWN_FOLDER
         self.busy = False  # A recording is on, or about to be
         self._recorder: Recorder | None = None
         self._began = 0.0
-        self._jobs = jobs
+        self._worker = worker
 
     def start(self, recorder: Recorder, path: Path | None = None) -> None:
         """Begin a new file, by default one in the folder that is named by the time."""
@@ -51,21 +51,21 @@ class Recording(QObject):
             return
         path = path or new_name(self.folder)
         self.busy, self._recorder, self._began = True, recorder, time.monotonic()
-        self._jobs.run(lambda _: _start(recorder, path), self._on_started)
+        self._worker.submit(lambda: _start(recorder, path), failed=self._on_refused)
         self.changed.emit()
 
     def stop(self) -> None:
         """End it, with everything that arrived."""
         recorder, self._recorder, self.busy = self._recorder, None, False
         if recorder is not None:
-            self._jobs.run(lambda _: _stopped(recorder), self._on_stopped)
+            self._worker.submit(lambda: _stopped(recorder), self._on_stopped, self._on_broken)
             self.changed.emit()
 
     def mark(self, text: str, at_ns: int | None = None) -> None:
         """Put a marker or a note into the file; nothing where nothing is recorded."""
         recorder, when = self._recorder, time.time_ns() if at_ns is None else at_ns
         if recorder is not None:
-            self._jobs.run(lambda _: recorder.mark(text, when))
+            self._worker.submit(lambda: recorder.mark(text, when))
 
     def state(self) -> RecordingState | None:
         """How it goes; None while nothing is recorded. Ends a recording the disk refused."""
@@ -77,18 +77,18 @@ class Recording(QObject):
             return None
         return RecordingState(time.monotonic() - self._began, status)
 
-    def _on_started(self, done: Done) -> None:
-        if done.message:
-            self.busy, self._recorder = False, None
-            self._say("error", f"Not recording: {done.message}")
-            self.changed.emit()
+    def _on_refused(self, failed: Failed) -> None:
+        self.busy, self._recorder = False, None
+        self._say("error", f"Not recording: {failed.message}")
+        self.changed.emit()
 
-    def _on_stopped(self, done: Done) -> None:
-        status: RecorderStatus | None = done.answer
+    def _on_broken(self, failed: Failed) -> None:
+        self._say("error", failed.message)
+
+    def _on_stopped(self, status: RecorderStatus | None) -> None:
         if status is None:
-            if done.message:
-                self._say("error", done.message)
-        elif status.problem:
+            return
+        if status.problem:
             self._say("error", status.problem)
         elif status.messages:
             size = status.size_bytes / 1e6

@@ -111,8 +111,7 @@ class SensorPair(QObject):
         """One sensor again, or none; the other one's solver thread ends by itself."""
         second, self.second, self._run = self.second, None, None
         if second is not None:
-            second.worker.close(0.0)
-            self._ending = [*(each for each in self._ending if each.running), second.worker]
+            self._ending = [each for each in [*self._ending, second.worker] if not each.close(0.0)]
         if self.drawing is not None:
             self.drawing.hide()
         self._scene.place(np.eye(4), np.empty((0, 3)), None)
@@ -121,7 +120,7 @@ class SensorPair(QObject):
         """End, and wait for solver threads that have not ended."""
         self.end()
         for worker in self._ending:
-            worker.wait()
+            worker.close()
 
     # -- what the second sensor does ----------------------------------------------------------
 

@@ -1,12 +1,12 @@
-"""Undo: a setting goes from one value to another and back, whatever it is a setting of."""
+"""Undo: a step is what was set before, whatever it is a setting of."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from PySide6.QtCore import Qt, SignalInstance
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
@@ -14,8 +14,6 @@ from PySide6.QtWidgets import QWidget
 
 from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.session_state import SessionState
-
-T = TypeVar("T")
 
 GESTURE_S = 0.7
 """Changes of one number that follow each other faster are one step, as with a held mouse button."""
@@ -25,20 +23,21 @@ LAYOUT = frozenset({"panels"})
 _MERGEABLE = 1  # what Qt asks by before it offers two commands to `mergeWith`
 
 
-class Change(QUndoCommand, Generic[T]):
-    """A value that changes from `old` to `new`."""
+class Step(QUndoCommand):
+    """A change from `old` to `new`, made present by `apply`; steps of one gesture become one."""
 
     def __init__(
         self,
-        text: str,  # What the Edit menu calls it
-        apply: Callable[[T], None],  # Makes a value the present one
-        old: T,  # old, new: Values, immutable
-        new: T,
-        # Changes of one gesture (a slider that is dragged) are undone as one
-        gesture: Hashable = None,
+        history: SettingsHistory,
+        text: str,
+        apply: Callable[[Any], None],
+        old: Any,
+        new: Any,
+        gesture: Hashable,
     ) -> None:
         super().__init__(text)
-        self.apply, self.old, self.new, self.gesture = apply, old, new, gesture
+        self._history, self.apply = history, apply
+        self.old, self.new, self.gesture = old, new, gesture
 
     def id(self) -> int:
         """Same for all that may be merged."""
@@ -46,55 +45,62 @@ class Change(QUndoCommand, Generic[T]):
 
     def mergeWith(self, other: QUndoCommand) -> bool:
         """Take over what a later change of the same gesture leads to."""
-        if not isinstance(other, Change) or other.gesture != self.gesture:
+        if not isinstance(other, Step) or other.gesture != self.gesture:
             return False
         self.new = other.new
         return True
 
     def undo(self) -> None:
         """Go back."""
-        self.apply(self.old)
+        with self._history.unrecorded():
+            self.apply(self.old)
 
     def redo(self) -> None:
         """Do it, for the first time or again."""
-        self.apply(self.new)
+        with self._history.unrecorded():
+            self.apply(self.new)
 
 
 @dataclass
-class _Watched(Generic[T]):
-    """Something that can be changed, and its value when it was looked at last."""
+class _Part:
+    """Settings that are kept together, as they were when they were looked at last."""
 
     text: str
-    value: Callable[[], T]
-    apply: Callable[[T], None]
-    last: T
+    value: Callable[[], Any]
+    apply: Callable[[Any], None]
+    drags: bool
+    last: Any
 
 
 class SettingsHistory:
-    """Puts every setting the user changes on the stack: choices, range and markers."""
+    """Watches everything that can be set, and puts what differs on the stack."""
 
     def __init__(self, state: SessionState, stack: QUndoStack) -> None:
-        self._state, self._stack = state, stack
-        self._quiet = False
+        self.stack = stack
+        self._held = 0
         self._gesture, self._changed_s = 0, 0.0
-        self._choices = state.choices
-        self._watched: list[_Watched[Any]] = []
+        self._parts: list[_Part] = []
+
+        def choose(values: dict[str, Any]) -> None:
+            state.choose(**values)
+
+        self.watch("", state.choices_changed, lambda: state.choices, choose, drags=True)
         self.watch("range", state.range_changed, lambda: state.play_range, state.choose_range)
         self.watch("marker", state.markers_changed, lambda: state.markers, state.choose_markers)
-        state.choices_changed.connect(self._on_choices)
         state.source_changed.connect(self._take_all)
 
     def watch(
-        self, text: str, changed: SignalInstance, value: Callable[[], T], apply: Callable[[T], None]
+        self,
+        text: str,  # What the Edit menu calls it
+        changed: SignalInstance,  # Tells that it may have changed
+        value: Callable[[], Any],
+        apply: Callable[[Any], None],  # Makes a value the present one
+        *,
+        drags: bool = False,  # A number, which changes little by little
     ) -> None:
-        """Put changes of something else on the stack, too.
-
-        `text`: What the Edit menu calls it.
-        `changed`: Tells that it may have changed.
-        `apply`: Makes a value the present one.
-        """
-        self._watched.append(_Watched(text, value, apply, value()))
-        changed.connect(self._on_watched)
+        """Put changes of something on the stack."""
+        self._parts.append(_Part(text, value, apply, drags, value()))
+        changed.connect(lambda *_: self._look())
 
     def watch_box(self, text: str, box: QWidget) -> None:
         """Put changes of a box on the stack: of its value, text or tick, whatever the user sets."""
@@ -104,61 +110,68 @@ class SettingsHistory:
             value.write(box, new)
 
         changed = getattr(box, value.notifySignal().name().toStdString())
-        self.watch(text, changed, lambda: value.read(box), use)
+        self.watch(text, changed, lambda: value.read(box), use, drags=True)
 
     @contextmanager
     def one_step(self, text: str) -> Iterator[None]:
         """Changes in here are undone together."""
-        self._stack.beginMacro(text)
+        self._held += 1
         try:
             yield
         finally:
-            self._stack.endMacro()
-            step = self._stack.command(self._stack.index() - 1)
-            if not step.childCount():
-                step.setObsolete(True)  # nothing changed: no step
-                self._stack.undo()
+            self._held -= 1
+            self._look(text)
 
     @contextmanager
     def unrecorded(self) -> Iterator[None]:
         """Changes in here are nobody's steps."""
-        before, self._quiet = self._quiet, True
+        self._held += 1
         try:
             yield
         finally:
-            self._quiet = before
+            self._held -= 1
             self._take_all()
 
+    def push(
+        self, text: str, apply: Callable[[Any], None], old: Any, new: Any, gesture: Hashable = None
+    ) -> None:
+        """Make a value the present one, as a step of its own."""
+        self.stack.push(Step(self, text, apply, old, new, gesture))
+
     def _take_all(self) -> None:
-        self._choices = self._state.choices
-        for each in self._watched:
-            each.last = each.value()
+        for part in self._parts:
+            part.last = part.value()
 
-    def _on_watched(self) -> None:
-        for each in self._watched:
-            old, each.last = each.last, each.value()
-            if not self._quiet and each.last != old:
-                number = isinstance(old, int | float) and not isinstance(old, bool)
-                gesture = (each.text, self._present_gesture()) if number else None
-                self.push(each.text, each.apply, old, each.last, gesture)
-
-    def _on_choices(self, names: frozenset[str]) -> None:
-        before, self._choices = self._choices, self._state.choices
-        names -= LAYOUT
-        if self._quiet or not names:
+    def _look(self, text: str = "") -> None:
+        """Record what differs from the last look as one step."""
+        if self._held:
             return
-        old = {name: getattr(before, name) for name in names}
-        new = {name: getattr(self._state.choices, name) for name in names}
-        text = Choices.about("view_from" if "view_from" in names else min(names)).label
-        drags = len(names) == 1 and any(map(_is_dragged, (*old.values(), *new.values())))
-        part: Hashable = names if drags else None
-        if "compared" in names and names <= {"compared", "kappa"}:  # κ comes with what is in use
-            part = _number_compared(before.compared, self._state.choices.compared)
-        gesture = None if part is None else (part, self._present_gesture())
-        self.push(text, self._choose, old, new, gesture)
+        before, after = dict[int, Any](), dict[int, Any]()
+        for number, part in enumerate(self._parts):
+            last, part.last = part.last, part.value()
+            old, new = _ends(last, part.last)
+            if old != new:
+                before[number], after[number] = old, new
+        if before:
+            name = text or self._text(min(before), before[min(before)])
+            self.push(name, self._use, before, after, self._gesture_of(before, after))
 
-    def _choose(self, values: dict[str, Any]) -> None:
-        self._state.choose(**values)
+    def _text(self, number: int, old: Any) -> str:
+        return self._parts[number].text or Choices.about(min(old)).label
+
+    def _use(self, values: dict[int, Any]) -> None:
+        for number, value in values.items():
+            self._parts[number].apply(value)
+
+    def _gesture_of(self, before: dict[int, Any], after: dict[int, Any]) -> Hashable:
+        """Which numbers are being dragged; None where anything else has changed."""
+        numbers = set[Hashable]()
+        for part, old in before.items():
+            for path, a, b in _differences((part,), old, after[part]):
+                if not (self._parts[part].drags and (_is_number(a) or _is_number(b))):
+                    return None
+                numbers.add(path)
+        return frozenset(numbers), self._present_gesture()
 
     def _present_gesture(self) -> int:
         now, held = time.monotonic(), QGuiApplication.mouseButtons() != Qt.MouseButton.NoButton
@@ -167,32 +180,31 @@ class SettingsHistory:
         self._changed_s = now
         return self._gesture
 
-    def push(
-        self, text: str, apply: Callable[[Any], None], old: Any, new: Any, gesture: Hashable = None
-    ) -> None:
-        """Make a value the present one, as a step of its own; see `Change`."""
 
-        def quietly(value: Any) -> None:
-            with self.unrecorded():
-                apply(value)
-
-        self._stack.push(Change(text, quietly, old, new, gesture))
+def _ends(old: Any, new: Any) -> tuple[Any, Any]:
+    """Of choices only the fields that differ: others may change unrecorded."""
+    if not isinstance(old, Choices):
+        return old, new
+    names = [f.name for f in fields(old) if getattr(old, f.name) != getattr(new, f.name)]
+    before, after = ({k: getattr(one, k) for k in names if k not in LAYOUT} for one in (old, new))
+    return before, after
 
 
-def _number_compared(old: Sequence[Setting], new: Sequence[Setting]) -> Hashable:
-    """Which number of which setting differs; None where it is a name, or more than one."""
-    pairs = [
-        (number, field.name, getattr(a, field.name), getattr(b, field.name))
-        for number, (a, b) in enumerate(zip(old, new, strict=True))
-        for field in fields(Setting)
-    ]
-    parts = [(k, name, a, b) for k, name, a, b in pairs if a != b]
-    number, name, a, b = parts[0]
-    return (number, name) if len(parts) == 1 and not isinstance(a or b, str) else None
+def _differences(path: tuple[Any, ...], old: Any, new: Any) -> Iterator[tuple[Hashable, Any, Any]]:
+    """Single values that differ, by where they are."""
+    if isinstance(old, Setting):
+        old, new = vars(old), vars(new)
+    elif isinstance(old, tuple) and any(isinstance(each, Setting) for each in old):
+        old, new = dict(enumerate(old)), dict(enumerate(new))
+    if isinstance(old, dict):
+        for name in old.keys() | new.keys():
+            yield from _differences((*path, name), old.get(name), new.get(name))
+    elif old != new:
+        yield path, old, new
 
 
-def _is_dragged(value: object) -> bool:
+def _is_number(value: object) -> bool:
     """A number, or some of them: what sliders, arrows and the mouse change little by little."""
     if isinstance(value, tuple):
-        return all(isinstance(each, int | float) for each in value)
-    return isinstance(value, float)
+        return all(map(_is_number, value))
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -24,7 +24,7 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.jobs import Jobs
+from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.model.choices import POSE_CHOICES, Choices
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
@@ -225,7 +225,7 @@ class PosePanel(QWidget):
         self.setAcceptDrops(True)
         self._state, self.session = state, session
         self._curves: Curves | None = None
-        self.loading = Jobs("plots")  # Where what draws its curves is loaded
+        self.loading = Worker("plots")  # Where what draws its curves is loaded
         self.object = QComboBox()
         self.unit = control(state, "pose_unit")
         self.start = StartBoxes(state.units)
@@ -274,7 +274,7 @@ class PosePanel(QWidget):
 
     def _choose(self, name: str | None) -> None:
         """Look for an object, or for none; what draws its curves is loaded meanwhile."""
-        self.loading.run(lambda _: import_plots())
+        self.loading.submit(import_plots)
         self.session.choose(name)
 
     def _fill(self) -> None:

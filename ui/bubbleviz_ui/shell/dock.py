@@ -65,7 +65,14 @@ class Dock(QDockWidget):
             self._high = False
             window.resizeDocks([self], [self.sizeHint().height()], Qt.Orientation.Vertical)
         if visible and self._takes_all and isinstance(window, QMainWindow):
-            window.resizeDocks([self], [window.height()], Qt.Orientation.Vertical)
+            area, mine = window.dockWidgetArea(self), [self, *window.tabifiedDockWidgets(self)]
+            others = [
+                dock
+                for dock in window.findChildren(QDockWidget)
+                if window.dockWidgetArea(dock) == area and dock not in mine and dock.isVisible()
+            ]
+            heights = [window.height(), *(1 for _ in others)]
+            window.resizeDocks([self, *others], heights, Qt.Orientation.Vertical)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:

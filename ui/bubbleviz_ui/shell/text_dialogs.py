@@ -20,8 +20,8 @@ from PySide6.QtWidgets import (
 from bubbleviz.api.frames import info
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.jobs import Done, Jobs
 from bubbleviz_ui.engine.solver import RecordingOpener
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.sensor.sensor_panel import title_text
 from bubbleviz_ui.shell.dock import fill
@@ -73,7 +73,7 @@ class MessagesDialog(TextDialog):
 class InformationDialog(TextDialog):
     """What `bubbleviz info` says of the recording that is open, or what a live source is."""
 
-    def __init__(self, parent: QWidget, controller: Controller, jobs: Jobs) -> None:
+    def __init__(self, parent: QWidget, controller: Controller, worker: Worker) -> None:
         super().__init__(parent, "Information", "All lines, as bubbleviz info prints them")
         self.text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self.text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
@@ -83,16 +83,16 @@ class InformationDialog(TextDialog):
         if isinstance(opener, RecordingOpener):
             path = opener.path
             self.text.setPlaceholderText("Reading the recording…")
-            jobs.replace(lambda _: info(path).to_text(), self._on_read)
-            self.finished.connect(jobs.cancel)
+            worker.submit(lambda: info(path).to_text(), self._write, self._on_failed)
+            self.finished.connect(worker.cancel)
         elif facts is not None and facts.nothing:
             self._write("Nothing is open.")
         elif facts is not None:
             so_far = " so far" if facts.grows else ""
             self._write(f"Source: {facts.title}, {count_of(facts.frames, 'frame')}{so_far}")
 
-    def _on_read(self, done: Done) -> None:
-        self._write(done.message or done.answer)
+    def _on_failed(self, failed: Failed) -> None:
+        self._write(failed.message)
 
     def _write(self, text: str) -> None:
         self.text.setPlainText(f"{self._sensor}\n{text}")
