@@ -62,8 +62,8 @@ def object_mesh(
     size = float(np.ptp(vertices, axis=0).max())
     if size > LARGEST_M:
         raise InputError(
-            f"{path}: the object is {size:.4g} m long; is it in millimetres?"
-            " scale it, or end its name in _mm"
+            f"{path}: the object is {size:.4g} m long; if the file is in millimetres, set its "
+            "unit to mm (--unit mm) or let its name end in _mm"
         )
     if size < SMALLEST_M:
         advice = "its name ends in _mm but is it in metres?" if in_mm else "is it in kilometres?"

@@ -262,7 +262,7 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
         def copied(name: str) -> str:
             there, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)
             if not there.is_file():
-                raise InputError(f"{there}: is not there any more; put it back or identify anew")
+                raise InputError(f"{there}: is missing; restore it or identify the sensor again")
             shutil.copyfile(there, files.enter_context(whole_file(copy, overwrite=overwrite)))
             return copy.name
 

@@ -187,10 +187,10 @@ def test_a_truncated_recording_through_the_real_command(recording):
     command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
     whole = recording.read_bytes()
     opened = told(whole[:-40])  # its index is lost, no chunk
-    assert opened.returncode == 0 and "behind it are lost" in opened.stdout
+    assert opened.returncode == 0 and "after it are lost" in opened.stdout
     refused = told(whole[:200])
     assert refused.returncode == 2 and refused.stdout == ""
-    assert refused.stderr.count("\n") == 1 and "cut off before its first message" in refused.stderr
+    assert refused.stderr.count("\n") == 1 and "ends before its first message" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ class BatchSummary(Summary):
         """Aligned table with units, errors, and the path of the table."""
         kept = sum(row.outcome == "kept" for row in self.rows)
         have = sum(row.has_result for row in self.rows)
-        was = f", {kept} of them kept from before" if kept else ""
+        was = f", {kept} of them from an earlier run" if kept else ""
         return "\n".join(
             [
                 table(_HEADER, [row.cells() for row in self.rows]),

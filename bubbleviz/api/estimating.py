@@ -167,7 +167,7 @@ def estimate(
         how |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
         return _watched(frames, sensor, timeout_s, out, csv, **how)
     if csv is not None and out is None:
-        raise InputError(f"{csv}: is written together with RESULT.npz; give out, too")
+        raise InputError(f"{csv}: a CSV is written only together with RESULT.npz; give out as well")
     _check_outputs(out, csv, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
@@ -413,8 +413,8 @@ def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
 
     if not isinstance(frames.source, Recording):
         raise InputError(
-            f"{frames.name}: shear needs the colour images of a recording; save the frames and "
-            "open that file"
+            f"{frames.name}: shear needs a recording with colour images; record the source to a "
+            "file and open that"
         )
     source = frames.source
     return watch_recorded_texture(
@@ -432,8 +432,8 @@ def _camera_warning(pipeline: Pipeline) -> str:
         return ""
     there, own = model.camera.intrinsics.fx, model.sensor.camera.fx
     return (
-        f"the camera info has fx {there:.1f}, the sensor file {own:.1f} pixels, which moves depth "
-        f"by {1e3 * moved:.2f} mm: choose the sensor file of this camera"
+        f"the recording's camera info has fx = {there:.1f} pixels but the sensor file {own:.1f}, "
+        f"which shifts depth by {1e3 * moved:.2f} mm; choose the sensor file of this camera"
     )
 
 
@@ -449,7 +449,7 @@ def _check_any_data(run: Run, seen: bool) -> None:
         )
     if "not_converged" in statuses:
         raise InputError(
-            f"{name}: no frame could be solved; compare with --solver linear, and check tension "
+            f"{name}: no frame could be solved; try --solver linear, and check tension "
             "and prestretch in the sensor file"
         )
     if not seen:

@@ -97,8 +97,8 @@ class Estimator:
     ) -> None:
         if str(sensor) == AUTO:
             raise InputError(
-                f"sensor {AUTO}: an Estimator does not know the images yet; give a sensor file or "
-                "preset"
+                f"sensor {AUTO}: needs a recording to choose the sensor by; give Estimator a "
+                "sensor file or preset"
             )
         start = parse_pose(init) if isinstance(init, str) else init
         self._followed = None if object is None else (load_object(object, unit), start)
@@ -161,7 +161,10 @@ class Estimator:
         """
         if isinstance(depth, Frame):
             if any(each is not None for each in (gas_pressure_pa, colour, time_s)):
-                raise InputError("a Frame contains gas pressure, colour and time; give no others")
+                raise InputError(
+                    "a Frame already contains gas pressure, colour and time; leave those "
+                    "arguments out"
+                )
             frame, lens = depth, depth.intrinsics
             if not self._count and lens not in (None, self._pipeline.camera.intrinsics):
                 self._build(lens)
@@ -190,7 +193,7 @@ class Estimator:
             )
         for name, value in (("gas_pressure_pa", gas_pressure_pa), ("time_s", time_s)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
-                raise InputError(f"{name}: a number, or None, is expected; this is {value!r}")
+                raise InputError(f"{name}: expected a number or None, got {value!r}")
         known_pa = self._pipeline.model.gas.P0
         if gas_pressure_pa is not None and not 0.5 < gas_pressure_pa / known_pa < 2.0:
             raise InputError(
@@ -286,7 +289,7 @@ class FrameSolver:
             return ""
         return (
             f"depth has drifted by {1e3 * off_m:+.2f} mm since the calibration; forces are "
-            "corrected for that. Let the camera warm up, or identify anew"
+            "corrected for that. Let the camera warm up, or identify the sensor again"
         )
 
     def gas_warning(self, where: str) -> str:

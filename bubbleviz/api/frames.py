@@ -254,7 +254,7 @@ class RecordingInfo(Summary):
         shown = ", ".join(map(str, self.bad_frames[:20]))
         more = len(self.bad_frames) - 20
         which = shown + (f" and {more} more" if more > 0 else "")
-        return f"{len(self.bad_frames)} without an image, which have no data: {which}"
+        return f"{len(self.bad_frames)} without a depth image: {which}"
 
     def _gaps_text(self) -> str:
         if not self.gaps:
@@ -282,7 +282,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
             return info(opened)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
-        raise InputError(f"{source.name}: is not a recording; save it first")
+        raise InputError(f"{source.name}: not a recording; record it to a file first")
     times = source.times_s
     gaps, period = find_gaps(times), usual_step(np.diff(times))
     pressures = source.gas_pressures_pa()

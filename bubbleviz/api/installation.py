@@ -94,7 +94,7 @@ def _libraries() -> dict[str, str]:
     try:
         asked_for = metadata.requires("bubbleviz") or ()
     except metadata.PackageNotFoundError:
-        return {"bubbleviz": "not installed, but run from a folder"}
+        return {"bubbleviz": "not installed; run from a folder"}
     found = {}
     for needed in asked_for:
         name = re.split(r"[^\w.-]", needed)[0]

@@ -232,7 +232,8 @@ def publish(
     topics = live.topics
     if wait and not topics:
         raise InputError(
-            f"--source {source}: its topics are not known before its messages; leave out --wait"
+            f"--source {source}: this source cannot list its topics before the first message; "
+            "leave out --wait"
         )
     with (
         stopped_by_signals() as stop,

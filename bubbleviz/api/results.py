@@ -221,7 +221,7 @@ class FrameResult:
     def __repr__(self) -> str:
         found = f"<frame {self.index} at {self.time_s:.3f} s: {self.status}"
         if not self.estimate.trusted:
-            return f"{found}, {self.estimate.reason or 'no number to trust'}>"
+            return f"{found}, {self.estimate.reason or 'not trusted'}>"
         force, area = float(np.linalg.norm(self.force_n)), 1e6 * self.patch_area_m2
         return f"{found}, {force:.3g} N on {area:.0f} mm²>"
 
@@ -491,7 +491,7 @@ def load_run(path: str | Path) -> Run:
         raise InputError(
             f"{path}: not a RESULT.npz of bubbleviz estimate ({error}); choose one"
         ) from error
-    lost = "traction and slip are in the file, not in this run"
+    lost = "traction and slip are not loaded into a run; read them from the file"
     said = {
         "recording": str(path),
         "sensor": sensor.name,

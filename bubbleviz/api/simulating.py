@@ -170,7 +170,9 @@ def simulate(
             elif poses.ndim == 2:
                 poses = np.repeat(poses[None], frames, axis=0)
         if moved:
-            raise InputError("drag and twist need one pose to press to; a path has its own motion")
+            raise InputError(
+                "drag and twist follow a press to a single pose; leave them out with a path"
+            )
         source = SyntheticSource(
             sensor,
             obj,

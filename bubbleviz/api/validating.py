@@ -75,19 +75,19 @@ class ValidationSummary(Summary):
         turn = found.rotation_rad
         sizes = np.linalg.norm([turn.value, turn.half_width], axis=1)
         angle = Interval(*np.degrees(sizes))
-        spin = "" if found.spin_known else ", about the force itself not determined"
+        spin = "" if found.spin_known else ", not determined about the force direction"
         lines = [
             f"compared    {count_of(len(found.time_s), 'frame')}, presses: {found.presses}",
-            f"force       {_largest(found.estimate_n):.2f} N estimated at most,"
-            f" {_largest(found.measured_n):.2f} N measured",
+            f"force       {_largest(found.estimate_n):.2f} N largest estimate,"
+            f" {_largest(found.measured_n):.2f} N largest measurement",
             f"gain        {_with_interval(found.gain)}, estimate over measured",
             f"bias        {bias} N of the wrench sensor, in its axes",
             f"rotation    {_with_interval(angle)}°{spin}",
             f"delay       {_with_interval(found.delay_s, 1e3)} ms, estimate after measured",
             f"hysteresis  {_with_interval(found.hysteresis_n, unit=' N')}",
-            f"rmse        {found.rmse_n:.2f} N after this fit, {found.size_rmse_n:.2f} N between"
-            " the sizes without a gain",
-            "Intervals: 95 %. Nothing of this is applied.",
+            f"rmse        {found.rmse_n:.2f} N after this fit; {found.size_rmse_n:.2f} N between "
+            "the force magnitudes, gain not applied",
+            "Intervals: 95 %. The sensor file is not changed.",
         ]
         return "\n".join([*lines, *([f"wrote {self.out}"] if self.out else [])])
 

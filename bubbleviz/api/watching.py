@@ -122,7 +122,9 @@ class WatchSummary(Summary):
                 f"{1e3 * self.latency_p95_s:.1f} ms p95"
             )
         if self.pressure_offset_pa is not None:
-            lines.append(f"zero     {self.pressure_offset_pa:+.1f} Pa taken from the gas pressure")
+            lines.append(
+                f"zero     {self.pressure_offset_pa:+.1f} Pa subtracted from the gas pressure"
+            )
         return "\n".join(lines)
 
 

@@ -26,7 +26,7 @@ def check_rows(width: int, height: int, step: int, pixel_bytes: int, size: int) 
     if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
         raise ValueError(f"image size {width}×{height} is not plausible")
     if step < width * pixel_bytes or height * step > size:
-        raise ValueError(f"{size} bytes with a row step of {step} are no {width}×{height} image")
+        raise ValueError(f"{size} bytes with a row step of {step} are not a {width}×{height} image")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class EncodedImage:
         try:
             image = Image.open(io.BytesIO(self.data), formats=("JPEG", "PNG"))
         except UnidentifiedImageError as error:
-            raise ValueError(f"the data are no {self.encoding}") from error
+            raise ValueError(f"the data are not {self.encoding}") from error
         if max(image.size) > MAX_SIDE:
             raise ValueError(f"image size {image.width}×{image.height} is not plausible")
         if image.mode.startswith("I") or image.mode == "F":

@@ -59,7 +59,7 @@ class OneLineErrors(click.Group):
             library = (error.name or "").split(".")[0]
             if library not in WINDOW_LIBRARIES:
                 raise
-            _fail(f"{library}, a library of the window, {INSTALL}", 2)
+            _fail(f"{library}, which the window needs, {INSTALL}", 2)
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else "bubbleviz"
             _fail(f"{_in_one_line(error)}; see {command} --help", 2)

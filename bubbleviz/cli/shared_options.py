@@ -95,13 +95,18 @@ def out_option(says: str, *, required: bool = True) -> Callable[[_F], _F]:
 def publish_options(command: _F) -> _F:
     """Options of publishing over Zenoh, with the files of its `Credentials`."""
     for name, metavar, says in (
-        ("login", "FILE", "File of lines user:password: those let in, or the one to connect with."),
+        (
+            "login",
+            "FILE",
+            "File with lines user:password: the accounts that may connect, or the one to log in "
+            "with.",
+        ),
         ("key", "FILE", "Private key of --cert."),
         ("cert", "FILE", "Own certificate, for tls/HOST:PORT."),
         (
             "ca",
             "FILE",
-            "Certificate of the authority that signed the other side's, for tls/HOST:PORT.",
+            "Certificate of the authority that signed the peer's certificate, for tls/HOST:PORT.",
         ),
         ("connect", "ENDPOINT", "Publish through this router."),
         (

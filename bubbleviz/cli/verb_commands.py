@@ -163,7 +163,7 @@ def estimate(
 @option(
     "--object-patch",
     is_flag=True,
-    help="Also the area of the patch where the object at its pose touches.",
+    help="Also find the patch area from the object at its pose.",
 )
 @out_option("Poses, POSES.csv.")
 @json_option
@@ -228,7 +228,7 @@ def export(
 @option(
     "--metres-per-unit",
     type=click.FloatRange(0.0, min_open=True),
-    help="Unit of depth in the images, m; by default 0.001 for whole numbers, 1 for others.",
+    help="Depth of a pixel value of 1, m; by default 0.001 for integers, 1 for floats.",
 )
 @option("--overwrite", is_flag=True, help="Replace existing files.")
 @json_option
@@ -267,7 +267,7 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
     "--level-sigma",
     type=click.FloatRange(min=0.0),
     metavar="PA",
-    help="σ of the gas pressure between levels, Pa; 1 % of the largest gauge pressure if left.",
+    help="σ of the gas pressure between levels, Pa; by default 1 % of the largest gauge pressure.",
 )
 @option(
     "--vented",
@@ -277,10 +277,10 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
 @option(
     "--held-press/--no-held-press",
     default=True,
-    help="Without levels, find λ and gauge pressure from a press held in REC (default).",
+    help="Without levels, find λ and gauge pressure from a press held still in REC (default).",
 )
 @former("--press/--no-press", "held_press", default=True)
-@option("--object", help="Known object pressed in REC, to validate by: mesh file or preset.")
+@option("--object", help="Known object pressed in REC, for validation: mesh file or preset.")
 @option("--pose", help='Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).')
 @option("--pressed", metavar="A:B", help="Frames A to B−1 in which the object is held still.")
 @json_option

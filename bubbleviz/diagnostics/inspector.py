@@ -155,7 +155,7 @@ def _image(name: str, result: Result, model: SensorModel) -> np.ndarray | None:
 
 def _no_flow(pipeline: Pipeline, result: Result) -> str:
     if result.flow is not None:
-        return result.flow.problem or "nothing of the texture is found again"
+        return result.flow.problem or "none of the texture could be matched"
     if result.frame.find_colour is None:
         return result.frame.no_colour
     return "" if pipeline.flow_of is None else "no colour image at this time"

@@ -172,11 +172,11 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     if not exists(path) or not path.is_file():
         raise InputError(f"{path}: no such mesh file; check the path")
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: not a mesh format this reads; give {', '.join(SUFFIXES)}")
+        raise InputError(f"{path}: unsupported mesh format; give {', '.join(SUFFIXES)}")
     with damage(path, "the mesh", "export it again"):
         vertices, triangles = _read(path)
         if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
-            raise ValueError("a triangle names a vertex that is not there")
+            raise ValueError("a triangle refers to a missing vertex")
     if not len(triangles):
         raise InputError(f"{path}: holds no triangles; export a surface mesh")
     wrong = np.flatnonzero(~(np.abs(vertices) < FARTHEST).all(axis=1))
@@ -210,7 +210,7 @@ def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
         words = [line.split() for line in data.splitlines()]
         vertices = np.array([each[1:4] for each in words if each[:1] == [b"vertex"]], np.float64)
     else:
-        raise ValueError(f"{len(data)} bytes are no STL of {count} triangles")
+        raise ValueError(f"{len(data)} bytes are not an STL file of {count} triangles")
     with np.errstate(invalid="ignore"):  # NaN, which is told later
         vertices = vertices.astype(np.float64).reshape(-1, 3)
     if len(vertices) % 3:
@@ -231,7 +231,7 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
             corners = [k - 1 if k > 0 else len(vertices) + k for k in named]
             triangles += [(corners[0], *pair) for pair in pairwise(corners[1:])]
     if any(len(vertex) < 3 for vertex in vertices):
-        raise ValueError("a vertex has less than three coordinates")
+        raise ValueError("a vertex has fewer than three coordinates")
     return np.array(vertices).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
 
 
@@ -281,7 +281,7 @@ def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
     places, place = np.unique(vertices, axis=0, return_inverse=True)
     tree = cKDTree(places)
     if tree.count_neighbors(tree, radius) > _MOST_NEAR * len(places):  # counted without a list
-        raise ValueError("many of its vertices are nearly, but not quite, at one place")
+        raise ValueError("many of its vertices nearly coincide")
     pairs = tree.query_pairs(radius, output_type="ndarray")
     n = len(places)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))

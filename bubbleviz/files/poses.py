@@ -116,7 +116,9 @@ def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
     except ValueError as error:
         raise InputError(f"{path}: time_s: {error}; give seconds") from None
     if not (np.abs(times) < LATEST_S).all():
-        raise InputError(f"{path}: time_s: no times within 68 years of 1970; give seconds")
+        raise InputError(
+            f"{path}: time_s: implausible times; give seconds since 1970 or since the start"
+        )
     if not (np.diff(times) > 0.0).all():
-        raise InputError(f"{path}: time_s does not grow from line to line; correct it")
+        raise InputError(f"{path}: time_s does not increase from line to line; correct it")
     return times - times[0]

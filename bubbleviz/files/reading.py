@@ -53,13 +53,13 @@ def read_npy(file: IO[bytes], size: int) -> np.ndarray:
         warnings.simplefilter("ignore")  # of headers written by Python 2
         version = np.lib.format.read_magic(file)
         if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"version {version[0]}.{version[1]} of the format is not read")
+            raise ValueError(f"version {version[0]}.{version[1]} of the format is not supported")
         header = "read_array_header_1_0" if version == (1, 0) else "read_array_header_2_0"
         shape, _, dtype = getattr(np.lib.format, header)(file)
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > min(size, MOST_BYTES):
         raise ValueError(f"shape {shape} is more than it holds")
     if dtype.kind not in "biufUS":
-        raise ValueError(f"values of {dtype} are no plain numbers")
+        raise ValueError(f"values of {dtype} are not plain numbers")
     file.seek(0)
     return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
@@ -85,7 +85,7 @@ def plain_numbers(array: Any) -> np.ndarray:
     """An array of real numbers as float64, in this computer's byte order; ValueError of others."""
     array = np.asarray(array)
     if array.dtype.kind not in "biuf":
-        raise ValueError(f"values of {array.dtype} are no numbers")
+        raise ValueError(f"values of {array.dtype} are not numbers")
     return array.astype(np.float64)
 
 

@@ -48,9 +48,9 @@ ESTIMATORS = (RUBBER, LINEAR, PAPER, *BASE_MESH)
 SOLVER_NAMES = (*ESTIMATORS, "fast")
 """Names for `EstimatorOptions.named`; `fast` is the linear model on a coarse mesh."""
 DROPPED = {
-    "osqp": "since 0.3 it is called paper; use paper",
-    "osqp-cold": "since 0.3 it is called paper; use paper",
-    "clarabel": "it is gone since 0.3; use linear, which solves the same problem",
+    "osqp": "it was renamed to paper in 0.3; use paper",
+    "osqp-cold": "it was renamed to paper in 0.3; use paper",
+    "clarabel": "it was removed in 0.3; use linear, which solves the same problem",
 }
 """What became of solvers of version 0.2."""
 
@@ -158,7 +158,7 @@ class Estimator:
         if len(self.mesh.nodes) > MAX_NODES:
             raise InputError(
                 f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
-                f"use at most {MAX_NODES}, the noise hides what 3,000 cannot resolve"
+                f"use at most {MAX_NODES}, as noise hides what 3,000 cannot resolve"
             )
         self.observer, self.bubble = observer, bubble
         self.options = options or EstimatorOptions()

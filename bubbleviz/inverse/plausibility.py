@@ -38,11 +38,11 @@ STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
         "no_data": "too few depth pixels lie on the membrane",
         "not_converged": "no equilibrium was found",
-        "implausible": "depths are not near this membrane: another sensor, or other units",
+        "implausible": "depths are far from this membrane: wrong sensor file or depth unit?",
     }
 )
 """Reason of a status where nothing more is known."""
-GAS_CONTRADICTS = "the shape asks for another gas pressure than was measured"
+GAS_CONTRADICTS = "the measured gas pressure does not fit the measured shape"
 
 
 def reason_against_gas(change_pa: float, gas: Gas) -> str:
@@ -50,8 +50,8 @@ def reason_against_gas(change_pa: float, gas: Gas) -> str:
     if gas.lowest_change_pa <= change_pa <= gas.highest_change_pa:
         return ""
     return (
-        f"gas pressure is {1e-3 * change_pa:+.1f} kPa off the sensor file's, more than the membrane"
-        " can change it"
+        f"gas pressure differs from the sensor file by {1e-3 * change_pa:+.1f} kPa, more than "
+        "contact can change it"
     )
 
 
@@ -67,11 +67,13 @@ def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
         Size of the membrane, m.
     """
     if misfit.rms_m > IMPLAUSIBLE_SHARE * size_m:
-        return f"depths are {1e3 * misfit.rms_m:.0f} mm off any shape of this membrane"
+        return f"depths are {1e3 * misfit.rms_m:.0f} mm from any shape that this membrane can take"
     if misfit.deviations > IMPLAUSIBLE_MISFIT:
-        return f"depths are {misfit.deviations:.0f} σ off any shape of this membrane"
+        return f"depths are {misfit.deviations:.0f} σ from any shape that this membrane can take"
     clumped = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
-    return "residuals are not the white noise of the sensor file" if white and clumped else ""
+    return (
+        "residuals are not white, unlike the noise in the sensor file" if white and clumped else ""
+    )
 
 
 def gas_sigma(gas: Gas, measured_pa: float) -> float:

@@ -396,7 +396,9 @@ def _bad_stamp(message: Message) -> str:
     if message.stamp_ns == 0:
         return "no time stamp"
     off = (message.stamp_ns - message.arrival_ns) * 1e-9
-    return f"time stamp {_span(abs(off))} {'ahead of' if off > 0 else 'behind'} this clock"
+    return (
+        f"time stamp {_span(abs(off))} {'ahead of' if off > 0 else 'behind'} this computer's clock"
+    )
 
 
 def _span(seconds: float) -> str:

@@ -162,7 +162,7 @@ def parse_uri(text: str) -> SourceUri:
         parts = urlsplit(text, allow_fragments=False)
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)
     except ValueError as error:
-        raise _refusal(text, f"{error}; write name=value&name=value") from error
+        raise _refusal(text, f"{error}; write options as name=value&name=value") from error
     if parts.scheme not in _SCHEMES:
         examples = ", ".join(example for _, example in _SCHEMES.values())
         raise _refusal(text, f"begin with one of {examples}")
@@ -183,7 +183,7 @@ def _first_problem(error: ValidationError, model: type[SourceOptions], scheme: s
     name = str(problem["loc"][0])
     options = model.model_json_schema()["properties"]
     if name not in options:
-        return f"{name}: no such option of {scheme}; there are {', '.join(sorted(options))}"
+        return f"{name}: {scheme} has no such option; choose from {', '.join(sorted(options))}"
     may_be = options[name].get("anyOf", [options[name]])[0]
     if "enum" in may_be:
         what = f"choose one of {', '.join(may_be['enum'])}"

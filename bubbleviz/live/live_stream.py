@@ -357,7 +357,7 @@ class LiveStream:
         if not topic:
             return NO_COLOUR
         if not self._colour_followers:
-            return "colour images were not asked for when this frame came"
+            return "colour images were not yet subscribed to when this frame arrived"
         return f"waiting for colour images on {topic}"
 
     def _put(self, frames: list[Frame]) -> None:

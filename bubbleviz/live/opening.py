@@ -87,7 +87,7 @@ def _synthetic(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 
 def _replay(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
     if not uri.place:
-        raise uri.refusal("name the recording, replay:REC")
+        raise uri.refusal("give the recording: replay:REC")
     return Replay(uri.place, speed=uri.options.speed, loop=uri.options.loop)
 
 
@@ -140,7 +140,7 @@ def sensor_for_source(
     if uri.scheme == "synthetic":  # any sensor fits: it is what is simulated
         return SYNTHETIC_SENSOR
     if uri.scheme == "realsense":
-        raise uri.refusal("its images have the size that the sensor file asks for; give --sensor")
+        raise uri.refusal("the camera needs the image size of a sensor file; give --sensor")
     with open_stream(text, load_sensor(SYNTHETIC_SENSOR), any_size=True) as stream:
         first = stream.first_frame(patience_s, lambda: waiting(stream), camera_s=0.0)
     height, width = first.depth_m.shape

@@ -205,7 +205,7 @@ class _Session:
         """What the file has in spite of a failed write, in words."""
         kept = self._file.kept
         if not kept.messages:
-            return "nothing could be kept, as there was no room for a megabyte"
+            return "nothing was saved, as less than 1 MB of disk space was free"
         return (
             f"its first {kept.duration_s:.1f} s are in the file, "
             f"{count_of(kept.messages, 'message')}, {1e-6 * kept.size_bytes:.1f} MB"

@@ -47,7 +47,9 @@ class Replay(LiveSource):
         ]
         if not any(len(stream) for stream in self._streams if stream.topic.type in TYPES):
             self._bag.close()
-            raise InputError(f"{path}: has none of the messages used here; see bubbleviz info")
+            raise InputError(
+                f"{path}: contains no messages that bubbleviz uses; see bubbleviz info"
+            )
         self.topics = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
 
     def stop(self) -> None:

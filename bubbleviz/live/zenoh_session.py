@@ -56,7 +56,7 @@ class Credentials:
 def _first_login(file: str) -> dict[str, str]:
     user, found, password = Path(file).read_text(encoding="utf-8").partition("\n")[0].partition(":")
     if not found:
-        raise InputError(f"{file}: its first line is no user:password; write one")
+        raise InputError(f"{file}: the first line is not user:password; correct it")
     auth = "transport/auth/usrpwd"
     return {f"{auth}/user": user.strip(), f"{auth}/password": password.strip()}
 
@@ -115,7 +115,10 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
         return _other_side(error, host, given)
     with secure:
         if secure.getpeercert(binary_form=True) in context.get_ca_certs(binary_form=True):
-            return f"the certificate of {host} is the authority's own; have it sign another"
+            return (
+                f"the certificate of {host} is the authority's own; use a server certificate that "
+                "it signed"
+            )
         try:
             secure.recv(1)  # who misses our certificate says so only after the handshake
         except ssl.SSLError as error:
@@ -127,28 +130,28 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
 
 def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credentials) -> str:
     if error.verify_code in UNTRUSTED:
-        signer = f"ca={given.ca}" if given.ca else "an authority that this system knows"
+        signer = f"ca={given.ca}" if given.ca else "an authority that this computer trusts"
         return f"the certificate of {host} is not signed by {signer}; check ca="
     what = error.verify_message.rstrip(".")
-    return f"the certificate of {host} does not hold: {what}; check the host name and the clocks"
+    return f"the certificate of {host} is not valid: {what}; check the host name and both clocks"
 
 
 def _other_side(error: OSError, host: str, given: Credentials) -> str:
     reason = str(getattr(error, "reason", "")).replace("_", " ").lower()
     if "alert" not in reason:
-        return f"{host} does not answer encrypted; write tcp/ for tls/"
+        return f"{host} does not use encryption; use tcp/ instead of tls/"
     if given.cert is None:
         return f"{host} asks for a certificate of this computer; give cert= and key= ({reason})"
     return f"{host} does not accept cert={given.cert}; have its authority sign it ({reason})"
 
 
 def _login(place: str, given: Credentials, encrypted: bool) -> str:
-    text = f"{place} answers and accepts no session"
+    text = f"{place} answers but refuses the session"
     if given.login:
         text += f"; check user and password in login={given.login}"
     else:
-        text += "; it may ask for user and password, give login="
-    return text if encrypted else f"{text}; or it is encrypted, write tls/"
+        text += "; if it requires user and password, give login="
+    return text if encrypted else f"{text}; if it requires encryption, use tls/"
 
 
 ROUTER = "tcp/127.0.0.1:7447"  # where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen
@@ -257,7 +260,9 @@ def _no_session(options: SessionOptions, error: Exception) -> InputError:
     text = str(error).split(" at /")[0]
     quoted = re.search(r'msg: "(.*?)"?\}?\)?$', text)
     reason = (quoted.group(1) if quoted else text).strip().rstrip("!.")[:160]
-    return InputError(f"{options.text}: no Zenoh session ({reason}); give a place like {ROUTER}")
+    return InputError(
+        f"{options.text}: no Zenoh session ({reason}); give an address such as {ROUTER}"
+    )
 
 
 # How ROS 2 topics are named in Zenoh, in the two ways that are in use.

@@ -91,7 +91,7 @@ class ZenohSource(LiveSource):
         for name in (names.depth, names.info, names.pressure, names.wrench, names.colour):
             if name is not None and not is_topic("/" + name.strip("/")):
                 raise InputError(
-                    f"{self.name}: {name!r} is no name of a topic; give one such as /bubble/depth"
+                    f"{self.name}: {name!r} is not a topic name; give one such as /bubble/depth"
                 )
 
     def stop(self) -> None:

@@ -89,7 +89,7 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
     if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-6 or (
         np.linalg.det(pose[:3, :3]) < 0.0
     ):
-        raise InputError("pose T_B_O: its 3×3 part is no rotation; give a rigid transform")
+        raise InputError("pose T_B_O: its 3×3 part is not a rotation; give a rigid transform")
     if np.abs(pose[:3, 3]).max() > 10.0:
         raise InputError(
             f"pose T_B_O: {np.abs(pose[:3, 3]).max():.4g} m away; is it in millimetres? use metres"

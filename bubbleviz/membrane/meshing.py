@@ -418,7 +418,7 @@ def _check_triangles(nodes: np.ndarray, triangles: np.ndarray) -> None:
         t = index[count > 1][0]
         raise InputError(
             f"the triangle with nodes {_list(triangles[t])} at {_place(corners[t].mean(axis=0))}"
-            " stands twice; remove duplicate faces"
+            " occurs twice; remove duplicate faces"
         )
 
 
@@ -490,7 +490,7 @@ def _oriented(triangles: np.ndarray, first: np.ndarray, second: np.ndarray) -> n
     _, label = connected_components(graph, directed=False)
     kept = label[:m] == label[0]
     if (kept & (label[m:] == label[0])).any():
-        raise InputError("the surface has only one side (a Möbius band); repair the mesh")
+        raise InputError("the surface is not orientable (a Möbius band); repair the mesh")
     return np.where(kept[:, None], triangles, triangles[:, [0, 2, 1]])
 
 

@@ -118,7 +118,7 @@ class Prestress:
         curvature = mean_curvature(mesh)
         if not curvature > 0.0:
             raise InputError(
-                "reference surface: flat or hollow, so that no tension holds its gauge pressure"
+                "reference surface: flat or concave, so no tension can balance the gauge pressure"
             )
         disc = disc_map(mesh)
         unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc, degree)
@@ -228,8 +228,8 @@ def _virtual_displacements(mesh: MembraneMesh, disc: np.ndarray, degree: int) ->
     ways = zernike(at, degree) * (1.0 - np.einsum("ij,ij->i", at, at))[:, None]
     if len(ways) < ways.shape[1]:
         raise InputError(
-            f"mesh: {len(ways)} nodes inside the rim do not determine the stress of rubber; use a"
-            " mesh of 100 nodes or more"
+            f"mesh: {len(ways)} nodes inside the rim are too few to determine the rubber's "
+            "stress; use a mesh of 100 nodes or more"
         )
     out = np.zeros((len(mesh.nodes), ways.shape[1]))
     out[mesh.free] = np.linalg.qr(weight * ways)[0] / weight

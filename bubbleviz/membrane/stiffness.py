@@ -68,7 +68,10 @@ def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
     """
     area, bending = area_and_bending(mesh)
     if not bending > 0.0:
-        raise InputError("reference surface: flat or hollow, so no tension holds it; inflate it")
+        raise InputError(
+            "reference surface: flat or concave, so no tension can balance the gauge pressure; "
+            "inflate it"
+        )
     return gauge_pressure_pa * area / bending
 
 

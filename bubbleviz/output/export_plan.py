@@ -72,9 +72,11 @@ class ExportPlan:
                 )
             plan = replace(plan, kinds=(kind,), is_folder=False)
         elif out.suffix.lower() == ".mp4":
-            raise InputError(f"{out}: a video of the view is written by the window; open it there")
+            raise InputError(
+                f"{out}: videos are exported from the window; open the recording there"
+            )
         elif out.suffix.lower() in _SERIES_SUFFIXES:
-            raise InputError(f"{out}: a series is a folder of files; give a name without suffix")
+            raise InputError(f"{out}: a series of files needs a folder; give a name without suffix")
         elif not kinds:
             raise InputError(
                 f"{out}: what to export? Give a file that ends in .csv, .parquet, .png, .svg or "
@@ -110,5 +112,5 @@ def _kinds(what: Sequence[str]) -> tuple[str, ...]:
     """Kinds asked for, once each, in their own order."""
     asked = {kind for word in what for kind in _SEVERAL.get(word, (word,))}
     for kind in sorted(asked - set(KINDS)):
-        raise InputError(f'--what "{kind}": unknown; choose of {", ".join((*KINDS, *_SEVERAL))}')
+        raise InputError(f'--what "{kind}": unknown; choose from {", ".join((*KINDS, *_SEVERAL))}')
     return tuple(kind for kind in KINDS if kind in asked)

@@ -64,7 +64,7 @@ class Mp4Writer:
     def finish(self) -> None:
         """Let the encoder write its last pictures."""
         if self._encoder is None:
-            raise InputError(f"{self._path}: no picture to make a video of; choose some frames")
+            raise InputError(f"{self._path}: no frames to make a video of; choose some")
         try:
             self._encoder.communicate()
         except OSError as error:

@@ -25,7 +25,8 @@ def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     if size > _LARGEST * bubble:
         raise InputError(
             f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; "
-            "is it in millimetres? scale it, or end its file name in _mm"
+            "if the file is in millimetres, set its unit to mm (--unit mm) or let its name end "
+            "in _mm"
         )
 
 

@@ -71,7 +71,7 @@ class Bag:
             raise
         if not any(topic.count for topic in self.topics):
             self.close()
-            what = "was cut off before its first message" if self.note else "has no messages"
+            what = "ends before its first message" if self.note else "has no messages"
             raise InputError(f"{self.path}: the recording {what}; record it again")
 
     def close(self) -> None:
@@ -121,10 +121,10 @@ class Bag:
             )
         storage = McapStorage(self._open_files.enter_context(file.open("rb")))
         if storage.is_cut:
-            lost = f"; {storage.lost_bytes / 1e3:.3g} kB behind it are lost"
+            lost = f"; {storage.lost_bytes / 1e3:.3g} kB after it are lost"
             self.note = self.note or (
-                f"{file.name} ends early, as when recording or copying is cut off: it is here up "
-                f"to its last whole chunk{lost if storage.lost_bytes else ''}"
+                f"{file.name} ends early, as after an interrupted recording or copy: read up to "
+                f"its last complete chunk{lost if storage.lost_bytes else ''}"
             )
         return storage
 

@@ -156,7 +156,10 @@ def check_unpacked(folder: Path) -> None:
             while piece := unpacked.read(1 << 20):
                 left -= len(piece)
                 if left < 0:
-                    raise ValueError(f"{file.name} unpacks to more than half of the disk's room")
+                    raise ValueError(
+                        f"{file.name} would fill more than half of the free disk space when "
+                        "unpacked"
+                    )
 
 
 _MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin like these
@@ -216,7 +219,7 @@ class Ros1Storage:
                 if opcode == RecordType.CONNECTION:
                     read_bytes(data, size)
             if opcode != RecordType.MSGDATA:
-                raise ValueError("the index points to something that is no message")
+                raise ValueError("the index does not point to a message")
             return bytes(read_bytes(data, size if limit is None else min(size, limit))), size
 
     def _load(self, position: int) -> FilePart | LazyChunk:
@@ -348,7 +351,7 @@ class McapStorage:
             opcode, length, *_ = _MESSAGE.unpack_from(head)
             size = length - (_MESSAGE.size - 9)  # the length counts from the channel id
             if opcode != _MESSAGE_OP or not 0 <= size <= MAX_SIZE:
-                raise ValueError("the index points to something that is no message")
+                raise ValueError("the index does not point to a message")
             if limit is not None:
                 return head[_MESSAGE.size :][:size], size
             payload = data.read(size)
@@ -369,7 +372,7 @@ class McapStorage:
         start = self._places[number].start
         opcode, _, _, _, size, crc, name = struct.unpack("<BQQQQII", self._bytes(start, 41))
         if opcode != _CHUNK_OP or name > 32:
-            raise ValueError("the index points to something that is no chunk")
+            raise ValueError("the index does not point to a chunk")
         tail = self._bytes(start + 41, name + 8)
         (compressed,) = struct.unpack_from("<Q", tail, name)
         data = start + 41 + name + 8

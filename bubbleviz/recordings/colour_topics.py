@@ -164,11 +164,11 @@ def colour_camera(
     """Camera of what is known of it; what is not is said, as intrinsics that are not its own."""
     remarks = []
     if intrinsics is None:
-        remarks.append("no camera info of its size")
+        remarks.append("no camera info for this image size")
     elif not own:
-        remarks.append("no camera info: that of the depth camera counts")
+        remarks.append("no colour camera info; using the depth camera's")
     if T_D_C is None:
-        remarks.append(f"no pose in {STATIC_TRANSFORMS}: taken to be where the depth camera is")
+        remarks.append(f"no pose in {STATIC_TRANSFORMS}; assuming the depth camera's pose")
     pose = np.eye(4) if T_D_C is None else T_D_C
     placed = T_D_C is not None
     return ColourCamera(intrinsics, pose, "; ".join(remarks), own=own, placed=placed)

@@ -151,8 +151,8 @@ class EqualImages:
         if self.most < FROZEN_AFTER:
             return ""
         return (
-            f"{self.most} depth images in a row are the same to the last bit: the camera hung, or "
-            "they are of a simulation without noise; restart the camera"
+            f"{self.most} depth images in a row are identical to the last bit: the camera hangs "
+            "(restart it), or this is a simulation without noise"
         )
 
 

@@ -81,7 +81,9 @@ class ImageFolder:
             images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
             raise InputError(f"{folder}: {images} but {times}")
         if not (np.abs(stamps) < 1e-9 * LATEST_NS).all():
-            raise InputError(f"{folder}: a time is not within 68 years of 1970; give seconds")
+            raise InputError(
+                f"{folder}: a time is implausible; give seconds since 1970 or since the start"
+            )
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
             raise InputError(f"{folder}: the time of image {late} is not after the one before")
@@ -137,14 +139,14 @@ class ImageFolder:
             if path.suffix.lower() not in _COLOUR_ENCODINGS or number is None:
                 continue
             if number in files:
-                raise InputError(f"{path}: has the number of {files[number].name}; leave one")
+                raise InputError(f"{path}: has the same number as {files[number].name}; remove one")
             files[number] = path
         numbers = [_number(path.stem) for path in self._files]
         frames = [k for k, number in enumerate(numbers) if number in files]
         if not frames:
             raise InputError(
-                f"{folder}: no JPEG or PNG image has the number of a depth image in its name; "
-                "name them as those, or take the folder away"
+                f"{folder}: no JPEG or PNG name contains the number of a depth image; name them "
+                "alike, or remove the folder"
             )
         stamps = [self._stamp_ns(k) for k in frames]
 
@@ -174,12 +176,14 @@ class ImageFolder:
             return pixels[:, :, 2]
         if pixels.ndim == 2 and pixels.shape[1] == 3 and pixels.dtype.kind == "f":
             if self._intrinsics is None:
-                raise InputError(f"{path}: points become an image by the camera's intrinsics only")
+                raise InputError(
+                    f"{path}: points need the camera's intrinsics to become an image; give them"
+                )
             return project_points(pixels.astype(np.float64), self._intrinsics)
         if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
             raise InputError(
-                f"{path}: {pixels.shape} of {pixels.dtype} is no depth image; wants one channel of "
-                "16-bit or floating-point numbers, or points of three"
+                f"{path}: {pixels.shape} of {pixels.dtype} is not a depth image; expected one "
+                "channel of 16-bit or floating-point numbers, or points x, y, z"
             )
         return pixels
 
@@ -195,7 +199,7 @@ class ImageFolder:
         middle = float(np.median(returns)) if returns.size else NEAREST_M
         if not NEAREST_M <= middle <= FARTHEST_M:
             raise InputError(
-                f"{self._files[0]}: a median depth of {middle:.4g} m is no bubble's; "
+                f"{self._files[0]}: a median depth of {middle:.4g} m is implausible for a bubble; "
                 "give the metres per unit of its values"
             )
 
@@ -205,8 +209,8 @@ class ImageFolder:
         last = np.array([each[-1] if each else np.nan for each in numbers])
         if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
             raise InputError(
-                f"{self.path}: the images' names are no times; give a rate, or their times in a"
-                " times.csv in the folder"
+                f"{self.path}: the file names are not times; give a rate, or the times in a "
+                "times.csv in the folder"
             )
         if last[0] < _NANOSECONDS:
             return last
@@ -253,7 +257,7 @@ def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
     usual = float(np.median(table[:, 1]))
     if not LEAST_PA <= usual <= MOST_PA:
         raise InputError(
-            f"{path}: {usual:.5g} Pa is no absolute gas pressure of a bubble; convert it to "
+            f"{path}: {usual:.5g} Pa is not a plausible absolute gas pressure; convert it to "
             "absolute Pa"
         )
     return _measured(path, table)
@@ -277,7 +281,7 @@ class _Camera(BaseModel):
 
 def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
     if not (np.abs(table[:, 0]) < 1e-9 * LATEST_NS).all() or np.any(np.diff(table[:, 0]) <= 0.0):
-        raise InputError(f"{path}: the times do not rise, or are no times in seconds")
+        raise InputError(f"{path}: the times do not increase, or are not in seconds")
     return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
 
 
@@ -289,7 +293,7 @@ def _columns(path: str | Path, count: int) -> np.ndarray:
             rows = rows[1:]
         table = np.array([[float(value) for value in row[:count]] for row in rows])
     if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
-        raise InputError(f"{path}: wants rows of {count} finite numbers, separated by commas")
+        raise InputError(f"{path}: expected rows of {count} finite numbers, separated by commas")
     return table
 
 
@@ -323,7 +327,9 @@ def _read(path: Path) -> np.ndarray:
             # by content and not by name: other formats run other programs, as EPS does
             with Image.open(file, formats=("PNG", "TIFF")) as image:
                 if max(image.size) > MAX_SIDE:
-                    raise ValueError(f"{image.width}×{image.height} pixels are no depth camera's")
+                    raise ValueError(
+                        f"{image.width}×{image.height} pixels are too many for a depth camera"
+                    )
                 return np.asarray(image)
 
 

@@ -85,7 +85,7 @@ def _decode_compressed(message: Any) -> np.ndarray:
     if COMPRESSED not in message.format or encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"format is {message.format[:60]!r}, not depth in 16UC1 or 32FC1")
     if "rvl" in message.format.lower():
-        raise ValueError("depth is compressed by RVL, which is not read; have it sent as PNG")
+        raise ValueError("depth is compressed by RVL, which is not supported; publish it as PNG")
     try:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
         with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
@@ -93,7 +93,7 @@ def _decode_compressed(message: Any) -> np.ndarray:
                 raise ValueError(f"a PNG of {image.size[0]}×{image.size[1]} in mode {image.mode}")
             raw = np.asarray(image).astype(np.uint16)
     except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
-        raise ValueError(f"{len(data)} bytes are no compressed depth image") from error
+        raise ValueError(f"{len(data)} bytes are not a compressed depth image") from error
     if encoding == "16UC1":
         return metres(raw, 1e-3)
     inverse = np.where(raw == 0, np.nan, raw.astype(np.float64) - quant_b)
@@ -198,7 +198,7 @@ def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
         z = points[:, 2].reshape(int(message.height), int(message.width)).astype(np.float32)
         return metres(z, 1.0)
     if camera is None:
-        raise ValueError("a cloud without rows and columns needs the camera info to be an image")
+        raise ValueError("an unorganised point cloud needs camera info to become an image")
     return project_points(points, camera)
 
 
@@ -210,13 +210,15 @@ def _points(message: Any) -> np.ndarray:
     order = ">" if message.is_bigendian else "<"
     kinds = [_FLOATS.get(int(fields[name].datatype)) for name in "xyz"]
     if None in kinds:
-        raise ValueError("the cloud's x, y, z are no floating point numbers")
+        raise ValueError("the cloud's x, y, z are not floating-point numbers")
     step, row = int(message.point_step), int(message.row_step)
     height, width = int(message.height), int(message.width)
     if not (height > 0 and width > 0 and 0 < step <= 1024 and width * step <= row):
         raise ValueError(f"a cloud of {height}×{width} points of {step} bytes is not plausible")
     if height * row > len(message.data):
-        raise ValueError(f"{len(message.data)} bytes are no cloud of {height}×{width} points")
+        raise ValueError(
+            f"{len(message.data)} bytes do not make a cloud of {height}×{width} points"
+        )
     layout = np.dtype(
         {
             "names": list("xyz"),

@@ -230,8 +230,8 @@ class Recording:
         info = first_of_type(self.bag, CAMERA_INFO, info_topic, near=self.depth_topic.name)
         if info is None:
             raise InputError(
-                f"{self.path}: the points on {self.depth_topic.name} have no rows and columns; "
-                "record the camera info with them"
+                f"{self.path}: the points on {self.depth_topic.name} are not organised in rows "
+                "and columns; record the camera info with them"
             )
         camera = self.bag.messages(info).first()
         return int(camera.width), int(camera.height)

@@ -51,7 +51,7 @@ class Texture:
         camera = placed(colour.camera, depth)
         if colour.rgb is None or camera is None:
             nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)
-            return cls(colour, *nothing, colour.reason or "no camera info of the colour image")
+            return cls(colour, *nothing, colour.reason or "no camera info for the colour image")
         T, own = camera.T_B_C, camera.intrinsics
         points = (nodes_m - T[:3, 3]) @ T[:3, :3]
         before = points[:, 2] > 0.0

@@ -60,7 +60,8 @@ def gas_warning(
         return ""
     return (
         f"gas pressure of {1e-3 * measured_pa:.1f} kPa {where}, {1e-3 * known_pa:.1f} kPa "
-        "(atmospheric and gauge) in the sensor file: more than weather; correct the sensor file"
+        "(atmospheric and gauge) in the sensor file: more than weather explains; correct the "
+        "sensor file"
     )
 
 

@@ -229,7 +229,7 @@ class OpticalFlow:
         good = (disagreement < _LARGEST_DISAGREEMENT_PX) & inside & ~washed_out
         variance = self.noise_px**2 + _DISAGREED * disagreement**2 + _SMOOTHED * bend**2
         sigma = np.sqrt(variance[good])
-        problem = "" if good.mean() > 0.5 else "most of the texture is not found again"
+        problem = "" if good.mean() > 0.5 else "most of the texture could not be matched"
         return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
 
     def nothing(self, problem: str) -> FlowField:

@@ -76,8 +76,8 @@ def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCam
     camera = placed(colour, depth)
     if camera is None:
         raise InputError(
-            f"{name}: no camera info of the colour images' size, so that their flow tells nothing "
-            "of the membrane; record or publish it with them"
+            f"{name}: no camera info for the colour images, so their flow cannot be mapped to the "
+            "membrane; record or publish it with them"
         )
     return camera
 
@@ -182,7 +182,7 @@ def recorded_texture(
     if len(seen) < MIN_FRAMES:
         raise InputError(
             f"{recording.path}: shear needs {MIN_FRAMES} colour images before the first contact, "
-            f"there are {len(seen)}; record a second without contact first, or leave out --shear"
+            f"there are {len(seen)}; record one second without contact first, or leave out --shear"
         )
     flow = OpticalFlow.of(seen.values(), preset)
     said = f"contact-free frames {min(seen)}–{max(seen)}{delay_text(colour_delay_s)}"

@@ -121,7 +121,7 @@ class TractionReport:
         vectors = self._membrane.volume_gradient(x)
         force = estimate.nodal_force_n
         if force is None:
-            raise ValueError("the estimate is not of the exact membrane")
+            raise ValueError("the estimate was not made with the exact membrane")
         return self._of("depth_alone", x, force, vectors, reason=reason)
 
     def solved(
@@ -225,8 +225,8 @@ _SEEN_SHARE = 0.5
 """Of the touched nodes that flow must be seen beside, for the rest to follow from it."""
 
 NO_FLOW = "no optical flow: the colour image of the frame or the contact-free one is missing"
-NO_TEXTURE = "no flow is seen where the membrane is touched: texture is missing or not found again"
-NO_CONTACT_SHAPE = "depth shows no contact to begin with"
+NO_TEXTURE = "no flow where the membrane is touched: no texture, or it could not be matched"
+NO_CONTACT_SHAPE = "no contact in the depth image"
 NOT_CONVERGED = "no equilibrium with friction was found"
 
 

@@ -36,7 +36,7 @@ def press_path(
     Raises InputError: fewer frames, or a way or turn that is out of range.
     """
     if frames < FEWEST:
-        raise InputError(f"{frames} frames: drag and twist take {FEWEST} or more")
+        raise InputError(f"{frames} frames: drag and twist need {FEWEST} or more")
     if not abs(drag_m) <= MOST_DRAG_M:
         raise InputError(f"drag {1e3 * drag_m:g} mm: give at most {1e3 * MOST_DRAG_M:g} mm")
     if not abs(twist_rad) <= MOST_TWIST_RAD:

@@ -201,7 +201,8 @@ class SyntheticSource:
             self._model = RubberForward(rubber, gas)
         elif friction:
             raise InputError(
-                f"friction {friction:g}: the linear membrane has none; choose the model rubber, or "
+                f"friction {friction:g}: the linear membrane has no friction; choose the model "
+                "rubber, or "
                 "a sensor file with a prestretch"
             )
         else:

@@ -53,7 +53,7 @@ class KnownRecording:
         )
         if not same or masks.shape[1:] != recording.size[::-1]:
             raise OtherTruthError(
-                f"{truth_file}: is the truth of another recording than {recording.path}, of "
+                f"{truth_file}: belongs to another recording than {recording.path}, of "
                 f"{_described(len(times), masks.shape)} and not "
                 f"{_described(len(recording), (0, *recording.size[::-1]))}; choose the TRUTH.npz "
                 "that was written with it"
@@ -87,13 +87,13 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
     missing = [key for key in KEYS if key not in arrays]
     if missing:
         raise InputError(
-            f"{path}: is no TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
+            f"{path}: not a TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
             "choose another file"
         )
     arrays = {key: arrays[key] for key in (*KEYS, *MORE) if key in arrays}
     counts = {len(array) if array.ndim else 0 for array in arrays.values()}
     if len(counts) != 1 or 0 in counts or arrays["patch_mask"].ndim != 3:
-        raise InputError(f"{path}: its arrays do not fit together; write it anew")
+        raise InputError(f"{path}: its arrays are inconsistent; simulate it again")
     return arrays
 
 

@@ -393,7 +393,7 @@ def _linear_equations(
         faults.append("the rim moves")
     force = -(mesh.areas * estimate.contact_pressure_pa) @ mesh.normals
     if not np.allclose(force, patch.force_n, rtol=1e-6, atol=1e-12):
-        faults.append("the force is not that of the pressure")
+        faults.append("the force differs from the integral of the pressure")
     elastic = pipeline.model.tension_n_per_m * (cotangent_laplacian(mesh) @ u)[mesh.free]
     gas = p_v * mesh.areas[mesh.free]
     contact = (mesh.areas * pressure)[mesh.free]
@@ -443,7 +443,7 @@ def _rubber_equations(
     whole = force + friction.sum(axis=0)
     told = np.array([patch.force_n, estimate.force_n])
     if not np.allclose(told, whole, rtol=1e-4, atol=1e-5):
-        faults.append("the force is not that of pressure and friction")
+        faults.append("the force differs from the integral of pressure and friction")
     if not measured_gas:
         grown = membrane.volume(x) - membrane.volume(rest)
         law = -gas.P0 * grown / (gas.V0 + grown)

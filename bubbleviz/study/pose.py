@@ -286,7 +286,7 @@ _COLUMNS = (
 def report_of(grid: Grid, rows: list[Row]) -> Report:
     """Errors by object, of directions that normals determine and of all that an image does."""
     points = summaries(rows, ("object_name",), AVERAGES)
-    title = "On rubber; starts 3 mm and 8° off; over determined directions, then all seen"
+    title = "Rubber; initial poses off by 3 mm and 8°; over determined directions, then over all"
     targets = []
     if rows:
         off, turned = [row.seen_m for row in rows], max(row.seen_rad for row in rows)
@@ -310,4 +310,4 @@ def plot(rows: list[Row], figure: Figure) -> None:
             axes.scatter([row.next_ms for row in own], errors, s=30, alpha=0.8, label=obj)
         axes.axhline(limit, color="tab:green", lw=0.8, label="target, worst")
         axes.set(xlabel="pose of a following frame, ms (median)", ylim=(0.0, 3.0 * limit))
-        axes.set(ylabel=f"error over all that an image determines, {unit}")
+        axes.set(ylabel=f"error over observable directions, {unit}")

@@ -409,7 +409,7 @@ def _streams() -> Iterator[Case]:
         "frozen camera in contact", Trial(depths_m=(0.012,) * 30, frozen=True), "solve", quick=True
     )
     yield Case("frozen camera without contact", Trial(depths_m=(-0.01,) * 30, frozen=True), "solve")
-    yield Case("contact and none by turns", Trial(depths_m=(0.015, -0.01) * 6), "solve")
+    yield Case("contact and no contact alternating", Trial(depths_m=(0.015, -0.01) * 6), "solve")
     yield Case("sudden deep press", Trial(depths_m=(-0.01, 0.025, 0.002, 0.025)), "solve")
 
 
@@ -510,7 +510,7 @@ def _rubber() -> Iterator[Case]:
     yield Case("rubber, two far contacts", _rubber_trial(object_name=shapes.two_far_balls), "solve")
     yield Case("rubber, plate", _rubber_trial(object_name=shapes.plate, depth_m=0.015))
     by_turns = _rubber_trial(depths_m=(0.012, -0.01) * 3)
-    yield Case("rubber, contact and none by turns", by_turns, "solve")
+    yield Case("rubber, contact and no contact alternating", by_turns, "solve")
     sudden = _rubber_trial(depths_m=(-0.01, 0.020, 0.002, 0.020))
     yield Case("rubber, sudden deep press", sudden)
 

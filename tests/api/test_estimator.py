@@ -146,13 +146,15 @@ def test_a_gas_pressure_that_is_not_absolute_or_not_in_pascals(pressure, frames,
 
 def test_other_arguments_that_do_not_fit(frames, estimator):
     for given in ({"gas_pressure_pa": float("nan")}, {"gas_pressure_pa": "1e5"}, {"time_s": "now"}):
-        with pytest.raises(bv.InputError, match=f"{next(iter(given))}: a number, or None, is exp"):
+        with pytest.raises(bv.InputError, match=f"{next(iter(given))}: expected a number or None"):
             estimator.update(frames[0].depth_m, **given)
     with pytest.raises(bv.InputError, match=r"colour: an array \(43, 56, 3\) of uint8"):
         estimator.update(frames[0].depth_m, colour=np.zeros(SHAPE))
-    with pytest.raises(bv.InputError, match="a Frame contains gas pressure"):
+    with pytest.raises(bv.InputError, match="a Frame already contains gas pressure"):
         estimator.update(frames[0], gas_pressure_pa=103_900.0)
-    with pytest.raises(bv.InputError, match="does not know the images yet; give a sensor file"):
+    with pytest.raises(
+        bv.InputError, match="needs a recording to choose the sensor by; give Estimator"
+    ):
         bv.Estimator("auto")
     with pytest.raises(bv.InputError, match="no such solver"):
         bv.Estimator("pico_flexx_75mm", solver="magic")

@@ -108,11 +108,11 @@ def test_good_and_corrupted_recordings(recordings, sensor, tmp_path):
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "1 of 4 recordings have no result" in done.stderr
-    assert "bad.mcap: the recording was cut off before its first message" in done.stderr
+    assert "bad.mcap: the recording ends before its first message" in done.stderr
     rows = table_of(out)
     assert list(rows) == [*NAMES[:2], "bad.mcap", NAMES[2]]
     assert [row["outcome"] for row in rows.values()] == ["done", "done", "bad_input", "done"]
-    assert "cut off" in rows["bad.mcap"]["error"]
+    assert "ends before its first message" in rows["bad.mcap"]["error"]
     assert all(name in done.stdout for name in rows)
     for name in NAMES:
         assert {path.name for path in (out / name).iterdir()} == FILES

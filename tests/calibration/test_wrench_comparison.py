@@ -144,7 +144,7 @@ def test_command_and_files(recorded, tmp_path):
     assert len(rows) == told["frames"]
     assert float(rows[0]["estimate_z_n"]) == 0.0
     text = CliRunner().invoke(main, words).stdout
-    assert "gain        0." in text and "Nothing of this is applied" in text
+    assert "gain        0." in text and "The sensor file is not changed" in text
     refused = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "a.xyz")])
     assert refused.exit_code == 2 and "end it in .png" in refused.stderr
     refused = CliRunner().invoke(main, [*words, "--wrench", "/nowhere"])

@@ -101,7 +101,7 @@ def test_images_of_no_use_say_why(level, why):
 
 def test_another_scene_says_so(rest):
     field = OpticalFlow.of(rest).measure(camera(clean_image()[::-1, ::-1], 3))
-    assert "not found again" in field.problem
+    assert "could not be matched" in field.problem
 
 
 def test_bad_input_is_said_in_one_sentence(rest, monkeypatch):

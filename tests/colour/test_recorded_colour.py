@@ -132,7 +132,7 @@ def test_what_is_not_known_of_the_camera_is_said(tmp_path):
         camera = recording.colour.camera
     assert camera.intrinsics is None
     assert "no camera info" in camera.remark
-    assert "where the depth camera is" in camera.remark
+    assert "assuming the depth camera's pose" in camera.remark
     np.testing.assert_array_equal(camera.T_D_C, np.eye(4))
 
 
@@ -150,7 +150,7 @@ def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_p
         camera = recording.colour.camera
     np.testing.assert_allclose(camera.T_D_C[:3, :3].T.ravel(), said.rotation, atol=1e-6)
     np.testing.assert_allclose(camera.T_D_C[:3, 3], said.translation, atol=1e-7)
-    assert "where the depth camera is" not in camera.remark
+    assert "assuming the depth camera's pose" not in camera.remark
 
 
 def test_depth_alone_reads_nothing_of_the_colour_images(tmp_path, monkeypatch):
@@ -183,4 +183,4 @@ def test_info_tells_the_colour_images(tmp_path):
     assert (facts.colour.width, facts.colour.height, facts.colour.images) == (32, 24, 3)
     said = facts.to_text()
     assert "32 × 24 pixels, rgb8, /cam/color/image_raw; 3 images, 15.00 Hz" in said
-    assert "no camera info: that of the depth camera counts" in said
+    assert "no colour camera info; using the depth camera's" in said

@@ -57,7 +57,7 @@ def test_another_camera_sees_it_from_where_that_is():
         (None, "no colour images in this source"),
         (lambda lag_s: None, "no colour image at this time"),
         (partial(colour_image, data=b"nothing"), "the colour image cannot be decoded"),
-        (partial(colour_image, camera=ColourCamera()), "no camera info of the colour image"),
+        (partial(colour_image, camera=ColourCamera()), "no camera info for the colour image"),
     ],
 )
 def test_what_is_missing_is_said(find, words):

@@ -184,15 +184,15 @@ def test_colour_images_in_a_folder_are_those_of_the_same_numbers(told, tmp_path)
         read = [recording[k].colour.read() for k in (0, 2)]
     assert [(each.encoding, each.data) for each in read] == [("jpeg", files[1]), ("png", files[10])]
     assert camera.intrinsics.fx == (45.0 if told else 30.0)
-    assert ("that of the depth camera counts" in camera.remark) is not told
-    assert "taken to be where the depth camera is" in camera.remark
+    assert ("using the depth camera's" in camera.remark) is not told
+    assert "assuming the depth camera's pose" in camera.remark
 
 
 @pytest.mark.parametrize(
     ("names", "says"),
     [
-        (["c_7.png"], "no JPEG or PNG image has the number of a depth image"),
-        (["c_1.png", "d_01.jpg"], "has the number of c_1.png; leave one"),
+        (["c_7.png"], "no JPEG or PNG name contains the number of a depth image"),
+        (["c_1.png", "d_01.jpg"], "has the same number as c_1.png; remove one"),
     ],
 )
 def test_colour_images_that_do_not_fit_are_refused(names, says, tmp_path):
@@ -214,7 +214,7 @@ def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_pa
     converted(path, out)
     with Recording(path) as before, Recording(out) as after:
         assert before.colour is not None and after.colour is not None
-        assert "where the depth camera is" in before.colour.camera.remark
+        assert "assuming the depth camera's pose" in before.colour.camera.remark
         assert after.colour.camera.remark == before.colour.camera.remark
 
 
@@ -236,12 +236,12 @@ def test_the_force_is_that_of_the_original(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda p: None, "no times; give a rate"),
+        (lambda p: None, "not times; give a rate"),
         (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "the image cannot be read"),
         (lambda p: np.save(p / "9.npy", np.ones((4, 5))), "5×4 pixels, the first image has 32×24"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "give the metres per unit"),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), -0.1)), "most depths are negative"),
-        (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "by the camera's intrinsics"),
+        (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "need the camera's intrinsics"),
         (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: missing; add it"),
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
     ],

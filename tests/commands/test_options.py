@@ -158,7 +158,7 @@ def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, senso
 
 
 def test_files_that_would_not_be_written_are_refused(press, sensor, tmp_path):
-    with pytest.raises(bv.InputError, match=r"r\.csv: .* give out, too"):
+    with pytest.raises(bv.InputError, match=r"r\.csv: .* give out as well"):
         bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
     with bv.connect(f"replay:{press}", sensor) as stream:
         for verb in (bv.estimate, partial(bv.track, object="sphere")):

@@ -294,10 +294,10 @@ def test_nothing_is_left_when_a_frame_cannot_be_read(tmp_path, sensor, press):
     [
         ("there", ["--what", "vtk"], "exists already"),
         ("x", [], "what to export?"),
-        ("x", ["--what", "vtk,stl"], '"stl": unknown; choose of table'),
+        ("x", ["--what", "vtk,stl"], '"stl": unknown; choose from table'),
         ("x.csv", ["--what", "vtk"], "a .csv file holds table, not vtk"),
-        ("x.pvd", [], "a series is a folder"),
-        ("x.mp4", [], "by the window"),
+        ("x.pvd", [], "a series of files needs a folder"),
+        ("x.mp4", [], "from the window"),
         ("x.csv", ["--frames", "3:1"], "choose A below B"),
         ("x.csv", ["--frames", "0:99"], "outside its 5 frames"),
         ("x.csv", ["--kappa", "nan"], "--kappa nan"),

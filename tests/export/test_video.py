@@ -50,7 +50,7 @@ def test_nothing_is_left_without_an_end(tmp_path):
         for picture in pictures(3, 64, 64):
             writer.add(picture)
         raise KeyboardInterrupt
-    with pytest.raises(InputError, match="no picture"):
+    with pytest.raises(InputError, match="no frames"):
         write(tmp_path / "b.mp4", [], 30.0)
     with pytest.raises(InputError, match="32×64 pixels, the first 64×64"):
         write(tmp_path / "c.mp4", [*pictures(1, 64, 64), *pictures(1, 64, 32)], 30.0)

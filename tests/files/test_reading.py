@@ -56,7 +56,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before(tmp_path, monkey
         (read_triangles, "a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
         (read_triangles, "a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
         (read_triangles, "a.stl", "solid a\nvertex 0 0 0\nvertex 1 0 0\n"),
-        (read_triangles, "a.stl", "no STL"),
+        (read_triangles, "a.stl", "not an STL file"),
     ],
 )
 def test_text_that_breaks_parsers_is_one_sentence(tmp_path, capfd, read, name, text):

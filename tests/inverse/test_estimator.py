@@ -184,7 +184,7 @@ def test_an_unknown_solver_is_refused_by_name():
     ("name", "instead"), [("osqp", "use paper"), ("osqp-cold", "use"), ("clarabel", "use linear")]
 )
 def test_a_dropped_solver_says_since_when_and_what_to_use(name, instead):
-    with pytest.raises(InputError, match=rf"{name}: .*since 0\.3.*{instead}"):
+    with pytest.raises(InputError, match=rf"{name}: .* in 0\.3.*{instead}"):
         EstimatorOptions.named(name)
 
 

@@ -31,7 +31,7 @@ from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first
 )
 def test_a_misfit_is_noise_up_to_a_size_and_a_shape(deviations, clumping, white, explained):
     assert (reason_against_fit(Misfit(1e-4, deviations, clumping), white, 0.1) == "") is explained
-    assert "mm off" in reason_against_fit(Misfit(0.03, deviations, clumping), white, 0.1)
+    assert "mm from any shape" in reason_against_fit(Misfit(0.03, deviations, clumping), white, 0.1)
 
 
 def image(depth_m):

@@ -138,7 +138,7 @@ def test_the_camera_is_told_and_a_named_topic_counts():
     assembler.follow_colour()
     image = frames_of(assembler, info, *both(0), *both(1))[-1].colour
     assert image.camera.intrinsics is not None
-    assert "that of the depth camera" in image.camera.remark
+    assert "using the depth camera's" in image.camera.remark
     # a named topic of another namespace counts
     assembler = FrameAssembler(TopicNames(colour="/other/color/image_raw"))
     assembler.follow_colour()
@@ -234,7 +234,7 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path, small_sensor):
         assert frame is not None and frame.colour is None
         said.append(frame.no_colour)
     assert said == [
-        "colour images were not asked for when this frame came",
+        "colour images were not yet subscribed to when this frame arrived",
         f"waiting for colour images on {COLOUR}",
         "no colour images in this source",
     ]
@@ -302,7 +302,7 @@ def test_the_pose_of_the_colour_camera_is_that_of_tf_static(frame_id, pose, rema
     ]
     camera = frames_of(assembler, *messages)[-1].colour.camera
     np.testing.assert_allclose(camera.T_D_C, pose, atol=1e-12)
-    assert ("where the depth camera is" in camera.remark) is remark
+    assert ("assuming the depth camera's pose" in camera.remark) is remark
 
 
 def test_a_recording_and_its_replay_have_the_pose(tmp_path, small_sensor):

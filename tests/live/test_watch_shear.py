@@ -148,7 +148,7 @@ def test_the_command_records_the_wrench_with_friction(tmp_path):
     assert shear["status"]["ok"] > 3
     truth = np.linalg.norm(stuck("puck", 0.004, 0.001, 8.0).force_n)
     assert shear["max_force_n"] == pytest.approx(truth, rel=0.05)
-    assert "no camera info: that of the depth camera counts" in shear["reference"]
+    assert "no colour camera info; using the depth camera's" in shear["reference"]
     with out.open("rb") as file:
         topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
     assert {"/bubbleviz/traction_wrench", "/bubbleviz/traction_wrench_sigma"} <= topics

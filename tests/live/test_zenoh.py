@@ -299,7 +299,7 @@ def test_endpoints_are_refused_in_one_line(small_sensor):
 
 @pytest.mark.parametrize("option", ["depth=/cam/*", "colour=/cam//rgb", "pressure=a%20b"])
 def test_a_topic_chosen_that_cannot_exist_is_refused_in_one_line(small_sensor, option):
-    with pytest.raises(InputError, match="is no name of a topic; give one such as") as caught:
+    with pytest.raises(InputError, match="is not a topic name; give one such as") as caught:
         open_stream(f"zenoh:?listen=tcp/127.0.0.1:{free_port()}&{option}", small_sensor).start()
     assert "\n" not in str(caught.value)
 
@@ -335,15 +335,15 @@ def test_who_refuses_a_session_is_told_from_who_is_not_there(
             eventually(lambda: waits.source.link == "up")
             assert waits.source.problem == ""
             signed = "the certificate of localhost is not signed by"
-            assert told(at) == f"{signed} an authority that this system knows; check ca="
+            assert told(at) == f"{signed} an authority that this computer trusts; check ca="
             assert told(at, ca=other) == f"{signed} ca={other}; check ca="
             assert "not valid for '127.0.0.1'" in told(f"tls/127.0.0.1:{port}", ca=ca)
             assert "in PEM form" in told(at, ca=login)
-            no_session = f"localhost:{port} answers and accepts no session;"
-            assert told(at, ca=ca) == f"{no_session} it may ask for user and password, give login="
+            no_session = f"localhost:{port} answers but refuses the session;"
+            assert told(at, ca=ca) == f"{no_session} if it requires user and password, give login="
             check = f"{no_session} check user and password in login={stranger}"
             assert told(at, ca=ca, login=stranger) == check
-            assert told(f"tcp/localhost:{port}").endswith("or it is encrypted, write tls/")
+            assert told(f"tcp/localhost:{port}").endswith("if it requires encryption, use tls/")
 
 
 def test_a_host_that_is_not_known_is_told(told):

@@ -76,7 +76,7 @@ def test_points_without_rows_go_where_the_camera_sees_them(kind):
         ({"point_step": 0}, "not plausible"),
         ({"point_step": 2000, "row_step": 20_000}, "not plausible"),
         ({"width": 0}, "not plausible"),
-        ({"data": np.zeros(4 * 128 - 1, np.uint8)}, "are no cloud of 4×5 points"),
+        ({"data": np.zeros(4 * 128 - 1, np.uint8)}, "do not make a cloud of 4×5 points"),
         ({"fields": []}, "no fields x, y, z"),
     ],
 )
@@ -90,7 +90,7 @@ def test_numbers_that_do_not_fit_are_refused(change, says):
 def test_whole_numbers_are_no_points_and_a_row_alone_needs_a_camera():
     message = cloud(POINTS)
     message.fields[1].datatype = 5
-    with pytest.raises(ValueError, match="no floating point"):
+    with pytest.raises(ValueError, match="not floating-point"):
         decode_cloud(message, None)
-    with pytest.raises(ValueError, match="needs the camera info"):
+    with pytest.raises(ValueError, match="needs camera info"):
         decode_cloud(cloud(POINTS[:1]), None)

@@ -74,7 +74,11 @@ def test_compressed_depth_is_read(tmp_path, kind, encoding, off_m):
 
 @pytest.mark.parametrize(
     ("cut", "more", "says"),
-    [(60, "", "no compressed depth image"), (5, "", "no compressed"), (None, " rvl", "as PNG")],
+    [
+        (60, "", "not a compressed depth image"),
+        (5, "", "not a compressed"),
+        (None, " rvl", "as PNG"),
+    ],
 )
 def test_compressed_depth_that_cannot_be_read_is_refused(tmp_path, cut, more, says):
     path = write_compressed(tmp_path, "mcap file", "16UC1", cut, more)

@@ -99,7 +99,7 @@ def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path)
     assert "200×160 pixels, the contact-free ones have 400×320" in said[2]
     assert summary["traction_status"]["depth_alone"] == 2
     assert "contact-free frames 0–" in summary["texture"]
-    assert "colour camera: no camera info: that of the depth camera" in summary["texture"]
+    assert "colour camera: no colour camera info; using the depth camera's" in summary["texture"]
 
 
 def estimated(press, sensor, out, *options):
@@ -139,7 +139,7 @@ def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path)
     command = ["estimate", str(press), "--sensor", str(sensor), "--shear"]
     found = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "r.npz")])
     assert found.exit_code == 2
-    assert f"{press}: no camera info of the colour images' size" in found.output
+    assert f"{press}: no camera info for the colour images" in found.output
 
 
 @pytest.mark.long

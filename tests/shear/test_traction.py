@@ -97,7 +97,7 @@ def test_where_the_contact_has_no_texture_depth_is_left_alone():
     bare = eyes.pipeline.process(frame, wanted)
     eyes.pipeline.watch_texture(None)
     blind = eyes.pipeline.process(frame, wanted)
-    for result, reason in ((bare, "no flow is seen where"), (blind, "no optical flow")):
+    for result, reason in ((bare, "no flow where"), (blind, "no optical flow")):
         traction, estimate = result.traction, result.estimate
         assert traction.status == "depth_alone"
         assert reason in traction.reason

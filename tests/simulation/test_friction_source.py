@@ -156,5 +156,5 @@ def test_what_cannot_be_simulated_is_told_in_one_line(sensor, tmp_path, argument
 
 
 def test_drag_along_a_path_is_refused(sensor, tmp_path):
-    with pytest.raises(InputError, match="one pose"):
+    with pytest.raises(InputError, match="a single pose"):
         simulate(sensor, "sphere", np.eye(4)[None], frames=20, drag_m=0.001)

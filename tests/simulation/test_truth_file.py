@@ -77,7 +77,7 @@ def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(folder, tmp_path
         of_another = {name: array[:-1] for name, array in np.load(tmp_path / "truth.npz").items()}
         np.savez(tmp_path / "sim.npz", **of_another)
         assert known_beside(recording) is recording
-        assert "sim.npz: is the truth of another recording" in recording.remark
+        assert "sim.npz: belongs to another recording" in recording.remark
 
 
 def test_what_is_no_truth_of_this_recording_is_one_sentence(folder, tmp_path):
@@ -94,9 +94,9 @@ def test_what_is_no_truth_of_this_recording_is_one_sentence(folder, tmp_path):
     bad.write_bytes(b"PK no zip")
     assert "cannot be read" in problem()
     np.savez(bad, force_n=arrays["force_n"])
-    assert "is no TRUTH.npz" in problem()
+    assert "not a TRUTH.npz" in problem()
     np.savez(bad, **{**arrays, "patch_mask": np.array(True)})
-    assert "do not fit together" in problem()
+    assert "are inconsistent" in problem()
     np.savez(bad, **{k: a[:2] if len(a) == FRAMES else a for k, a in arrays.items()})
     assert "2 frames" in problem() and "3 frames" in problem()
     np.savez(bad, **{**arrays, "patch_mask": arrays["patch_mask"][:, :, 1:]})

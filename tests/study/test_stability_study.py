@@ -97,7 +97,7 @@ RUBBER_MUTANTS = {
     "twice the pressure": (TWICE, "balance"),
     "half the way": (times(0.5, "displacement_3d_m"), "balance"),
     "other gas": (other_gas, "balance|gas law"),
-    "another force": (times(1.1, "force_n"), "not that of pressure and friction"),
+    "another force": (times(1.1, "force_n"), "differs from the integral of pressure and friction"),
     "weak": (lambda e: {"status": "no_contact"}, "with contact pressure"),
 }
 SMALL_RUBBER = replace(

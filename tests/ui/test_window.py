@@ -284,7 +284,7 @@ def test_a_file_that_cannot_be_opened_is_a_message_until_another_opens(drive, tm
         driver.wait(lambda bad=bad: bad.name in message.label.text())
     driver.window.open_file(cut)
     driver.wait(lambda: message.kind.text() == "Warning")
-    assert "cut off" in message.label.text() and not message.more.isVisible()
+    assert "ends early" in message.label.text() and not message.more.isVisible()
 
 
 def test_a_frame_that_cannot_be_read_or_solved_is_a_message_and_stops_playback(drive):

@@ -104,7 +104,7 @@ def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another
     truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
     np.savez(tmp_path / "sim.npz", **truth)
     driver.act("File › Reload")
-    driver.told("sim.npz: is the truth of another recording")
+    driver.told("sim.npz: belongs to another recording")
     driver.wait(lambda: not says_iou(driver))
 
 
@@ -129,7 +129,7 @@ def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     arrays = dict(np.load(files / "what_is_true.npz"))
     np.savez(tmp_path / "other.npz", **{**arrays, "time_s": 1.5 * arrays["time_s"]})
     driver.drop(tmp_path / "other.npz")
-    driver.told("other.npz: is the truth of another recording")
+    driver.told("other.npz: belongs to another recording")
     assert driver.state.facts.frames == FRAMES and driver.state.frame == 2 and not says_iou(driver)
     driver.act(menu)
     driver.wait(lambda: says_iou(driver))

@@ -122,7 +122,7 @@ def test_series_are_folders_plots_files_and_what_is_cancelled_nothing(bench, tmp
         else:
             assert len(files) == last - first + 1, title
         said = bench.export(title, tmp_path / f"other{suffix}")
-        assert "a series is a folder" in said or "holds" in said, title
+        assert "a series of files needs a folder" in said or "holds" in said, title
     for suffix in ("png", "svg", "pdf"):
         bench.export("Plots", tmp_path / "plots", f"{suffix.upper()} (*.{suffix})")
         assert (tmp_path / f"plots.{suffix}").stat().st_size > 10_000

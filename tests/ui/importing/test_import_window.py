@@ -127,7 +127,7 @@ def test_only_what_applies_is_shown(bench, images, tmp_path):
 def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, images, tmp_path):
     before = sorted(images.parent.rglob("*"))
     bench.choose_folder(images)
-    assert "give a rate, or their times" in bench.run()
+    assert "give a rate, or the times" in bench.run()
     bench.choose_times(RATE)
     assert not bench.dialog.problem.text() and not bench.dialog.problem.isVisible()
     bench.choose_file(bench.dialog.images.wrench, images / "intrinsics.json")

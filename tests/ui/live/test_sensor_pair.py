@@ -238,8 +238,8 @@ def test_the_other_sensor_says_that_it_is_not_to_be_trusted(open_bench):
     connect_played(bench, far)
     buttons = lambda: [button.text() for button in bench.window.live.sensors]  # noqa: E731
     bench.wait(lambda: buttons() == ["● left", "● right: implausible"])
-    assert "not near this membrane" in bench.window.live.sensors[1].toolTip() or (
-        "off any shape" in bench.window.live.sensors[1].toolTip()
+    assert "far from this membrane" in bench.window.live.sensors[1].toolTip() or (
+        "from any shape" in bench.window.live.sensors[1].toolTip()
     )
     bench.painted_anew()
     own = [int(theme.UNTRUSTED[k : k + 2], 16) for k in (1, 3, 5)]

@@ -110,7 +110,7 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     panel = driver.window.shear
     for k in range(COLLECTED + 1):
         driver.seek(k)
-    said = "Depth alone: colour camera: no camera info of the colour images' size"
+    said = "Depth alone: colour camera: no camera info for the colour images"
     driver.wait(lambda: panel.reference.text().startswith(said))
     assert driver.result.flow is None
     record(tmp_path / "dent.mcap", list(DentSource(rubber))[:6])
