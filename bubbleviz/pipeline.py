@@ -30,6 +30,7 @@ from bubbleviz.inverse import (
     without_small,
 )
 from bubbleviz.membrane import build_rubber, rest_stress, varied_rubber
+from bubbleviz.plugins import plugin, plugin_names
 from bubbleviz.recordings import Frame, SeenColour, Texture
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import RigidObject
@@ -142,10 +143,13 @@ class Pipeline:
             from bubbleviz.inverse import PaperEstimator  # nobody else needs it
 
             return PaperEstimator(observer, film, self.options)
-        if self.options.solver not in (None, LINEAR):
-            names = ", ".join(SOLVER_NAMES)
-            raise InputError(f"{self.options.solver}: no such solver; choose one of {names}")
-        return Estimator(observer, film, self.options)
+        if self.options.solver in (None, LINEAR):
+            return Estimator(observer, film, self.options)
+        if (plugged := plugin("solvers", self.options.solver)) is not None:
+            made: Estimator = plugged(model, self.options)
+            return made
+        names = ", ".join([*SOLVER_NAMES, *plugin_names("solvers")])
+        raise InputError(f"{self.options.solver}: no such solver; choose one of {names}")
 
     def process(
         self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None

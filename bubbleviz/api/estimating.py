@@ -31,7 +31,6 @@ from bubbleviz.recordings import (
     find_contact_free,
     fitting_sensor,
     has_returns,
-    preset_of_size,
     shown_name,
 )
 from bubbleviz.result import TRUSTED, PoseStatus, Result
@@ -340,15 +339,8 @@ def pipeline_for(
 def sensor_for(frames: Frames, sensor: SensorName) -> tuple[str, Sensor, Intrinsics | None]:
     """Name of the sensor that fits some frames, the sensor, and the intrinsics of the frames."""
     source = frames.source
-    if isinstance(source, Recording):
-        return *fitting_sensor(source, sensor), source.intrinsics
-    first = frames[0]
-    if str(sensor) == AUTO:
-        height, width = first.depth_m.shape
-        sensor = preset_of_size((width, height), frames.name)
-    own = load_sensor(sensor)
-    name = own.name if isinstance(sensor, Sensor) else str(sensor)
-    return name, own, first.intrinsics
+    intrinsics = source.intrinsics if isinstance(source, Recording) else frames[0].intrinsics
+    return *fitting_sensor(source, sensor), intrinsics
 
 
 def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:

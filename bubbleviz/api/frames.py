@@ -12,7 +12,16 @@ import numpy as np
 from bubbleviz.api.summary import Summary
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import Frame, FrameSource, Gap, Recording, Topic, find_gaps, usual_step
+from bubbleviz.recordings import (
+    Frame,
+    FrameSource,
+    Gap,
+    Recording,
+    Topic,
+    find_gaps,
+    open_recording,
+    usual_step,
+)
 from bubbleviz.wording import count_of
 
 
@@ -103,7 +112,8 @@ def open(
     ----------
     path : path
         rosbag2 (folder, `.mcap`, `.db3`) or ROS 1 `.bag` with a depth image (`16UC1` in mm, `32FC1`
-        in m) or a point cloud and, where there are, camera info, gas pressure and wrench.
+        in m) or a point cloud and, where there are, camera info, gas pressure and wrench; or a
+        format that a plug-in reads.
     frames : str, optional
         `A:B` or `A:B:STEP`, B left out; all by default.
     depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
@@ -125,7 +135,7 @@ def open(
     >>> press[-1].depth_m.shape
     (171, 224)
     """
-    recording = Recording(
+    recording = open_recording(
         path,
         depth_topic=depth_topic,
         info_topic=info_topic,
@@ -133,7 +143,7 @@ def open(
         wrench_topic=wrench_topic,
     )
     try:
-        return Frames(recording, parse_frames(frames, len(recording), str(recording.path)))
+        return Frames(recording, parse_frames(frames, len(recording), str(path)))
     except InputError:
         recording.close()
         raise

@@ -12,6 +12,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit, urlunsplit
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bubbleviz.errors import InputError
+from bubbleviz.plugins import plugin
 from bubbleviz.recordings import Encoding, Message
 
 Link = Literal["connecting", "up", "lost", "ended"]
@@ -129,6 +130,12 @@ class RealSenseOptions(SourceOptions):
     loop: bool = False
 
 
+class PluginOptions(SourceOptions):
+    """Options of the scheme of a plug-in: its own are in `model_extra`, as text."""
+
+    model_config = ConfigDict(extra="allow")
+
+
 _SCHEMES: dict[str, tuple[type[SourceOptions], str]] = {
     "synthetic": (SyntheticOptions, "synthetic:[object][?rate=HZ&noise=RELATIVE]"),
     "replay": (ReplayOptions, "replay:REC[?speed=X&loop=1]"),
@@ -163,13 +170,13 @@ def parse_uri(text: str) -> SourceUri:
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)
     except ValueError as error:
         raise _refusal(text, f"{error}; write options as name=value&name=value") from error
-    if parts.scheme not in _SCHEMES:
+    model, _ = _SCHEMES.get(parts.scheme, (PluginOptions, ""))
+    if model is PluginOptions and plugin("sources", parts.scheme) is None:
         examples = ", ".join(example for _, example in _SCHEMES.values())
         raise _refusal(text, f"begin with one of {examples}")
     given = dict(pairs)
     if len(given) < len(pairs):
         raise _refusal(text, "an option is given twice")
-    model, _ = _SCHEMES[parts.scheme]
     try:
         options = model.model_validate(given)
     except ValidationError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -25,8 +26,9 @@ from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.live_source import LiveSource, SourceUri, SyntheticOptions, parse_uri
 from bubbleviz.live.live_stream import STOPPED_AFTER_S, LiveStream
 from bubbleviz.live.recorder import Recorder
-from bubbleviz.live.replay import Replay
+from bubbleviz.live.replay import FramesLive, Replay
 from bubbleviz.live.topic_names import TopicNames
+from bubbleviz.plugins import plugin
 from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import AUTO, FrameMessages, preset_of_size
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
@@ -58,7 +60,7 @@ def open_stream(
     options = uri.options
     chosen = {"depth", "info", "pressure", "wrench", "colour", "prefix"}
     names = TopicNames(**options.model_dump(include=chosen))
-    source = _MAKERS[uri.scheme](uri, sensor, names)
+    source = _MAKERS.get(uri.scheme, _plugged)(uri, sensor, names)
     camera = sensor.camera
     assembler = FrameAssembler(
         names,
@@ -104,6 +106,12 @@ def _realsense(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 
     size = (sensor.camera.width, sensor.camera.height)
     return open_realsense(uri, size, names.prefix or DEFAULT_PREFIX)
+
+
+def _plugged(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
+    frames, options = plugin("sources", uri.scheme), uri.options.model_extra
+    messages = FrameMessages(prefix=names.prefix or DEFAULT_PREFIX)
+    return FramesLive(uri.text, partial(frames, uri.place, options), messages)
 
 
 _Maker = Callable[[SourceUri, Sensor, TopicNames], LiveSource]

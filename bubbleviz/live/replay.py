@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from bubbleviz.live.topic_names import TYPES, TopicNames, stamp_of
 from bubbleviz.recordings import (
     GARBAGE_NS,
     Bag,
+    Frame,
     FrameMessages,
     FrameSource,
     Message,
@@ -145,3 +146,30 @@ class SyntheticLive(LiveSource):
                 sent += 1
         finally:
             simulation.close()
+
+
+# Frames of a plug-in as a live source.
+
+
+class FramesLive(LiveSource):
+    """Streams frames as they come, stamped with the time of their arrival where they have none."""
+
+    def __init__(
+        self,
+        name: str,
+        make: Callable[[], Iterator[Frame]],  # called, and waited for, in the source's own thread
+        messages: FrameMessages,
+    ) -> None:
+        super().__init__(name)
+        self._make, self._messages = make, messages
+
+    def _run(self, deliver: Deliver) -> None:
+        for sent, frame in enumerate(self._make()):
+            if self._stopped.is_set():
+                return
+            now = time.time_ns()
+            messages = list(self._messages.of(frame, frame.stamp_ns or now))
+            self.topics = tuple(OfferedTopic(m.topic, m.type) for m in messages)
+            self.link = "up"
+            for message in messages:
+                deliver(message._replace(arrival_ns=now, sequence=sent))

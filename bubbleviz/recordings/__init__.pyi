@@ -93,6 +93,7 @@ from .recording import (
     Recording as Recording,
     force_of as force_of,
     measured_force as measured_force,
+    open_recording as open_recording,
 )
 from .recording_writer import RecordingWriter as RecordingWriter
 from .seen_colour import SeenColour as SeenColour, Texture as Texture, placed as placed
@@ -103,6 +104,7 @@ from .sensor_matching import (
     checked_sensor as checked_sensor,
     fitting_sensor as fitting_sensor,
     gas_warning as gas_warning,
+    image_size as image_size,
     preset_of_size as preset_of_size,
     size_refusal as size_refusal,
 )

@@ -13,6 +13,7 @@ import numpy as np
 from bubbleviz.camera import ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import damage
+from bubbleviz.plugins import plugin
 from bubbleviz.recordings.bag import UNREADABLE, Bag, Messages
 from bubbleviz.recordings.colour_topics import find_colour
 from bubbleviz.recordings.depth_topics import (
@@ -30,7 +31,7 @@ from bubbleviz.recordings.depth_topics import (
     has_data,
     metres_per_unit,
 )
-from bubbleviz.recordings.frame import Frame, usual_step
+from bubbleviz.recordings.frame import Frame, FrameSource, usual_step
 from bubbleviz.recordings.message_decoding import (
     DEPTH_ENCODINGS,
     decode_cloud,
@@ -288,6 +289,38 @@ def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
     if messages.header(k)[0] == UNREADABLE:
         return np.full(1 if kind == PRESSURE else 6, np.nan)
     return VALUES[kind](messages.message(k))
+
+
+def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
+    """Open a recording of ROS, or of a format that a plug-in reads.
+
+    Parameters
+    ----------
+    path : path
+        A plug-in is asked where it has the suffix of one.
+    **topics : str or None
+        Of `Recording`.
+
+    Raises
+    ------
+    InputError
+        It cannot be opened, or a topic was chosen of a format without topics.
+    """
+    path = Path(path)
+    read = plugin("readers", path.suffix.removeprefix(".").lower()) if path.suffix else None
+    if read is None:
+        return Recording(path, **topics)
+    if chosen := next(filter(None, topics.values()), None):
+        raise InputError(f"{path}: a recording of this format has no topics; leave out {chosen}")
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    try:
+        opened: FrameSource = read(path)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a plug-in raises of a file that is not as it should be
+        raise InputError(f"{path}: the plug-in that reads this format failed: {error}") from error
+    return opened
 
 
 def _headers(images: Messages) -> tuple[np.ndarray, np.ndarray]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path, PurePosixPath
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import preset_names
 from bubbleviz.recordings.depth_topics import CAMERA_INFO, of_type
+from bubbleviz.recordings.frame import FrameSource, shown_name
 from bubbleviz.recordings.message_decoding import COMPRESSED
-from bubbleviz.recordings.recording import Recording
+from bubbleviz.recordings.recording import Recording, open_recording
 from bubbleviz.sensor import Sensor, load_sensor
 
 WEATHER_PA = 5e3
@@ -16,15 +18,24 @@ WEATHER_PA = 5e3
 AUTO = "auto"  # sensor name that stands for the preset whose camera has the recording's image size
 
 
-def check_fits(recording: Recording, sensor: Sensor, sensor_name: str | Path) -> None:
-    """Refuse a recording that is not of the sensor's camera.
+def image_size(source: FrameSource) -> tuple[int, int]:
+    """Width and height of the depth images of a source, pixels."""
+    if isinstance(source, Recording):
+        return source.size
+    height, width = source[0].depth_m.shape
+    return width, height
+
+
+def check_fits(source: FrameSource, sensor: Sensor, sensor_name: str | Path) -> None:
+    """Refuse frames that are not of the sensor's camera.
 
     Raises InputError: the images, or the camera info recorded beside them, have another size.
     """
-    _check_camera_info(recording)
-    own = (sensor.camera.width, sensor.camera.height)
-    if recording.size != own:
-        raise size_refusal(str(recording.path), recording.size, sensor_name, own)
+    if isinstance(source, Recording):
+        _check_camera_info(source)
+    size, own = image_size(source), (sensor.camera.width, sensor.camera.height)
+    if size != own:
+        raise size_refusal(shown_name(source), size, sensor_name, own)
 
 
 def size_refusal(
@@ -37,16 +48,16 @@ def size_refusal(
     )
 
 
-def fitting_sensor(recording: Recording, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
-    """Name and sensor for a recording: as given, or the preset of its size for `auto` and None.
+def fitting_sensor(source: FrameSource, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
+    """Name and sensor for frames: as given, or the preset of their size for `auto` and None.
 
-    Raises InputError: there is no such sensor, or it does not fit the recording.
+    Raises InputError: there is no such sensor, or it does not fit the frames.
     """
     if name is None or str(name) == AUTO:
-        name = preset_of_size(recording.size, str(recording.path))
+        name = preset_of_size(image_size(source), shown_name(source))
     sensor = load_sensor(name)
     shown = sensor.name if isinstance(name, Sensor) else str(name)
-    check_fits(recording, sensor, shown)
+    check_fits(source, sensor, shown)
     return shown, sensor
 
 
@@ -67,8 +78,8 @@ def gas_warning(
 
 def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sensor]:
     """`fitting_sensor` of a recording that is not open yet."""
-    with Recording(path) as recording:
-        return fitting_sensor(recording, name)
+    with closing(open_recording(path)) as source:
+        return fitting_sensor(source, name)
 
 
 def preset_of_size(

@@ -9,7 +9,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import TRUTH_SUFFIX, damage, read_npz
-from bubbleviz.recordings import Frame, Recording
+from bubbleviz.recordings import Frame, FrameSource, Recording
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.wording import count_of
 
@@ -97,13 +97,15 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def known_beside(recording: Recording) -> KnownRecording | Recording:
+def known_beside(recording: FrameSource) -> FrameSource:
     """The recording with the truth of the TRUTH.npz beside it that is named after it.
 
     Where there is none, or a file of that name is something else, such as its RESULT.npz, it is
     the recording as it was: nobody has said that it is a simulation. It remarks on a truth that is
     not its own.
     """
+    if not isinstance(recording, Recording):
+        return recording
     place = recording.path.absolute()
     path = place.with_name(f"{place.name if place.is_dir() else place.stem}{TRUTH_SUFFIX}")
     if not path.is_file():

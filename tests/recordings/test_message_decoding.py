@@ -55,7 +55,7 @@ def test_metres_stay_and_everything_that_is_no_distance_is_nan(size, big, paddin
         ({"encoding": "mono16"}, "mono16"),
         ({"height": 0}, "plausible"),
         ({"width": 4_000_000_000}, "plausible"),
-        ({"height": 9_999}, "no 3×9999 image"),
+        ({"height": 9_999}, "not a 3×9999 image"),
         ({"step": 11}, "step"),
         ({"step": 4_000_000_000}, "step"),
     ],

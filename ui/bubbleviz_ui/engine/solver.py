@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -29,12 +30,14 @@ from bubbleviz.recordings import (
     HeldFrames,
     Recording,
     check_fits,
+    fitting_sensor,
     gas_warning,
-    preset_of_size,
+    image_size,
+    open_recording,
 )
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import KnownRecording, NoisyLoop, Truth, known_beside, truth_of
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.live_frames import LiveFrames
@@ -151,10 +154,10 @@ class RecordingOpener:
         Raises InputError: It cannot be opened, does not fit the sensor, or the truth is not its
         own.
         """
-        opened = Recording(self.path)
+        opened = open_recording(self.path)
         try:
             check_fits(opened, sensor, sensor.name)
-            if self.truth is not None:
+            if self.truth is not None and isinstance(opened, Recording):
                 return KnownRecording(opened, self.truth)
             return known_beside(opened)
         except InputError:
@@ -169,10 +172,10 @@ def recording(path: Path, truth: Path | None = None) -> Callable[[Sensor], Frame
 
 def sensor_for(path: Path, present: Sensor) -> Sensor:
     """Sensor to open a recording with: the present one if it fits, else the preset that does."""
-    with Recording(path) as opened:
-        if opened.size == (present.camera.width, present.camera.height):
+    with closing(open_recording(path)) as opened:
+        if image_size(opened) == (present.camera.width, present.camera.height):
             return present
-        return load_sensor(preset_of_size(opened.size, str(opened.path)))
+        return fitting_sensor(opened, None)[1]
 
 
 def synthetic(sensor: Sensor) -> FrameSource:
