@@ -13,5 +13,5 @@ Importing this loads nothing; each name below loads what it needs when it is fir
 
 import lazy_loader
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
