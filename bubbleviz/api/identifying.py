@@ -21,11 +21,11 @@ from bubbleviz.calibration import (
     Validation,
     Workbench,
     as_ranges,
-    check_outputs,
+    output_files,
     save,
 )
 from bubbleviz.errors import InputError
-from bubbleviz.files import parse_pose, refuse_existing, set_aside
+from bubbleviz.files import parse_pose, set_aside
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource, KeptFrames
 from bubbleviz.rigid_object import load_object
@@ -113,7 +113,8 @@ class Identified(Summary):
         """
         out, folder = Path(out), None if report is None else Path(report)
         where = self.found, self.source, self.started_from, out, folder
-        with set_aside(*_files(out, folder)) if overwrite else nullcontext():
+        files = output_files(out, folder, overwrite=overwrite)
+        with set_aside(*files) if overwrite else nullcontext():
             self.numbers = save(*where, progress, self.validation)
         self.out, self.report = out, folder
         return self.numbers
@@ -140,14 +141,6 @@ class Identified(Summary):
     def __repr__(self) -> str:
         low, high = self.tension_interval_n_per_m
         return f"<γ0 {self.tension_n_per_m:.2f} N/m, 95 % within {low:.2f}…{high:.2f}>"
-
-
-def _files(out: Path, report: Path | None) -> list[Path]:
-    """What is replaced; InputError where that is no file of ours."""
-    files = [out, out.with_suffix(".ply"), out.with_suffix(".npz"), *filter(None, [report])]
-    for each in files:
-        refuse_existing(each, overwrite=True)
-    return files
 
 
 def identify(
@@ -220,8 +213,7 @@ def identify(
     >>> found.save("mine.toml", report="report")
     """
     if out is not None:  # before the work
-        files = Path(out), None if report is None else Path(report)
-        _files(*files) if overwrite else check_outputs(*files)
+        output_files(out, None if report is None else Path(report), overwrite=overwrite)
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
     source = KeptFrames(open(frames) if isinstance(frames, str | Path) else frames)
     if isinstance(contact_free, str):

@@ -9,21 +9,21 @@ from .errors import (
 from .identification import (
     Identification as Identification,
     assemble as assemble,
-    collect_press as collect_press,
-    held_frames as held_frames,
     rest_gauge as rest_gauge,
-    with_rubber as with_rubber,
 )
 from .material import (
     RubberEstimate as RubberEstimate,
     Vented as Vented,
+    collect_press as collect_press,
+    held_frames as held_frames,
+    with_rubber as with_rubber,
 )
 from .pictures import (
     before_after as before_after,
     local_tension_image as local_tension_image,
 )
 from .report import (
-    check_outputs as check_outputs,
+    output_files as output_files,
     save as save,
     summary as summary,
     write_sensor as write_sensor,

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bubbleviz.calibration.material import RubberEstimate, Vented, estimate_rubber
-from bubbleviz.calibration.rest_frames import Samples, collect
+from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.surface import Surfaces
 from bubbleviz.calibration.tension import Quantity, TensionEstimate
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import LAG, MIN_FRAMES, DepthStatistics, FrameSource, robust_sigma
+from bubbleviz.recordings import DepthStatistics
 from bubbleviz.sensor import (
     ATMOSPHERES,
     LEAST_NOISE,
@@ -27,6 +25,9 @@ from bubbleviz.sensor import (
     Sensor,
 )
 from bubbleviz.sensor_model import SensorModel
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.material import RubberEstimate
 
 
 @dataclass(frozen=True)
@@ -114,43 +115,6 @@ def rest_gauge(samples: Samples, sensor: Sensor) -> tuple[float, float | None]:
     return gauge, WEATHER_SIGMA_PA
 
 
-_HELD = 0.9  # share of the largest rise of the gas pressure from which on a press counts as held
-_CLEAR = 10.0  # standard deviations of the gas pressure by which a press must move it
-
-
-def held_frames(source: FrameSource, samples: Samples, progress: Progress = quiet) -> list[int]:
-    """Frames after the contact-free ones in which the gas pressure is near its largest.
-
-    None of them where there is no gas pressure, or no press that moves it ten times its noise.
-    """
-    free = samples.gas_pressure_pa
-    if free is None:
-        return []
-    rest = float(np.median(free))
-    later = range(max(samples.frames) + 1, len(source))
-    rises = []
-    for k in later:
-        value = source[k].gas_pressure_pa
-        rises.append(np.nan if value is None else value - rest)
-        progress("finding the press", (k - later.start) / len(later))
-    rise = np.array(rises)
-    if not np.isfinite(rise).any() or np.nanmax(rise) < _CLEAR * max(robust_sigma(free), 1e-9):
-        return []
-    return [later[k] for k in np.flatnonzero(rise > _HELD * np.nanmax(rise))]
-
-
-def collect_press(
-    source: FrameSource, found: Identification, progress: Progress = quiet
-) -> Samples | None:
-    """Frames of a later press that is held and whose gas pressure is known; None without one.
-
-    Those whose images a camera's temporal filter has cleared of what was before them.
-    """
-    held = dict.fromkeys(held_frames(source, found.samples, progress))
-    frames = [k for k in held if k - LAG in held]
-    return collect(source, found.given, frames, progress) if len(frames) >= MIN_FRAMES else None
-
-
 def assemble(
     sensor: Sensor,
     samples: Samples,
@@ -160,7 +124,7 @@ def assemble(
 ) -> Identification:
     """Put what the steps found into a sensor."""
     sigma = rest_gauge(samples, sensor)[1]
-    pneumatics = sensor.pneumatics.model_copy(update=_pressures(samples, tension, sigma))
+    pneumatics = sensor.pneumatics.model_copy(update=pressures(samples, tension, sigma))
     update = {
         "membrane": _membrane_section(surfaces, sensor.membrane.prestretch),
         "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
@@ -177,7 +141,7 @@ def assemble(
     )
 
 
-def _pressures(
+def pressures(
     samples: Samples, tension: TensionEstimate, gauge_sigma_pa: float | None
 ) -> dict[str, float | None]:
     """Pressures and γ0 of the sensor file; the recorded gas pressure is that of its rest."""
@@ -191,42 +155,6 @@ def _pressures(
         absolute = float(np.median(samples.gas_pressure_pa))
         values["atmospheric_pressure_pa"] = round(absolute - gauge, 1)
     return values
-
-
-def with_rubber(
-    # from a sensor with the open chamber's atmospheric pressure, where that is given
-    found: Identification,
-    levels: Sequence[Samples],  # of the untouched sensor at other pressures
-    vented: Vented | None = None,
-    held: Samples | None = None,  # of a press, which is asked where there are no levels
-    # standard deviation of a gas pressure beside that of another recording, Pa; a usual sensor's
-    level_sigma_pa: float | None = None,
-) -> Identification:
-    """Identification with λ, and the gauge pressure, as levels, a press and open chamber tell.
-
-    Raises InputError: an open chamber was recorded, but not the gas pressure of the inflated
-    sensor.
-    """
-    known = rest_gauge(found.samples, found.given)[1]
-    other = found.surfaces.other_mesh
-    where = found.model, found.samples, found.tension
-    rubber = estimate_rubber(
-        *where, levels, vented, held,
-        gauge_sigma_pa=known, level_sigma_pa=level_sigma_pa, other_mesh=other,
-    )  # fmt: skip
-    if rubber is None:
-        return found
-    tension, sensor, section = found.tension, found.sensor, {}
-    if rubber.gauge is not None:
-        tension = tension.under(rubber.gauge)
-        section = _pressures(found.samples, tension, rubber.gauge.sigma)
-    membrane = sensor.membrane
-    if rubber.prestretch is not None:
-        stretch = {"prestretch": round(rubber.prestretch.value, 4)}
-        membrane = membrane.model_copy(update=stretch)
-    pneumatics = sensor.pneumatics.model_copy(update=section)
-    update = {"membrane": membrane, "pneumatics": pneumatics}
-    return replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

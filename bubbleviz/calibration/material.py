@@ -8,15 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.identification import Identification, pressures, rest_gauge
+from bubbleviz.calibration.rest_frames import Samples, collect
 from bubbleviz.calibration.rubber_problem import LARGEST_Q, SMALLEST_Q, Fit, RubberProblem
-from bubbleviz.calibration.tension import Quantity, TensionEstimate
+from bubbleviz.calibration.tension import Quantity
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import FrameSource, error_of_mean
+from bubbleviz.progress import Progress, quiet
+from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, error_of_mean, robust_sigma
 from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA, Sensor
-from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of
 
 _UNEXPLAINED = 0.25  # share of the change of range that rubber may leave unexplained
@@ -101,31 +101,89 @@ class Vented:
         return sensor.model_copy(update={"pneumatics": section})
 
 
-def estimate_rubber(
-    model: SensorModel,  # as identified from `samples`
-    samples: Samples,  # of the reference surface
-    # for the gauge pressure by the sensor file's atmospheric pressure, or by the open chamber's
-    tension: TensionEstimate,
+_HELD = 0.9  # share of the largest rise of the gas pressure from which on a press counts as held
+_CLEAR = 10.0  # standard deviations of the gas pressure by which a press must move it
+
+
+def held_frames(source: FrameSource, samples: Samples, progress: Progress = quiet) -> list[int]:
+    """Frames after the contact-free ones in which the gas pressure is near its largest.
+
+    None of them where there is no gas pressure, or no press that moves it ten times its noise.
+    """
+    free = samples.gas_pressure_pa
+    if free is None:
+        return []
+    rest = float(np.median(free))
+    later = range(max(samples.frames) + 1, len(source))
+    rises = []
+    for k in later:
+        value = source[k].gas_pressure_pa
+        rises.append(np.nan if value is None else value - rest)
+        progress("finding the press", (k - later.start) / len(later))
+    rise = np.array(rises)
+    if not np.isfinite(rise).any() or np.nanmax(rise) < _CLEAR * max(robust_sigma(free), 1e-9):
+        return []
+    return [later[k] for k in np.flatnonzero(rise > _HELD * np.nanmax(rise))]
+
+
+def collect_press(
+    source: FrameSource, found: Identification, progress: Progress = quiet
+) -> Samples | None:
+    """Frames of a later press that is held and whose gas pressure is known; None without one.
+
+    Those whose images a camera's temporal filter has cleared of what was before them.
+    """
+    held = dict.fromkeys(held_frames(source, found.samples, progress))
+    frames = [k for k in held if k - LAG in held]
+    return collect(source, found.given, frames, progress) if len(frames) >= MIN_FRAMES else None
+
+
+def with_rubber(
+    # from a sensor with the open chamber's atmospheric pressure, where that is given
+    found: Identification,
     levels: Sequence[Samples],  # of the untouched sensor at other pressures
     vented: Vented | None = None,
     held: Samples | None = None,  # of a press, which is asked where there are no levels
-    *,
-    # standard deviation of the gauge pressure by the sensor file, Pa; the weather's where None
-    gauge_sigma_pa: float | None,
-    # that of the gas pressure from one recording to another, Pa; of a usual sensor where None
+    # standard deviation of a gas pressure beside that of another recording, Pa; a usual sensor's
     level_sigma_pa: float | None = None,
-    other_mesh: MembraneMesh,  # of another surface: what differs on it is an error, too
-) -> RubberEstimate | None:
-    """λ and gauge pressure; None where there are no levels, no press and no open chamber."""
-    if vented is None and not levels and held is None:
-        return None
-    if levels:
-        words = f"inflation levels: {', '.join(each.source_name for each in levels)}"
-    else:
-        words = "" if held is None else f"the press in {held.source_name}"
-    known = RubberEstimate(None, None, "given", words, "levels" if levels else "press")
+) -> Identification:
+    """Identification with λ, and the gauge pressure, as levels, a press and open chamber tell.
+
+    Raises InputError: an open chamber was recorded, but not the gas pressure of the inflated
+    sensor.
+    """
+    seen = levels or ([] if held is None else [held])
+    if vented is None and not seen:
+        return found
+    rubber = _estimate(found, seen, vented, level_sigma_pa, pressed=not levels)
+    tension, sensor, section = found.tension, found.sensor, {}
+    if rubber.gauge is not None:
+        tension = tension.under(rubber.gauge)
+        section = pressures(found.samples, tension, rubber.gauge.sigma)
+    stretch = {}
+    if rubber.prestretch is not None:
+        stretch = {"prestretch": round(rubber.prestretch.value, 4)}
+    update = {
+        "membrane": sensor.membrane.model_copy(update=stretch),
+        "pneumatics": sensor.pneumatics.model_copy(update=section),
+    }
+    return replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
+
+
+def _estimate(
+    found: Identification,
+    seen: Sequence[Samples],  # levels, or a press
+    vented: Vented | None,
+    level_sigma_pa: float | None,
+    *,
+    pressed: bool,
+) -> RubberEstimate:
+    names = ", ".join(each.source_name for each in seen)
+    words = (f"the press in {names}" if pressed else f"inflation levels: {names}") if seen else ""
+    known = RubberEstimate(None, None, "given", words, "press" if pressed else "levels")
+    samples, tension = found.samples, found.tension
     gauge, gas = tension.gauge_pressure_pa, samples.gas_pressure_pa
-    sigma = gauge_sigma_pa or WEATHER_SIGMA_PA
+    sigma = rest_gauge(samples, found.given)[1] or WEATHER_SIGMA_PA
     if vented is not None:
         if gas is None:
             raise InputError(
@@ -135,13 +193,12 @@ def estimate_rubber(
         sigma = float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
         name, by_chamber = vented.source_name, Quantity.normal(gauge, sigma)
         known = replace(known, gauge=by_chamber, gauge_from="vented", vented=name)
-    seen = levels or ([] if held is None else [held])
     if not seen:
         return replace(known, why_not="no inflation level was recorded")
     relative = tension.of_shape.sigma / tension.of_shape.value
-    told = model, samples, seen, other_mesh, gauge, relative
+    told = found.model, samples, seen, found.surfaces.other_mesh, gauge, relative
     try:
-        problem = RubberProblem(*told, level_sigma_pa, pressed=not levels)
+        problem = RubberProblem(*told, level_sigma_pa, pressed=pressed)
         alone = problem.fit()
         fit = problem.refit(alone, sigma / gauge)
     except InputError as error:

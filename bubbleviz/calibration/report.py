@@ -31,14 +31,19 @@ Origin = dict[str, Any]
 `report`, its path from the sensor file's folder."""
 
 
-def output_files(out_toml: str | Path) -> tuple[Path, Path, Path]:
-    """Paths of the sensor file, its mesh and its pixel images; InputError where one is taken."""
+def output_files(
+    out_toml: str | Path, report: Path | None = None, *, overwrite: bool = False
+) -> list[Path]:
+    """Paths of the sensor file, its mesh and its pixel images, and of the report where it has one.
+
+    Raises InputError: one is taken, or, to overwrite, is no file of ours.
+    """
     path = Path(out_toml)
     if path.suffix != ".toml":
         raise InputError(f"{path}: a sensor file ends in .toml; rename it")
-    paths = path, path.with_suffix(".ply"), path.with_suffix(".npz")
+    paths = [path, path.with_suffix(".ply"), path.with_suffix(".npz"), *filter(None, [report])]
     for each in paths:
-        refuse_existing(each)
+        refuse_existing(each, overwrite=overwrite)
     return paths
 
 
@@ -241,13 +246,6 @@ def _validation(validation: Validation | None) -> dict[str, Any] | None:
     }
 
 
-def check_outputs(out: Path, report: Path | None) -> None:
-    """Refuse, before the work, what could not be written after it."""
-    output_files(out)
-    if report is not None:
-        refuse_existing(report)
-
-
 def save(
     found: Identification,
     source: FrameSource,  # what it was made from; hashed where it is a file
@@ -262,7 +260,7 @@ def save(
     Raises InputError: something exists or cannot be written; nothing is written then. Raises
     Cancelled: by `progress`; nothing is written then.
     """
-    check_outputs(out, report)
+    files = output_files(out, report)
     path = getattr(source, "path", None)
     origin: Origin = {
         "recording": source.name,
@@ -278,7 +276,7 @@ def save(
         try:
             write_report(found, numbers, report, validation)
         except BaseException:
-            for each in (out, out.with_suffix(".ply"), out.with_suffix(".npz")):
+            for each in files[:3]:
                 each.unlink(missing_ok=True)  # none of them was there before
             raise
     return numbers

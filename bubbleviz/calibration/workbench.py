@@ -17,14 +17,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.identification import (
-    Identification,
-    assemble,
-    collect_press,
-    rest_gauge,
-    with_rubber,
-)
-from bubbleviz.calibration.material import Vented
+from bubbleviz.calibration.identification import Identification, assemble, rest_gauge
+from bubbleviz.calibration.material import Vented, collect_press, with_rubber
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rest_frames import (
     Samples,
