@@ -67,18 +67,21 @@ def spatial_correlation(
     noise = np.where(used, noise, np.float32(0.0))
     weight = used.astype(np.float32)
     reach = min(reach, min(noise.shape[1:]) // 2)
-    rho = np.ones(reach + 1)
-    power = float(np.sum(noise**2, dtype=np.float64) / max(1.0, np.sum(weight, dtype=np.float64)))
-    for k in range(1, reach + 1):
-        product = pairs = 0.0
-        for a, b in (
-            (np.s_[:, :, k:], np.s_[:, :, :-k]),
-            (np.s_[:, k:, :], np.s_[:, :-k, :]),
-        ):
-            product += float(np.vdot(noise[a], noise[b]))
-            pairs += float(np.vdot(weight[a], weight[b]))
-        rho[k] = product / max(pairs, 1.0) / power if power > 0.0 else 0.0
-    return rho
+    product, pairs = np.zeros(reach + 1), np.zeros(reach + 1)
+    for axis in (0, 1):
+        for image, known in zip(noise, weight, strict=True):
+            product += _lagged_products(image, axis, reach)
+            pairs += _lagged_products(known, axis, reach)
+    mean = product / np.maximum(pairs, 1.0)
+    return mean / mean[0] if mean[0] > 0.0 else np.eye(1, reach + 1)[0]
+
+
+def _lagged_products(image: np.ndarray, axis: int, reach: int) -> np.ndarray:
+    """Sums of the products of pixels 0, 1, … `reach` apart along an axis, (reach + 1,)."""
+    size = image.shape[axis] + reach
+    spectrum = np.fft.rfft(image, size, axis=axis)
+    power = np.sum(spectrum.real**2 + spectrum.imag**2, axis=1 - axis, dtype=np.float64)
+    return np.fft.irfft(power, size)[: reach + 1]
 
 
 def correlated_samples(rho: np.ndarray) -> float:
