@@ -32,10 +32,7 @@ from .rest_frames import (
     Ranges as Ranges,
     as_ranges as as_ranges,
     collect as collect,
-    in_words as in_words,
     numbers as numbers,
-    tidy as tidy,
-    without as without,
 )
 from .segmentation import (
     rim_height as rim_height,

@@ -160,30 +160,11 @@ def select_pixels(
     )
 
 
-# Sets of frames as ranges, as selected on the timeline.
+# Sets of frames as ranges.
 
 
 Ranges = tuple[tuple[int, int], ...]
 """First frame and the one after the last of each range; in order, apart, none empty."""
-
-
-def tidy(ranges: Iterable[tuple[int, int]], frames: int) -> Ranges:
-    """Ranges inside 0 … frames, in order, with those that touch joined."""
-    joined: list[tuple[int, int]] = []
-    for start, stop in sorted((max(a, 0), min(b, frames)) for a, b in ranges):
-        if start >= stop:
-            continue
-        if joined and start <= joined[-1][1]:
-            joined[-1] = (joined[-1][0], max(joined[-1][1], stop))
-        else:
-            joined.append((start, stop))
-    return tuple(joined)
-
-
-def without(ranges: Ranges, start: int, stop: int) -> Ranges:
-    """Ranges less the frames start … stop − 1."""
-    parts = [part for a, b in ranges for part in ((a, min(b, start)), (max(a, stop), b))]
-    return tidy([(a, b) for a, b in parts if a < b], max((b for _, b in ranges), default=0))
 
 
 def numbers(ranges: Ranges) -> list[int]:
@@ -191,10 +172,7 @@ def numbers(ranges: Ranges) -> list[int]:
 
 
 def as_ranges(frames: Iterable[int]) -> Ranges:
-    listed = list(frames)
-    return tidy([(k, k + 1) for k in listed], max(listed, default=-1) + 1)
-
-
-def in_words(ranges: Ranges) -> str:
-    """Ranges as text such as "0–59, 80–99", last frames included."""
-    return ", ".join(f"{a}–{b - 1}" if b - a > 1 else f"{a}" for a, b in ranges) or "none"
+    every = set(frames)
+    starts = sorted(k for k in every if k - 1 not in every)
+    stops = sorted(k + 1 for k in every if k + 1 not in every)
+    return tuple(zip(starts, stops, strict=True))

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Ranges, Step, in_words, numbers, tidy, without
+from bubbleviz.calibration import Ranges, Step, numbers
 from bubbleviz.recordings import SIGNIFICANT, ContactFree, HeldFrames, TimeAxis
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import Page
@@ -27,6 +27,7 @@ from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.calibration.frame_collector import Collector
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.playback.frame_ranges import in_words, tidy, without
 from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill

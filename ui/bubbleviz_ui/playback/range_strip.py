@@ -18,10 +18,11 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Ranges, tidy
+from bubbleviz.calibration import Ranges
 from bubbleviz.diagnostics import Statistics, statistics
 from bubbleviz.recordings import TimeAxis
 from bubbleviz_ui.model.units import NOTHING, Unit
+from bubbleviz_ui.playback.frame_ranges import tidy
 from bubbleviz_ui.shell import theme
 
 HEIGHT = 16
