@@ -46,7 +46,7 @@ _REMEDY = {
     False: "let the camera warm up, then re-zero (identify anew at rest)",
 }
 
-_STEP = 0.01  # of depth and of gauge pressure, to find the patterns of the causes
+_STEP = 0.01  # of gauge pressure, to find its pattern
 _SECANTS, _MOST = 4, 0.5  # rounds of that, and the largest share of the gauge pressure looked for
 _ROBUST = 3  # rounds in which pixels far from the others of their block lose their weight
 _PRESSED = 0.15  # of the dome's height: depth of the press that tells drift in newtons; chosen
@@ -164,7 +164,10 @@ class _Rest:
             usual = np.median(every, axis=0)
             every = np.array([self.observer.weigh(each, usual).residual_m for each in measured])
         totals = np.array([each.total for each in measured])
-        self._seen = np.asarray((totals > 0.0).all(axis=0))
+        by_offset, *_, by_scale = self.observer.image_errors.T
+        self._seen = np.asarray((totals > 0.0).all(axis=0) & (by_offset > 0.0))
+        # change of the blocks (B,) by an offset and by the scale of depth
+        self._by_offset, self._by_scale = by_offset[self._seen], by_scale[self._seen]
         if 2 * self._seen.sum() < len(self._seen):
             raise InputError("more than half of the membrane is not seen; uncover the camera")
         # (F, B), residuals of the blocks, m
@@ -189,21 +192,19 @@ class _Rest:
             return noise_m2 * inflation / len(moved) + np.maximum(self.one_m2 - noise_m2, 0.0)
         return noise_m2 * (inflation / len(moved) + 1.0 / MIN_FRAMES)
 
+    def _at_limit(self, pattern: float | np.ndarray, variance_m2: np.ndarray) -> float:
+        """Size of a pattern of the blocks (B,) from which χ² is too large."""
+        return float(np.sqrt(self.limit / np.mean(pattern**2 / variance_m2)))
+
     @property
     def change_limit_m(self) -> float:
-        """Rms change of the range from which χ² is too large, m."""
-        return float(np.sqrt(self.limit / np.mean(1.0 / self.mean_m2)))
+        """Rms change of the range from which something changed, m."""
+        return self._at_limit(1.0, self.mean_m2)
 
     @property
     def bias_m(self) -> float:
         """Mean of measured minus expected z-depth, m."""
-        return float(np.average(self.mean_m / self._per_depth, weights=1.0 / self.one_m2))
-
-    @cached_property
-    def _per_depth(self) -> np.ndarray:
-        """Change of the blocks (B,) by that of the z-depth."""
-        depth = self.expected_depth_m()
-        return (self._observed(depth + 1e-3) - self._observed(depth)) / 1e-3
+        return float(np.average(self.mean_m / self._by_offset, weights=1.0 / self.one_m2))
 
     @property
     def changed(self) -> float:
@@ -218,12 +219,8 @@ class _Rest:
     @cached_property
     def patterns(self) -> dict[str, np.ndarray]:
         """Change of the blocks (B,) by a unit of each cause: m, 1, Pa."""
-        depth = self.expected_depth_m()
-        at_rest = self._observed(depth)
-        found = {
-            OFFSET: self._per_depth,
-            SCALE: (self._observed(depth * (1.0 + _STEP)) - at_rest) / _STEP,
-        }
+        found = {OFFSET: self._by_offset, SCALE: self._by_scale}
+        at_rest = self._observed(self.expected_depth_m())
         gauge = self.model.sensor.pneumatics.gauge_pressure_pa
         inflation, step = Inflation(self.model.rubber), _STEP * gauge
         for _ in range(_SECANTS):  # the membrane is no linear spring
@@ -300,22 +297,18 @@ class _Rest:
         sigma = np.hypot(error_of_mean(self.frames_m @ influence), np.linalg.norm(scores))
         return float(influence @ self.mean_m), HALF_95 * float(sigma)
 
-    def limit_of(self, cause: str) -> float:
-        """Size from which a cause alone is a change."""
-        return float(np.sqrt(self.limit / np.mean(self.patterns[cause] ** 2 / self.mean_m2)))
-
     def rows(self) -> list[Checked]:
         """The causes, and what they leave."""
         rows = []
         for name in self.patterns:
-            limit = self.limit_of(name)
+            limit = self._at_limit(self.patterns[name], self.mean_m2)
             size, half = self.size(name)
             explains = name in self.causes and abs(size) > limit and self.left <= self.limit
             todo = _REMEDY[name == GAS] if explains else ""
             rows.append(Checked(name, *_UNITS[name], size, half, limit, todo))
         todo = "identify anew" if self.left > self.limit else ""
-        shape = self.shape_m, None, self.shape_limit_m
-        rows.append(Checked("rest shape, rms", "mm", 1e3, *shape, todo))
+        limit_m = self._at_limit(1.0, self.one_m2)
+        rows.append(Checked("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, todo))
         return rows
 
     @property
@@ -323,11 +316,6 @@ class _Rest:
         """What the causes leave, rms over the blocks, m."""
         left = self._without(self.causes)
         return float(np.sqrt(np.average(left**2, weights=1.0 / self.one_m2)))
-
-    @property
-    def shape_limit_m(self) -> float:
-        """Rms over the blocks that is as much as χ² in one frame may be, m."""
-        return float(np.sqrt(self.limit / np.mean(1.0 / self.one_m2)))
 
 
 def _camera_row(model: SensorModel, rest: _Rest) -> Checked:
