@@ -51,7 +51,6 @@ from .surface import (
     NAMES as NAMES,
     Name as Name,
     Surfaces as Surfaces,
-    mean_points as mean_points,
 )
 from .tension import (
     Quantity as Quantity,

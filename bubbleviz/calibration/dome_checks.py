@@ -35,8 +35,8 @@ def check_dome(
             " volume under it and so γ0 cannot be known; uncover the camera, or give the sensor"
             " file of this camera's pose"
         )
-    points = camera.center + ranges[..., None] * camera.directions.reshape(*ranges.shape, 3)
-    residual = cap.distance(points.reshape(-1, 3)).reshape(ranges.shape)
+    points = camera.points_at(ranges, np.arange(ranges.size))
+    residual = cap.distance(points).reshape(ranges.shape)
     pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)
     reach = samples.statistics.correlation_length_px
     _check_no_dent(name, residual, membrane, reach, pixel_m, cap)
@@ -143,29 +143,16 @@ _WANDER = 5e-3  # of the dome's radius: the error it would put on γ0
 
 
 def check_still(samples: Samples) -> float:
-    """Refuse frames between which the dome moves as a whole; how far it does beyond noise, m."""
-    centres, noise, radius = dome_motion(samples)
-    wander = np.linalg.norm(np.maximum(np.abs(centres) - _LOUD * noise, 0.0), axis=1)
-    worst = int(np.argmax(wander))
-    if wander[worst] > _WANDER * radius:
-        raise InputError(
-            f"{samples.source_name}: the dome moves by {1e3 * wander[worst]:.2g} mm against the"
-            f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fix the"
-            " camera, let the gas settle, or name frames without contact"
-        )
-    return float(wander[worst])
+    """Refuse frames between which the dome moves as a whole; how far it does beyond noise, m.
 
-
-def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
-    """Centre of the dome's sphere in every frame about its mean (F, 3), its noise (3,), radius, m.
-
-    The noise is that of the residuals after the motion, over tiles, since neighbours share it.
+    The motion is that of a sphere's centre about its mean, its noise that of the residuals after
+    the motion, over tiles, since neighbours share it.
     """
     statistics, camera = samples.statistics, samples.camera
     known = np.flatnonzero(statistics.validity >= statistics.regular_validity)
     known = known[:: max(1, len(known) // _PIXELS)]
     ranges = statistics.range_m.ravel()[known]
-    points = camera.center + ranges[:, None] * camera.directions[known]
+    points = camera.points_at(statistics.range_m, known)
     sphere = fit_sphere(points)
     near = np.abs(sphere.distance(points)) < 0.1 * sphere.semi_axes_m[0]
     known, points, ranges = known[near], points[near], ranges[near]
@@ -193,4 +180,12 @@ def dome_motion(samples: Samples) -> tuple[np.ndarray, np.ndarray, float]:
         cells = np.stack([np.bincount(tile, row * solve[k]) for row in left])
         variance[:, k] = np.sum(cells**2, axis=1)
     noise = np.sqrt(np.median(variance, axis=0))
-    return moved.astype(float), noise, float(sphere.semi_axes_m[0])
+    wander = np.linalg.norm(np.maximum(np.abs(moved) - _LOUD * noise, 0.0), axis=1)
+    worst = int(np.argmax(wander))
+    if wander[worst] > _WANDER * sphere.semi_axes_m[0]:
+        raise InputError(
+            f"{samples.source_name}: the dome moves by {1e3 * wander[worst]:.2g} mm against the"
+            f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fix the"
+            " camera, let the gas settle, or name frames without contact"
+        )
+    return float(wander[worst])

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import DepthCamera, RayCaster, range_jacobian
+from bubbleviz.camera import DepthCamera, MembraneView, RayCaster, range_jacobian
 from bubbleviz.membrane import MembraneMesh, cotangent_laplacian, symmetric_lu
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
@@ -105,7 +105,7 @@ def fit_free_form(
     return FreeForm(
         mesh=mesh,
         left_out_rms_m=left_out,
-        residual_m=range_residual(mesh, camera, range_m),
+        residual_m=range_m - MembraneView(camera, mesh).rest_range,
         left_out_m=left_out_image.reshape(range_m.shape),
         pixels=hits.ray,
         D=D,
@@ -118,16 +118,6 @@ def fit_free_form(
 def _efficiency(residuals: np.ndarray, sigma: float) -> float:
     slope = float(tukey_slopes(residuals, sigma).mean())
     return float(tukey_weights(residuals, sigma).mean()) / slope if slope > 0.0 else 1.0
-
-
-def range_residual(mesh: MembraneMesh, camera: DepthCamera, range_m: np.ndarray) -> np.ndarray:
-    """Measured range (H, W) minus that of the rays cast on the mesh, m; NaN where either lacks."""
-    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
-        mesh.nodes, mesh.normals
-    )
-    cast = np.full(range_m.size, np.nan)
-    cast[hits.ray] = hits.range_m
-    return range_m - cast.reshape(range_m.shape)
 
 
 def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:

@@ -9,7 +9,6 @@ import numpy as np
 
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.validation import Validation
-from bubbleviz.camera import RayCaster
 from bubbleviz.membrane import local_tension
 
 _SEQUENTIAL, _DIVERGING = "viridis", "RdBu_r"
@@ -35,12 +34,9 @@ def local_tension_image(found: Identification) -> np.ndarray:
     """γ0 by the balance of each neighbourhood as the camera sees it, (H, W), N/m."""
     scale = _BLUR * float(np.sqrt(found.mesh.areas.sum()))
     field = local_tension(found.mesh, found.tension.gauge_pressure_pa, scale)
-    camera, mesh = found.model.camera, found.mesh
-    hits = RayCaster(camera.center, camera.directions, mesh.triangles).cast(
-        mesh.nodes, mesh.normals
-    )
+    hits = found.model.view.hits(np.zeros(len(field)))
     image = np.full(found.pixels.mask.shape, np.nan)
-    at = field[mesh.triangles[hits.triangle]]
+    at = field[found.mesh.triangles[hits.triangle]]
     image.ravel()[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, at)
     return image
 

@@ -19,7 +19,7 @@ import numpy as np
 from bubbleviz.calibration.dome_checks import check_dome, check_still
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.errors import tile_numbers, tile_side
-from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of, range_residual
+from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
 from bubbleviz.calibration.rest_frames import Samples
 from bubbleviz.calibration.segmentation import (
     away_from_edges,
@@ -27,7 +27,7 @@ from bubbleviz.calibration.segmentation import (
     outer_edge,
     rim_height,
 )
-from bubbleviz.camera import DepthCamera, facet_error
+from bubbleviz.camera import DepthCamera, MembraneView, facet_error
 from bubbleviz.membrane import MembraneMesh, mesh_cap
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_weights
@@ -103,8 +103,8 @@ def fit_surfaces(
     wander = check_still(samples)
     membrane, usable = segment_membrane(samples)
     given = samples.camera
-    points = mean_points(samples, given, np.flatnonzero(usable))
-    edge = mean_points(samples, given, np.flatnonzero(outer_edge(membrane)))
+    points = given.points_at(statistics.range_m, np.flatnonzero(usable))
+    edge = given.points_at(statistics.range_m, np.flatnonzero(outer_edge(membrane)))
     caps, camera = _centred((fit_sphere(points), fit_ellipsoid(points)), given, 1)
     start = mesh_cap(caps[1].over_rim, nodes)
     side = tile_side(int(usable.sum()), statistics.correlation_length_px)
@@ -125,7 +125,7 @@ def fit_surfaces(
         if chosen == "sphere":
             caps, camera = _centred(caps, camera, 0)
             mesh = mesh_cap(caps[0].over_rim, nodes)
-        residual = range_residual(mesh, camera, statistics.range_m)
+        residual = statistics.range_m - MembraneView(camera, mesh).rest_range
     height, sigma = rim_height(edge[:, 2])
     return Surfaces(
         sphere=caps[0],
@@ -145,17 +145,11 @@ def fit_surfaces(
     )
 
 
-def mean_points(samples: Samples, camera: DepthCamera, pixels: np.ndarray) -> np.ndarray:
-    """Points in B of the mean range at flat pixel indices (k,), shape (k, 3), m."""
-    ranges = samples.statistics.range_m.ravel()[pixels]
-    return camera.center + ranges[:, None] * camera.directions[pixels]
-
-
 def segment_membrane(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """Pixels that see the membrane, and those of them far enough from its edges, (H, W) bool."""
     known = samples.statistics.validity >= samples.statistics.regular_validity
     pixels = np.flatnonzero(known)
-    points = mean_points(samples, samples.camera, pixels)
+    points = samples.camera.points_at(samples.statistics.range_m, pixels)
     rough = fit_ellipsoid(points[:: max(1, len(points) // 20_000)])
     distance = np.full(known.shape, np.nan)
     distance[known] = rough.distance(points)
@@ -184,7 +178,7 @@ def _left_out_squares(
     All with the same weights: those of the samples about the surface that can be anything.
     """
     pixels = np.flatnonzero(np.isfinite(free_form.left_out_m).ravel())
-    points = mean_points(samples, camera, pixels)
+    points = camera.points_at(samples.statistics.range_m, pixels)
     width = samples.camera.intrinsics.width
     tile, fold = tile_numbers(pixels, width, side), fold_of(pixels, width, side)
     facing = np.einsum("ij,ij->i", caps[1].normals(points), camera.directions[pixels])

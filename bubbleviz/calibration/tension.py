@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.errors import cluster_covariances
 from bubbleviz.calibration.rest_frames import Samples
-from bubbleviz.calibration.surface import Name, Surfaces, mean_points
+from bubbleviz.calibration.surface import Name, Surfaces
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane import (
     Inflation,
@@ -251,7 +251,7 @@ def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> L
     own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     numbers = _cap_numbers(own, gauge_pressure_pa, sphere=sphere)
     pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
-    points = mean_points(samples, surfaces.camera, pixels)
+    points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     distance, J = own.distance(points), own.derivatives(points, sphere=sphere)
     sigma = robust_sigma(distance, center=0.0)
     weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
@@ -300,7 +300,8 @@ def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) 
     Of a sphere or an ellipsoid it is that of the whole, up to noise. A bulged sheet departs from
     either by microns; the error of γ0 by that is about as large as this differs.
     """
-    points = mean_points(samples, surfaces.camera, np.flatnonzero(surfaces.usable))
+    pixels = np.flatnonzero(surfaces.usable)
+    points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
     refit = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper)
     return _cap_numbers(surfaces.chosen_cap, gauge_pressure_pa)(refit)["tension_n_per_m"]

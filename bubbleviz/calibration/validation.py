@@ -92,12 +92,12 @@ def validate(
     if not frames:
         raise InputError("validation: no frames; give at least one of the object held still")
     frame = mean_frame(frames)
-    mesh, camera = simulation_mesh(model), model.camera  # the estimator's mesh is too coarse
+    mesh = simulation_mesh(model)  # the estimator's is too coarse
     gas = Gas.of(model.sensor.pneumatics, mesh)
     contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
     if not contact.converged:
         raise SolveError(f"validation: no equilibrium of {obj.name} at this pose")
-    view = MembraneView(camera, mesh)
+    view = MembraneView(model.camera, mesh)
     measured = model.range_image(frame.depth_m).astype(float)
     distance, seen_by = _distance(view, measured, contact.displacement_m)
     untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
@@ -112,7 +112,7 @@ def validate(
         seen, force = result.patch.pixel_mask, result.patch.force_n
     union = int(np.count_nonzero(predicted | seen))
     return Validation(
-        points_m=camera.center + measured.ravel()[seen_by, None] * camera.directions[seen_by],
+        points_m=model.camera.points_at(measured, seen_by),
         distance_m=distance,
         pixels=seen_by,
         rms_m=_rms(distance),

@@ -187,3 +187,7 @@ class DepthCamera:
         """Points in B of the pixels with the given flat indices (k,); shape (k, 3), m."""
         ranges = depth_m.ravel()[pixels] * self.range_per_depth.ravel()[pixels]
         return self.center + ranges[:, None] * self.directions[pixels]
+
+    def points_at(self, range_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """The same of a range image (H, W), m."""
+        return self.center + range_m.ravel()[pixels, None] * self.directions[pixels]

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from bubbleviz.calibration import NAMES, Draft, Step, Surfaces, mean_points
+from bubbleviz.calibration import NAMES, Draft, Step, Surfaces
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
@@ -238,7 +238,7 @@ class SurfacePage(Page):
         if draft.surfaces is None or draft.samples is None:
             return
         pixels = np.flatnonzero(np.isfinite(draft.surfaces.residual_m))
-        points = mean_points(draft.samples, draft.samples.camera, pixels)
+        points = draft.samples.camera.points_at(draft.samples.statistics.range_m, pixels)
         self.painted.emit(points, draft.surfaces.residual_m.ravel()[pixels])
 
 
