@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+import bubbleviz as bv
 from bubbleviz.files import MOST_COLOUR_DELAY_S
 from bubbleviz.wording import encodable
 
@@ -119,12 +120,22 @@ def publish_options(command: _F) -> _F:
     return command
 
 
-def check_new(*paths: Path | None, overwrite: bool) -> None:
-    """Refuse outputs that exist before anything is opened."""
+def run(verb: str, *arguments: Any, as_json: bool, **options: Any) -> Any:
+    """Call a function of the library with a progress bar, and report what it returned."""
+    with Bar() as bar:
+        done = getattr(bv, verb)(*arguments, progress=bar, **options)
+    report(done, as_json=as_json)
+    return done
+
+
+def run_on_frames(verb: str, recording: Path, frames: str | None = None, **options: Any) -> None:
+    """The same with frames of a recording; outputs that exist are refused before it is opened."""
     from bubbleviz.files import refuse_existing
 
-    for path in filter(None, paths):
-        refuse_existing(path, overwrite=overwrite)
+    for path in filter(None, (options.get("out"), options.get("csv"))):
+        refuse_existing(path, overwrite=options["overwrite"])
+    with bv.open(recording, frames) as chosen:
+        run(verb, chosen, **options)
 
 
 def report(done: Summary, *, as_json: bool) -> None:

@@ -16,7 +16,6 @@ import bubbleviz as bv
 from bubbleviz.cli.shared_options import (
     PATH,
     Bar,
-    check_new,
     colour_delay_option,
     duration_option,
     former,
@@ -27,6 +26,8 @@ from bubbleviz.cli.shared_options import (
     out_option,
     publish_options,
     report,
+    run,
+    run_on_frames,
     sensor_option,
     shear_option,
     solver_option,
@@ -137,15 +138,10 @@ def simulate(
 @friction_option
 @colour_delay_option
 @json_option
-def estimate(
-    recording: Path, sensor: str, frames: str | None, as_json: bool, **options: Any
-) -> None:
+def estimate(**options: Any) -> None:
     """Estimate contact pressure, patch and force in every frame."""
     _check_shear(options)
-    check_new(options["out"], options["csv"], overwrite=options["overwrite"])
-    with bv.open(recording, frames) as chosen, Bar() as bar:
-        done = bv.estimate(chosen, sensor, progress=bar, **options)
-    report(done, as_json=as_json)
+    run_on_frames("estimate", **options)
 
 
 @click.command()
@@ -167,14 +163,9 @@ def estimate(
 )
 @out_option("Poses, POSES.csv.")
 @json_option
-def pose(
-    recording: Path, sensor: str, object: str, frames: str | None, as_json: bool, **options: Any
-) -> None:
+def pose(**options: Any) -> None:
     """Find the pose of a known object in every frame."""
-    check_new(options["out"], overwrite=options["overwrite"])
-    with bv.open(recording, frames) as chosen, Bar() as bar:
-        done = bv.track(chosen, object, sensor, progress=bar, **options)
-    report(done, as_json=as_json)
+    run_on_frames("track", **options)
 
 
 @click.command()
@@ -193,17 +184,12 @@ def pose(
 @solver_option
 @friction_option
 @json_option
-def export(
-    recording: Path, out: Path, sensor: str, frames: str | None, as_json: bool, **options: Any
-) -> None:
+def export(**options: Any) -> None:
     """Write tables, plots, meshes, points or pictures of a recording.
 
     Only what the chosen files need is computed.
     """
-    check_new(out, overwrite=options["overwrite"])
-    with bv.open(recording, frames) as chosen, Bar() as bar:
-        done = bv.export(chosen, out, sensor, progress=bar, **options)
-    report(done, as_json=as_json)
+    run_on_frames("export", **options)
 
 
 @click.command()
@@ -232,16 +218,14 @@ def export(
 )
 @option("--overwrite", is_flag=True, help="Replace existing files.")
 @json_option
-def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
+def convert(**options: Any) -> None:
     """Convert depth images or another recording to MCAP.
 
     IN is a folder of depth images (.npy, 16-bit .png or .tif, in the order of the numbers in their
     names), a ROS 1 or RealSense .bag, or a rosbag2 .db3. Depth, colour, camera info, gas pressure
     and wrench are kept, the last two at the times of the frames.
     """
-    with Bar() as bar:
-        done = bv.convert(source, out, progress=bar, **options)
-    report(done, as_json=as_json)
+    run("convert", **options)
 
 
 @click.command()
@@ -249,7 +233,7 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
 @option("--sensor", required=True, help="Sensor file or preset to start from.")
 @option("--contact-free", metavar="A:B", help="Frames A to B−1 without contact; found by default.")
 @out_option("Sensor file, SENSOR.toml.")
-@option("--report", "report_folder", type=PATH, help="New folder for the report, HTML and JSON.")
+@option("--report", type=PATH, help="New folder for the report, HTML and JSON.")
 @option(
     "--surface",
     type=click.Choice(["sphere", "ellipsoid", "free-form"]),
@@ -284,18 +268,14 @@ def convert(source: Path, out: Path, as_json: bool, **options: Any) -> None:
 @option("--pose", help='Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).')
 @option("--pressed", metavar="A:B", help="Frames A to B−1 in which the object is held still.")
 @json_option
-def identify(
-    recording: Path, sensor: str, report_folder: Path | None, as_json: bool, **options: Any
-) -> None:
+def identify(**options: Any) -> None:
     """Make a sensor file from contact-free frames.
 
     Finds the shape at rest, the tension γ0 and the error of each pixel. Inflation levels with gas
     pressures also give the pre-stretch λ and the gauge pressure; so does, less precisely, a press
     that is held in REC.
     """
-    with bv.open(recording) as frames, Bar() as bar:
-        done = bv.identify(frames, sensor, report=report_folder, progress=bar, **options)
-    report(done, as_json=as_json)
+    run_on_frames("identify", **options)
 
 
 @click.command()
@@ -303,15 +283,13 @@ def identify(
 @sensor_option
 @option("--contact-free", metavar="A:B", help="Frames A to B−1 without contact; found by default.")
 @json_option
-def check(recording: Path, sensor: str, contact_free: str | None, as_json: bool) -> None:
+def check(**options: Any) -> None:
     """Check whether the sensor file still fits.
 
     Compares contact-free frames of REC with the sensor file. The answer is fits, drifted (by how
     many mm and N), or another membrane or camera, with what to do.
     """
-    with bv.open(recording) as frames, Bar() as bar:
-        done = bv.check(frames, sensor, contact_free=contact_free, progress=bar)
-    report(done, as_json=as_json)
+    run_on_frames("check", **options)
 
 
 @click.command()
@@ -329,14 +307,12 @@ def check(recording: Path, sensor: str, contact_free: str | None, as_json: bool)
     "PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.", required=False
 )
 @json_option
-def validate(recording: Path, sensor: str, as_json: bool, **options: Any) -> None:
+def validate(recording: Path, **options: Any) -> None:
     """Compare the estimated force with a wrench sensor.
 
     Reports bias, gain, rotation, delay and hysteresis with 95 % intervals. None is applied.
     """
-    with Bar() as bar:
-        done = bv.validate(recording, sensor, progress=bar, **options)
-    report(done, as_json=as_json)
+    run("validate", recording, **options)
 
 
 @click.command()
@@ -360,16 +336,13 @@ def validate(recording: Path, sensor: str, as_json: bool, **options: Any) -> Non
 @zero_gas_option
 @frames_option
 @json_option
-def batch(folder: Path, out: Path, sensor: str, as_json: bool, **options: Any) -> None:
+def batch(**options: Any) -> None:
     """Estimate all recordings below a folder, in parallel.
 
     OUT/summary.csv compares them. A recording that fails does not stop the others; the exit code
     then is 2 (bad input) or 1.
     """
-    with Bar() as bar:
-        done = bv.batch(folder, out, sensor, progress=bar, **options)
-    report(done, as_json=as_json)
-    done.raise_failures()
+    run("batch", **options).raise_failures()
 
 
 @click.command()
@@ -378,12 +351,12 @@ def batch(folder: Path, out: Path, sensor: str, as_json: bool, **options: Any) -
 @duration_option
 @_simulated
 @json_option
-def record(source: str, out: Path, as_json: bool, **options: Any) -> None:
+def record(as_json: bool, **options: Any) -> None:
     """Record every message of a live source.
 
     ^C ends the recording. After a crash it opens up to the last second.
     """
-    report(bv.record(source, out, **options), as_json=as_json)
+    report(bv.record(**options), as_json=as_json)
 
 
 @click.command()
@@ -402,14 +375,14 @@ def record(source: str, out: Path, as_json: bool, **options: Any) -> None:
 @friction_option
 @colour_delay_option
 @json_option
-def watch(source: str, sensor: str, as_json: bool, **options: Any) -> None:
+def watch(as_json: bool, **options: Any) -> None:
     """Estimate a live source without a window; publish or record.
 
     With --shear touch nothing at the start: it is measured against the first colour images without
     contact.
     """
     _check_shear(options)
-    report(bv.watch(source, sensor, **options), as_json=as_json)
+    report(bv.watch(**options), as_json=as_json)
 
 
 @click.command()
@@ -426,12 +399,12 @@ def watch(source: str, sensor: str, as_json: bool, **options: Any) -> None:
 @option("--wait", is_flag=True, help="Start when a subscriber connects.")
 @_simulated
 @json_option
-def publish(source: str, as_json: bool, **options: Any) -> None:
+def publish(as_json: bool, **options: Any) -> None:
     """Publish a source over Zenoh, as ROS 2 nodes would.
 
     By default for subscribers on this computer, at tcp/127.0.0.1:7447.
     """
-    report(bv.publish(source, **options), as_json=as_json)
+    report(bv.publish(**options), as_json=as_json)
 
 
 def _check_shear(options: dict[str, Any]) -> None:
