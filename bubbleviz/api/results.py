@@ -324,7 +324,7 @@ class Run(Sequence[FrameResult], Summary):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every array of RESULT.npz but the masks, by the same names: frames, nodes and mesh."""
-        return result_arrays([each.result for each in self], self.model.mesh)
+        return result_arrays(self.rows(), [each.result for each in self], self.model.mesh)
 
     def table(self) -> pandas.DataFrame:
         """Table of the numbers of each frame, the frame's index as index.
@@ -415,10 +415,10 @@ class Run(Sequence[FrameResult], Summary):
             shear = self.said.get("texture") is not None
             writer = ResultWriter(archive, self.model.mesh, count, shape, shear=shear)
             yield stack.enter_context(writer).add
-            writer.finish(**self.made_by)
+            writer.finish(self.rows(), **self.made_by)
             if table:
                 sensor = self.model.sensor.name
-                write_rows(table, [csv_row(row, sensor) for row in writer.rows])
+                write_rows(table, [csv_row(row, sensor) for row in self.rows()])
 
     def save_poses(self, out: str | Path, *, overwrite: bool = False) -> None:
         """Write POSES.csv.

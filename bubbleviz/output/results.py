@@ -15,7 +15,7 @@ import numpy as np
 
 from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import Frame, force_of, measured_force
+from bubbleviz.recordings import Frame, force_of
 from bubbleviz.result import Estimate, Patch, Result
 
 
@@ -67,7 +67,7 @@ _KNOWN_WITHOUT_DATA = {
 def summary_row(result: Result) -> dict[str, Any]:
     """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell.
 
-    The measured force needs the other frames, see `add_measured_force`; `wrench_n` is for that.
+    The measured force needs the other frames, see `FrameTable`; `wrench_n` is for that.
     """
     estimate, patch = result.solution
     sigma, gas_pa = estimate.force_sigma_n, result.frame.gas_pressure_pa
@@ -126,14 +126,6 @@ def _shear_row(result: Result) -> dict[str, Any]:
     }
 
 
-def add_measured_force(rows: list[dict[str, Any]]) -> None:
-    """Set |F| of the recording's wrench in the rows of its frames, as `measured_force`."""
-    wrench = np.array([row["wrench_n"] for row in rows])
-    contact_free = np.array([row["status"] == "no_contact" for row in rows])
-    for row, force in zip(rows, measured_force(wrench, contact_free), strict=True):
-        row["measured_force_n"] = float(force)
-
-
 def nodal_fields(
     result: Result,  # with its estimate and patch
     mesh: MembraneMesh,
@@ -159,13 +151,12 @@ def nodal_fields(
 
 
 def result_arrays(
+    rows: Sequence[dict[str, Any]],  # of the frames, as `FrameTable` has them
     results: Sequence[Result],  # with their estimates and patches
     mesh: MembraneMesh,
 ) -> dict[str, np.ndarray]:
     """Arrays of RESULT.npz but its masks: numbers of frames, nodal fields, reference surface."""
     fields = [nodal_fields(result, mesh) for result in results]
-    rows = [summary_row(result) for result in results]
-    add_measured_force(rows)
     return {
         **_columns(rows),
         **{name: np.array([each[name] for each in fields]) for name in fields[0]},
@@ -224,7 +215,7 @@ class ResultWriter:
 
     The masks of 36,000 frames are 11 GB, the nodal fields 0.6 GB: the masks go into the archive,
     the nodal fields through unnamed files beside it (a system's folder for temporary files may
-    be memory), and only a few numbers a frame are kept.
+    be memory), and nothing is kept.
     """
 
     def __init__(
@@ -236,8 +227,8 @@ class ResultWriter:
         *,
         shear: bool = False,  # whether the results have traction
     ) -> None:
-        self.rows: list[dict[str, Any]] = []
         self._mesh, self._frames, self._shape = mesh, frames, shape
+        self._count = 0
         self._fields = {k: n for k, n in NODAL_FIELDS.items() if shear or k not in _OF_SHEAR}
         self._stack = ExitStack()
         with ExitStack() as opening:
@@ -258,34 +249,31 @@ class ResultWriter:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def add(self, result: Result) -> dict[str, Any]:
-        """Add the next frame, with its estimate, patch and pixel mask; returns its row."""
-        row = summary_row(result)
+    def add(self, result: Result) -> None:
+        """Add the next frame, with its estimate, patch and pixel mask."""
         _, patch = result.solution
         if patch.pixel_mask is None:
             raise ValueError("the product pixel_mask was not asked for")
-        if patch.pixel_mask.shape != self._shape or len(self.rows) == self._frames:
+        if patch.pixel_mask.shape != self._shape or self._count == self._frames:
             raise ValueError("another mask size, or more frames, than announced")
-        self.rows.append(row)
+        self._count += 1
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
         fields = nodal_fields(result, self._mesh)
         for spool, name in zip(self._spools, self._fields, strict=True):
             spool.write(np.ascontiguousarray(fields[name], dtype="<f8").tobytes())
-        return row
 
-    def finish(self, **provenance: str) -> None:
-        """Write everything else, with texts such as the version that made it."""
-        if len(self.rows) != self._frames:
-            raise ValueError(f"{len(self.rows)} frames added, {self._frames} announced")
+    def finish(self, rows: Sequence[dict[str, Any]], **provenance: str) -> None:
+        """Write everything else: rows of the frames, and texts such as the version that made it."""
+        if self._count != self._frames:
+            raise ValueError(f"{self._count} frames added, {self._frames} announced")
         self._masks.close()
-        add_measured_force(self.rows)
         nodal = (self._frames, len(self._mesh.nodes))
         for (name, more), spool in zip(self._fields.items(), self._spools, strict=True):
             spool.seek(0)
             with self._member(name, nodal + more, np.dtype("<f8")) as member:
                 shutil.copyfileobj(spool, member, 1 << 20)
         texts = {key: np.array(text) for key, text in provenance.items()}
-        small = {**_columns(self.rows), **surface_arrays(self._mesh), **texts}
+        small = {**_columns(rows), **surface_arrays(self._mesh), **texts}
         for name, array in small.items():
             with self._member(name, array.shape, array.dtype) as member:
                 member.write(np.ascontiguousarray(array).tobytes())

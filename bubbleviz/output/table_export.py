@@ -15,8 +15,9 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.files import write_rows
 from bubbleviz.output.exporter import Exporter
-from bubbleviz.output.results import add_measured_force, csv_row, summary_row
+from bubbleviz.output.results import csv_row, summary_row
 from bubbleviz.pipeline import Product
+from bubbleviz.recordings import measured_force
 from bubbleviz.result import Result
 from bubbleviz.wording import how_to_install
 
@@ -57,7 +58,10 @@ class FrameTable:
     def rows(self) -> list[dict[str, Any]]:
         """Numbers of each frame by key of RESULT.npz."""
         if self._measured != len(self._rows):  # its bias needs all frames
-            add_measured_force(self._rows)
+            wrench = np.array([row["wrench_n"] for row in self._rows])
+            contact_free = np.array([row["status"] == "no_contact" for row in self._rows])
+            for row, force in zip(self._rows, measured_force(wrench, contact_free), strict=True):
+                row["measured_force_n"] = float(force)
             self._measured = len(self._rows)
         return self._rows
 

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 import bubbleviz
 from bubbleviz.cli.command_line import main
 from bubbleviz.membrane import build_mesh
-from bubbleviz.output import COLUMNS, ResultWriter, summary_row
+from bubbleviz.output import COLUMNS, FrameTable, ResultWriter, summary_row
 from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import load_sensor, sensor_to_toml
@@ -264,12 +264,14 @@ def fake_results(frames, nodes, shape):
 def test_masks_of_a_long_recording_are_streamed(small, tmp_path):
     """61 MB of masks with little memory, and every one where it belongs."""
     mesh, frames, shape, path = build_mesh(small), 200, (480, 640), tmp_path / "r.npz"
+    table = FrameTable("small")
     tracemalloc.start()
     try:
         with ResultWriter(path, mesh, frames, shape) as writer:
             for result in fake_results(frames, len(mesh.nodes), shape):
                 writer.add(result)
-            writer.finish(version="1")
+                table.add(result)
+            writer.finish(table.rows(), version="1")
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -296,7 +298,7 @@ def test_a_result_that_is_not_what_was_announced(small, tmp_path):
         pytest.raises(ValueError, match="1 frames added, 2 announced"),
     ):
         writer.add(one)
-        writer.finish()
+        writer.finish([])
 
 
 def test_a_frame_without_data_has_no_numbers():

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.files import write_rows
-from bubbleviz.output import ResultWriter, csv_row
+from bubbleviz.output import FrameTable, ResultWriter, csv_row
 from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
 from tests.recordings.bagmaker import PERIOD, SECOND
@@ -26,12 +26,13 @@ def test_a_result_has_traction_and_slip(tmp_path):
     truth = stuck("puck", 0.004, 0.001, 8.0)
     results = [eyes.pipeline.process(eyes.rest(), wanted)]
     results += [eyes.pipeline.process(eyes.see(truth, k), wanted) for k in range(2)]
-    path, mesh = tmp_path / "result.npz", eyes.pipeline.mesh
+    path, mesh, table = tmp_path / "result.npz", eyes.pipeline.mesh, FrameTable("dome")
     with ResultWriter(path, mesh, 3, (320, 400), shear=True) as writer:
         for result in results:
             writer.add(result)
-        writer.finish()
-    write_rows(tmp_path / "result.csv", [csv_row(row, "dome") for row in writer.rows])
+            table.add(result)
+        writer.finish(table.rows())
+    write_rows(tmp_path / "result.csv", [csv_row(row, "dome") for row in table.rows()])
     with np.load(path) as found:
         n = len(mesh.nodes)
         assert found["traction_pa"].shape == found["tangential_displacement_m"].shape == (3, n, 3)
