@@ -424,7 +424,7 @@ class MainWindow(QMainWindow):
         if path.suffix.lower() in OPENED_HERE and path.exists():
             self.open_file(path)
         elif not (path.exists() and QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))):
-            why = "no program of this system opens it" if path.exists() else "it is gone"
+            why = "no program on this computer opens it" if path.exists() else "it is gone"
             self.messages.tell(UserMessage("error", f"{path}: cannot be opened; {why}"))
 
     def _open_dropped(self, paths: list[Path]) -> None:

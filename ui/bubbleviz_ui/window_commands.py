@@ -9,7 +9,7 @@ import click
 from bubbleviz.cli.shared_options import colour_delay_option, overwrite_option
 from bubbleviz.files import SESSION_SUFFIX, SYNTHETIC_SENSOR, preset_names
 
-_fresh = click.option("--fresh", is_flag=True, help="Leave the window's last session alone.")
+_fresh = click.option("--fresh", is_flag=True, help="Open the window without its last session.")
 
 
 @click.command(hidden=True)
@@ -33,10 +33,10 @@ def window(fresh: bool) -> int:
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
-    help="TRUTH.npz of a simulated REC; by default the one beside it of the same name.",
+    help="TRUTH.npz of a simulated REC; by default the one next to it with the same name.",
 )
 @colour_delay_option
-@click.option("--frame", type=click.IntRange(0), help="Stay at this frame.")
+@click.option("--frame", type=click.IntRange(0), help="Show this frame and do not play.")
 @click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
 @overwrite_option
 @_fresh
@@ -58,12 +58,15 @@ def open_recording(
         raise click.UsageError("give one of REC, --source and --session")
     if recording is None:
         if any(given is not None for given in (truth, frame, screenshot)):
-            raise click.UsageError("--truth, --frame and --screenshot are for recordings")
+            raise click.UsageError(
+                "--truth, --frame and --screenshot need a recording REC; leave them out"
+            )
         return _open_live(source, session, sensor, scene, colour_delay_s, fresh=fresh)
     if recording.suffix.lower() == SESSION_SUFFIX:
         if any(given is not None for given in (sensor, truth, colour_delay_s, frame, screenshot)):
             raise click.UsageError(
-                "--sensor, --truth, --colour-delay, --frame and --screenshot are for recordings"
+                "a saved session takes no --sensor, --truth, --colour-delay, --frame or "
+                "--screenshot; leave them out"
             )
         return _open_saved(recording, scene, fresh=fresh)
     from bubbleviz_ui.startup_imports import import_the_backend
@@ -122,7 +125,10 @@ def _open_live(
     if session is not None and sensor is not None:
         raise click.UsageError("the sensors are named in the session file; leave --sensor out")
     if session is not None and colour_delay_s is not None:
-        raise click.UsageError("colour_delay_s is of each sensor of the session file; set it there")
+        raise click.UsageError(
+            "the session file has colour_delay_s of each sensor; set it there, not by "
+            "--colour-delay"
+        )
     if source is not None:
         live = single(source, sensor or AUTO, colour_delay_s)
     else:

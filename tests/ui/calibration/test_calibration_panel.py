@@ -44,7 +44,7 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
             bench.state.choose(pressure_unit=system)
         assert f"at {text} gauge pressure" in panel.verdict.text()
         assert panel.tension.numbers.text("gauge pressure") == text
-        assert panel.tension.numbers.text("γ0 by gauge pressure").endswith(more)
+        assert panel.tension.numbers.text("γ0 per gauge pressure").endswith(more)
     last = bench.answer
     for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
         bench.undo()

@@ -111,7 +111,7 @@ def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another
 def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     drive, sensor, files, tmp_path, monkeypatch
 ):
-    menu, name = "File › Open truth of a simulation", str(files / "what_is_true.npz")
+    menu, name = "File › Open ground truth", str(files / "what_is_true.npz")
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (name, ""))
     driver = drive()
     driver.act(menu)  # what is open is no recording

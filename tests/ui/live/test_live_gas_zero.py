@@ -26,7 +26,7 @@ def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(o
     live.key(Qt.Key.Key_Z)  # no key of anything: it is beside Ctrl+Z
     assert not zero.waiting
     live.key(Qt.Key.Key_G, CTRL | SHIFT)
-    assert zero.waiting and "waiting for a rest" in counts(live)
+    assert zero.waiting and "waiting for contact-free frames" in counts(live)
     live.learn_zero(shift_pa=400.0)
     live.undo()
     assert "gas zero +250 Pa" in counts(live) and not zero.waiting
@@ -35,7 +35,7 @@ def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(o
     live.undo()
     # else its own gauge pressure is read as contact, or hides it, until somebody zeroes it
     with_gauge(live, 3585.5)
-    assert "gas zero -750 Pa, waiting for a rest" in counts(live)
+    assert "gas zero -750 Pa, waiting for contact-free frames" in counts(live)
 
 
 def test_a_sensor_file_that_the_gas_pressure_at_rest_contradicts_is_warned_of(open_bench):

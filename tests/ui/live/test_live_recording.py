@@ -38,7 +38,7 @@ def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_who
     live.act("File › Open recording")
     chosen = str(live.folder)
     monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
-    live.act("Live › Recordings go to")
+    live.act("Live › Recording folder")
     assert live.state.choices.record_folder == chosen
     live.act("File › Open recording")
     assert begun == [str(own), chosen]

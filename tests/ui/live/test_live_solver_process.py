@@ -96,7 +96,7 @@ def test_killed_it_is_missed_in_one_sentence_and_it_ends_with_the_source_and_the
         before = bench.shown
         for child in active_children():
             os.kill(child.pid, signal.SIGKILL)
-        bench.told("process that solved its frames has ended", "code -9")
+        bench.told("its solver process has ended", "code -9")
         bench.follow(5)
         assert none_left()
         known = bench.state.history.values["latency_ms"][before : bench.shown]

@@ -161,7 +161,7 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive)
         """As the whole window shows it."""
         (said,) = [text for text in texts(driver) if "tangential" in text]
         shown = said.split("tangential ")[1].split("   ")[0]
-        assert window.status.labels["force"].toolTip().endswith(f"by depth alone: {shown}")
+        assert window.status.labels["force"].toolTip().endswith(f"from depth alone: {shown}")
         return shown
 
     friction = np.linalg.norm(driver.result.estimate.friction_n.sum(axis=0))
@@ -187,4 +187,4 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive)
     driver.settle()
     driver.wait(lambda: tangential() == f"{friction:.2f} N")
     driver.seek(0)
-    assert window.status.labels["force"].toolTip().endswith("by depth alone: 0.00 N")
+    assert window.status.labels["force"].toolTip().endswith("from depth alone: 0.00 N")

@@ -255,9 +255,9 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     assert table.item(1, 0).text() == "–"
     for frame in (7, 8, 6):
         driver.seek(frame)
-    driver.act("Playback › Range begins here")
+    driver.act("Playback › Start range here")
     driver.seek(9)
-    driver.act("Playback › Range ends here")
+    driver.act("Playback › End range here")
     assert driver.state.play_range == (6, 9) and table.isVisible()
     driver.wait(lambda: np.isfinite(force[6:10]).all())
     driver.wait(lambda: table.item(4, 0).text() == "4")

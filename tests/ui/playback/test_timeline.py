@@ -42,7 +42,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     assert not driver.state.frozen
     # contacts, the largest force and a frame by number are one key away
     driver.key(Qt.Key.Key_PageDown, CTRL)
-    assert driver.state.frame == 0 and "No such contact" in driver.window.notice.label.text()
+    assert driver.state.frame == 0 and "No further contact" in driver.window.notice.label.text()
     for frame in (FIRST_CONTACT - 1, FIRST_CONTACT, 6, 8, 7):
         driver.seek(frame)
     force = driver.state.history.values["force_n"]

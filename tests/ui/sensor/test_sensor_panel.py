@@ -163,7 +163,7 @@ def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench, left):
     bench.wait(message.isVisible)
     assert "cannot be used" in message.label.text()
     left.unlink()
-    bench.wait(lambda: "is gone" in message.label.text())
+    bench.wait(lambda: "was removed" in message.label.text())
     left.write_text(text.replace("90.25", "95.5"))
     bench.wait(lambda: bench.panel.difference.isHidden())
     # so are pixels that change, and the panel fits a small screen

@@ -100,7 +100,7 @@ def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, 
     other.window.open_file(tmp_path / "alone.bubbleviz")
     message = other.window.message
     assert message.isVisible()
-    assert "press.mcap is not there" in message.label.text()
+    assert "press.mcap is missing" in message.label.text()
     assert message.label.text().count(".") <= 6 and "\n" not in message.label.text()
     assert other.state.choices.kappa == 2.5 and other.window.panels["layers"].isHidden()
     assert other.state.frame == 5  # what was open stays
@@ -234,7 +234,7 @@ def test_after_a_kill_the_next_start_is_where_it_was(qtbot, files, tmp_path, eve
         assert not window.message.label.text()
     rec.unlink()
     with window_session(load_sensor(files / "dome.toml"), None, None, None, lambda: file) as gone:
-        assert "press.mcap is not there" in gone.window.message.label.text()
+        assert "press.mcap is missing" in gone.window.message.label.text()
         assert gone.state.choices.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 

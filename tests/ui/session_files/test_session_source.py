@@ -87,7 +87,7 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague_and_one_that_is_gon
     other.seek(3)
     other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
     other.wait(other.window.message.isVisible)
-    assert "stamp.ply is not there; the rest is restored" in other.said
+    assert "stamp.ply is missing; the rest is restored" in other.said
     other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
     assert theirs.session.object_name is None
 
@@ -159,7 +159,7 @@ def test_a_session_file_connects_to_other_computers_only_where_the_user_agrees(
 def test_a_point_of_view_that_is_none_is_refused(tmp_path, up):
     camera = {"position": [0, 0, 1], "focal_point": [0, 0, 0], "up": up, "view_angle": 30}
     (tmp_path / "a.json").write_text(json.dumps({"camera": camera}))
-    with pytest.raises(InputError, match=r"a\.json: is no session"):
+    with pytest.raises(InputError, match=r"a\.json: not a bubbleviz session"):
         read_session(tmp_path / "a.json")
 
 
@@ -220,7 +220,7 @@ def test_a_recording_that_is_gone_for_a_while_loses_nothing(qtbot, files, tmp_pa
         session.state.choose_markers((2, 9))
     rec.rename(tmp_path / "away.mcap")
     with start(config) as session:
-        assert "press.mcap is not there" in session.window.message.label.text()
+        assert "press.mcap is missing" in session.window.message.label.text()
     (tmp_path / "away.mcap").rename(rec)
     with start(config) as session:
         assert session.state.facts.frames == FRAMES and session.state.frame == 5

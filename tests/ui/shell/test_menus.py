@@ -36,7 +36,7 @@ def test_check_marks_follow_the_state_and_close_leaves_the_sensor_at_rest(drive,
         assert driver.ticked("View › Full screen") == driver.window.isFullScreen() == shown
     # those of the tools are those of their panel
     turntable, probe, distance = (
-        f"View › {name}" for name in ("Turntable", "Probe a place", "Measure a distance")
+        f"View › {name}" for name in ("Turntable", "Probe a point", "Measure a distance")
     )
     driver.click(tools.turn)
     assert driver.ticked(turntable) and tools.turntable.turning

@@ -106,7 +106,7 @@ def test_places_and_distances_by_clicks(drive):
     driver.click(tools.tools["rotate"])
     driver.seek(CONTACT)
     driver.window.panels["tools"].hide()
-    driver.act("View › Probe a place")
+    driver.act("View › Probe a point")
     driver.click(view, in_view(driver, hottest(driver)))
     found = driver.window.tools.picked.place
 

@@ -51,8 +51,8 @@ class ScorePlot(QWidget):
         super().__init__()
         self.setFixedHeight(HEIGHT)
         self.setToolTip(
-            "Standard deviations from rest of the most changed 1 % of the view and of the gas"
-            f" pressure; dashed: {SIGNIFICANT:g} σ, beyond which it is contact"
+            "Change since rest, in standard deviations, of the gas pressure and of the 1 % of "
+            "pixels that changed most; dashed: {SIGNIFICANT:g} σ, above it is contact"
         )
         self._scores: dict[str, np.ndarray] = {}
         self._axis = TimeAxis(np.zeros(0))
@@ -99,9 +99,9 @@ class ScorePlot(QWidget):
 
 
 ENDED_BY = {
-    "depth": "then the depth image changes",
-    "pressure": "then the gas pressure changes",
-    "recording": "nothing changes up to the end: make sure that nothing touches the sensor",
+    "depth": "the depth image changes after them",
+    "pressure": "the gas pressure changes after them",
+    "recording": "no change until the end: make sure that nothing touches the sensor",
 }
 
 NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."
@@ -136,7 +136,7 @@ class FramesPage(Page):
         self.add.setToolTip("Add these frames to the contact-free ones")
         self.remove.setToolTip("Remove these frames from the contact-free ones")
         self.replace.setToolTip("Use these frames instead of the contact-free ones")
-        self.find_again.setToolTip("Search the recording for contact-free frames anew")
+        self.find_again.setToolTip("Search the recording for contact-free frames again")
         self.collect = CollectBox(calibration, units)
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
@@ -219,9 +219,11 @@ class CollectBox(QGroupBox):
         self.untouched = QCheckBox("Skip frames with contact")
         self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
         self.count.setToolTip("Frames of the untouched membrane to collect")
-        self.button.setToolTip("Collect frames of the live source; they replace those there are")
-        self.stop.setToolTip("Stop collecting; calibrate with the frames there are")
-        self.cancel.setToolTip("Stop collecting; everything is as it was before")
+        self.button.setToolTip(
+            "Collect frames of the live source; they replace those collected before"
+        )
+        self.stop.setToolTip("Stop collecting and calibrate with the frames collected so far")
+        self.cancel.setToolTip("Stop collecting and keep the frames used before")
         self.said = QLabel(wordWrap=True)
         self._lay_out()
         self.button.clicked.connect(self._start)
@@ -250,7 +252,7 @@ class CollectBox(QGroupBox):
         self.untouched.setToolTip("As the sensor in use sees it")
         self.stop.setText("Stop and use these frames")
         self.cancel.setText("Cancel")
-        row = fill(QHBoxLayout(), self.count, QLabel("or until ±"), self.target, 1)
+        row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)
         buttons = QHBoxLayout()
         for button in (self.button, self.stop, self.cancel):
             buttons.addWidget(button)

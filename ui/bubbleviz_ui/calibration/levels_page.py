@@ -22,7 +22,7 @@ class RectificationPage(Page):
     title = "Rectification"
     todo = "Add recordings of the untouched sensor at other inflation levels, if you have any."
     sets = ("levels", "vented")
-    next_title = "Look at the rectification"
+    next_title = "Compute the rectification"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -32,7 +32,9 @@ class RectificationPage(Page):
         self.add.setToolTip("Recording of the untouched sensor at another inflation level")
         self.drop.setToolTip("Remove the recording added last")
         self.vented = QPushButton("Open chamber…")
-        self.vented.setToolTip("Recording with the chamber open: its pressure is the atmosphere's")
+        self.vented.setToolTip(
+            "Recording with the chamber open to the air, to measure the atmospheric pressure"
+        )
         self.numbers = Numbers()
         row = fill(QHBoxLayout(), self.add, self.drop)
         # what is to be done here first: a small screen shows no more without scrolling
@@ -49,7 +51,7 @@ class RectificationPage(Page):
 
     def set_vented(self, path: Path) -> None:
         """Take the atmospheric pressure from a recording of the open chamber."""
-        self.calibration.edit(f"Take {path.name} as the open chamber", vented=path)
+        self.calibration.edit(f"Use {path.name} for the open chamber", vented=path)
 
     def is_done(self, answer: Answer) -> bool:
         return bool(answer.work.settings.levels or answer.work.settings.vented)
@@ -79,21 +81,21 @@ class RectificationPage(Page):
         line = answer.draft.pixels.line if answer.draft.pixels is not None else None
         if line is None or answer.draft.found is None:
             self.numbers.set("line", "offset only")
-            self.numbers.set("holds over", None)
+            self.numbers.set("valid over", None)
             return
         mask = answer.draft.found.pixels.mask
         slope, spread = float(np.median(line.slope[mask])), float(np.std(line.slope[mask]))
         self.numbers.set("line", f"slope {slope:.4f}, spread {spread:.4f}, {line.levels} levels")
         span = float(np.median((line.farthest_m - line.nearest_m)[mask]))
-        text = f"{self.units.length.text(span)}; beyond, the nearest level's offset"
-        self.numbers.set("holds over", text)
+        text = f"{self.units.length.text(span)}; outside, the nearest level's offset"
+        self.numbers.set("valid over", text)
 
     def _show_rubber(self, answer: Answer) -> None:
         """λ and gauge pressure as levels, press and open chamber tell, or why they do not."""
         found, pressure = answer.draft.found, self.units.gas_pressure
         rubber = found.rubber if found is not None else None
         if rubber is None:
-            stretch = "not determined: add levels, or press and hold"
+            stretch = "not determined: add levels, or a press held still"
         elif rubber.prestretch is None:
             stretch = f"not determined: {rubber.why_not}"
         else:
@@ -103,7 +105,7 @@ class RectificationPage(Page):
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
         rests_on = "the sensor file" if found is None else found.gauge_rests_on
-        self.numbers.set("gauge pressure rests on", rests_on)
+        self.numbers.set("gauge pressure from", rests_on)
 
     def _choose_vented(self) -> None:
         path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")

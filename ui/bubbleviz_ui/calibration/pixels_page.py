@@ -33,7 +33,7 @@ class PixelsPage(Page):
 
     name = "Pixels"
     title = "Pixel mask"
-    todo = "Check which pixels are used; move the thresholds where good ones are left out."
+    todo = "Check which pixels are used; move the thresholds if good ones are left out."
     sets = ("min_validity", "deviations")
     next_title = "Measure the pixels"
 
@@ -41,12 +41,14 @@ class PixelsPage(Page):
         super().__init__(calibration, units)
         self.picture = QComboBox()
         self.picture.addItems(PICTURES)
-        self.picture.setToolTip("What the image shows of each pixel")
+        self.picture.setToolTip("Quantity shown for each pixel")
         self.view = ImageView()
         self.validity = Threshold(units.share, 1.0, "automatic")
         self.deviations = Threshold(Unit("σ", 1.0, 1), MOST_DEVIATIONS)
         self.validity.tip("Share of the frames in which a pixel must have a return")
-        self.deviations.tip("Beyond so many robust deviations a pixel is too noisy or too far off")
+        self.deviations.tip(
+            "Pixels with noise or offset beyond this many robust standard deviations are left out"
+        )
         self.numbers = Numbers()
         form = QFormLayout()
         form.addRow("Picture", self.picture)
@@ -162,7 +164,7 @@ class SurfacePage(Page):
 
     name = "Surface"
     title = "Reference surface"
-    todo = "Check that what the surface leaves over looks like noise; else choose another."
+    todo = "Check that the residual looks like noise; otherwise choose another surface."
     sets = ("surface", "nodes")
     next_title = "Fit the surface"
     # points (k, 3) in m and a number for each in m, to be painted in the 3-D view
@@ -172,14 +174,14 @@ class SurfacePage(Page):
         super().__init__(calibration, units)
         self.view = ImageView("around zero")
         self.choice = QComboBox()
-        self.choice.addItem("as the data say", None)
+        self.choice.addItem("automatic: best fit", None)
         for name in NAMES:
             self.choice.addItem(name, name)
         self.nodes = QSpinBox(minimum=30, maximum=20_000, singleStep=100)
         self.nodes.setKeyboardTracking(False)
         self.paint = QPushButton("Paint the residual in the 3-D view")
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")
-        self.nodes.setToolTip("Nodes of the mesh that the surface is meshed with")
+        self.nodes.setToolTip("Number of nodes of the surface mesh")
         self.paint.setToolTip("Measured minus fitted range at the points of the membrane")
         self.numbers = Numbers()
         form = QFormLayout()
@@ -221,7 +223,7 @@ class SurfacePage(Page):
             rms = float(np.sqrt(np.mean(left**2))) if left.size else None
             self.numbers.set("residual, rms", length.text(rms))
         for name, rms in surfaces.left_out_rms_m.items():
-            self.numbers.set(f"{name} misses by", f"{length.text(rms)} rms")
+            self.numbers.set(f"misfit of {name}", f"{length.text(rms)} rms")
         axes = " · ".join(
             f"{units.length.of(a):.{units.length.digits}f}" for a in surfaces.cap.semi_axes_m
         )
@@ -229,7 +231,7 @@ class SurfacePage(Page):
         radius = float(surfaces.sphere.semi_axes_m[0])
         self.numbers.set("sphere's radius", units.length.text(radius))
         self.numbers.set(
-            "rim by the cloud",
+            "rim height in the cloud",
             units.length.with_interval(surfaces.rim_height_m, 1.96 * surfaces.rim_height_sigma_m),
         )
 
@@ -272,13 +274,13 @@ class TensionPage(Page):
     def show_answer(self, answer: Answer) -> None:
         units, found, unit = self.units, answer.draft.found, self.units.tension
         if found is None:
-            self.view.show_image("γ0 of each neighbourhood", None, unit, 0.0, 1.0)
+            self.view.show_image("Local γ0", None, unit, 0.0, 1.0)
             self.numbers.set("γ0", unit.text(None))
             return
         estimate = found.tension
         value = estimate.tension.value
         self.view.show_image(
-            "γ0 of each neighbourhood",
+            "Local γ0",
             answer.local_tension,
             unit,
             (1.0 - SPREAD) * value,
@@ -292,8 +294,8 @@ class TensionPage(Page):
             say(name.removesuffix("_m").replace("_", " "), text)
         say("gauge pressure", units.gas_pressure.text(estimate.gauge_pressure_pa))
         more = unit.text(100.0 * estimate.per_pascal, signed=True)
-        say("γ0 by gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
+        say("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
         for name, each in estimate.by_surface.items():
-            say(f"γ0 by the {name}", unit.text(each))
+            say(f"γ0 from the {name}", unit.text(each))
         for name, sigma in estimate.parts.items():
             say(f"σ from {name.replace('_', ' ')}", unit.text(sigma))

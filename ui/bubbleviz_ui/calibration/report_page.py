@@ -77,7 +77,7 @@ class ReportPage(Page):
         difference = comparison.difference_m if comparison is not None else None
         limit = comparison.largest_m if comparison is not None else 1e-3
         self.view.show_image(
-            "Range expected of the untouched membrane, new minus in use",
+            "Expected range of the untouched membrane, new minus in use",
             difference, length, -limit, limit)  # fmt: skip
 
     def _show_table(self, comparison: Comparison | None) -> None:
@@ -126,8 +126,12 @@ class ReportPage(Page):
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         fill(self.column, self.compared, self.table, self.view, self.advice, 1)
-        self.use_it.setToolTip("Open the new sensor on the present source; undo goes back")
-        self.save_as.setToolTip("Sensor file, mesh, pixels and report, all or nothing")
+        self.use_it.setToolTip(
+            "Use the new sensor for the current source; undo restores the old one"
+        )
+        self.save_as.setToolTip(
+            "Write sensor file, mesh, pixel data and report, or nothing if one fails"
+        )
 
 
 def own_name(source: str) -> str:
@@ -143,7 +147,7 @@ class ValidationPage(Page):
 
     name = "Press"
     title = "Validation"
-    todo = "Say which object was pressed where, and compare, if you know it."
+    todo = "If you know which object was pressed and its pose, enter both and compare."
     sets = ("press",)
     next_title = "Validate by a known press"
     # points (k, 3) in m and their signed distances in m, for the 3-D view
@@ -164,7 +168,7 @@ class ValidationPage(Page):
         self.first.setToolTip("First pressed frame")
         self.last.setToolTip("Last pressed frame")
         self.predict.setToolTip(
-            "Shape that the forward model predicts (Eq. 16), beside the measured"
+            "Compare the shape predicted by the forward model (Eq. 16) with the measured one"
         )
         self.remove.setToolTip("Remove the validation by this press")
         self.paint.setToolTip("Measured minus predicted range at the points of the membrane")
@@ -195,7 +199,7 @@ class ValidationPage(Page):
         self.numbers.setVisible(found is not None)
         image = found.distance_image_m if found is not None else None
         limit = 3.0 * found.rms_m if found is not None else 1e-3
-        title = "Cloud's distance from the predicted membrane"
+        title = "Distance of the points from the predicted membrane"
         self.view.show_image(title, image, units.fine_length, -limit, limit)
         self._show_numbers(found)
 
@@ -204,8 +208,8 @@ class ValidationPage(Page):
         if found is None:
             return
         say("distance, rms", length.text(found.rms_m))
-        say("95 % within", length.text(found.p95_m))
-        say("from no contact, rms", length.text(found.untouched_rms_m))
+        say("distance, 95th percentile", length.text(found.p95_m))
+        say("distance from rest, rms", length.text(found.untouched_rms_m))
         say("overlap of the patches", self.units.share.text(found.patch_overlap))
         say("force predicted", force.text(float(np.linalg.norm(found.predicted_force_n))))
         say("force estimated", force.text(float(np.linalg.norm(found.measured_force_n))))

@@ -555,8 +555,8 @@ def _beside(source: FrameSource, pipeline: Pipeline) -> PipelineProcess | None:
 
 def _lost(session: Session, beside: PipelineProcess) -> str:
     return (
-        f"{session.source.name}: the process that solved its frames has ended ({beside.lost}); "
-        "they are solved in the window's own from now on, which may be slower"
+        f"{session.source.name}: its solver process has ended ({beside.lost}); its frames are now "
+        "solved in the window's process, which may be slower"
     )
 
 

@@ -61,12 +61,12 @@ class ExportDialog(QDialog):
         for row, kind in enumerate(KINDS):
             self.kind.addItem(kind.title, kind)
             self.kind.setItemData(row, kind.tip, Qt.ItemDataRole.ToolTipRole)
-        self.kind.setToolTip("What to make of the frames")
+        self.kind.setToolTip("What to export")
         self.frames = QComboBox()
-        self.frames.setToolTip("The range is set on the timeline, [ and ]")
+        self.frames.setToolTip("Set the range on the timeline or with [ and ]")
         self.step = StepBox(minimum=1, maximum=MOST_STEP, prefix="every ", suffix=" frame")
         self.step.setSpecialValueText("every frame")
-        self.step.setToolTip("Leave frames out: every 2nd, every 3rd …")
+        self.step.setToolTip("Export every frame, every 2nd, every 3rd …")
         self.captioned = QCheckBox("Frame number and time in the picture")
         self.captioned.setChecked(True)
         self.captioned.setToolTip("Written at the bottom of every picture of the video")
@@ -75,8 +75,8 @@ class ExportDialog(QDialog):
         self.said = QLabel(wordWrap=True)
         self.progress = QProgressBar(minimum=0, maximum=100)
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
-        self.export.setToolTip("Choose a name and begin")
-        self.cancel.setToolTip("Stop; nothing of it is left")
+        self.export.setToolTip("Choose a file name and start")
+        self.cancel.setToolTip("Stop and remove the unfinished files")
         self._lay_out()
         self._connect()
         self.show_all()
@@ -166,7 +166,7 @@ class ExportDialog(QDialog):
         fps = self._exporting.fps(self.step.value())
         return (
             f"{kind.tip}. {count_of(count, 'picture')} of {width}×{height} (3-D tools, Picture), "
-            f"{fps:.3g} a second: as playback at {self._state.choices.speed:g}×."
+            f"{fps:.3g} per second, as in playback at {self._state.choices.speed:g}×."
         )
 
     def _choose_name(self) -> None:

@@ -65,13 +65,13 @@ KINDS = (
          "were found", {"CSV": ".csv", "Parquet": ".parquet"}),
     Kind("Plots", "Force, gas pressure, patch, residual and times over time, for print",
          {"PNG": ".png", "SVG": ".svg", "PDF": ".pdf"}),
-    Kind("ParaView series", "Membrane with displacement and pressure, a VTK file a frame", {},
+    Kind("ParaView series", "Membrane with displacement and pressure, one VTK file per frame", {},
          "vtk"),
-    Kind("Membrane series", "Deformed membrane, a PLY file a frame", {}, "ply"),
-    Kind("Patch clouds", "Points of the contact patch with pressure, a PLY file a frame", {},
+    Kind("Membrane series", "Deformed membrane, one PLY file per frame", {}, "ply"),
+    Kind("Patch clouds", "Points of the contact patch with pressure, one PLY file per frame", {},
          "patch"),
-    Kind("Depth pictures", "Depth image, a PNG file a frame", {}, "depth"),
-    Kind("Pressure pictures", "Contact pressure as the camera sees it, a PNG file a frame", {},
+    Kind("Depth pictures", "Depth image, one PNG file per frame", {}, "depth"),
+    Kind("Pressure pictures", "Contact pressure in the camera image, one PNG file per frame", {},
          "pressure"),
     Kind("Video of the view", "The 3-D view as it is now, frame by frame", {"MP4": ".mp4"}),
 )  # fmt: skip
@@ -139,7 +139,7 @@ class VideoExport(QObject):
             for done in range(count):
                 writer.add(self._picture(progress, done / count))
                 self._taken.emit()
-        return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:g} a second"
+        return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:g} per second"
 
     def _picture(self, progress: Progress, done: float) -> np.ndarray:
         while True:

@@ -74,7 +74,7 @@ class FileField(QWidget):
 
 
 UNITS = {
-    None: "whole numbers mm, others m",
+    None: "integers mm, floats m",
     1.0: "m",
     1e-3: "mm",
     2.5e-4: "0.25 mm",
@@ -100,12 +100,12 @@ class ImageFields:
             "intrinsics.toml or .json in the folder, else the sensor file's",
         )
         self.unit = options(QComboBox(), UNITS)
-        self.unit.setToolTip("What a pixel's value of 1 stands for")
+        self.unit.setToolTip("Depth of a pixel value of 1")
         self.timing = QComboBox()
         self.timing.addItems([BY_ITSELF, RATE, TABLE])
         self.timing.setToolTip("Where the times of the images come from")
         self.rate = QDoubleSpinBox(minimum=0.01, maximum=1e4, value=30.0, suffix=" Hz")
-        self.rate.setToolTip("Images a second")
+        self.rate.setToolTip("Images per second")
         self.times = FileField("A time in s for each image", TABLES)
         self.gas_pressure = FileField(
             "Gas pressure: time in s, absolute pressure in Pa", TABLES, "not measured"
@@ -192,7 +192,7 @@ class ImportDialog(QDialog):
         self.folder = QPushButton("Folder…")
         self.folder.setToolTip("A folder of depth images")
         self.out = QLineEdit()
-        self.out.setToolTip("The new recording, .mcap; nothing is ever replaced")
+        self.out.setToolTip("The new recording, .mcap; an existing file is never replaced")
         self.about = QLabel(ABOUT, wordWrap=True)
         self.about.setObjectName("dim")
         self.problem, self.made = QLabel(wordWrap=True), QLabel(wordWrap=True)
@@ -200,9 +200,9 @@ class ImportDialog(QDialog):
         self.progress = QProgressBar(minimum=0, maximum=100)
         self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open it")
         self.begin = QPushButton("Import")
-        self.cancel.setToolTip("Stop; nothing of it is left")
+        self.cancel.setToolTip("Stop and remove the unfinished file")
         self.open_made.setToolTip("Open the new recording in the window")
-        self.begin.setToolTip("Make a recording of it")
+        self.begin.setToolTip("Convert it to a recording")
         self._summary: ConvertSummary | None = None
         self._lay_out()
         self._connect()

@@ -123,7 +123,7 @@ PLACES = {
     ZENOH: "Where the robot's router or bridge listens: tcp/HOST:7447; empty: this computer",
     REALSENSE: "Serial number, or a file of the RealSense viewer; empty: the first camera found",
     REPLAY: "A recording",
-    SYNTHETIC: "What is pressed in; empty: the built-in press",
+    SYNTHETIC: "Object pressed into the membrane; empty: the built-in press",
     TOGETHER: "A session preset or file with two sensors",
 }
 AUTOMATIC = "automatic: the preset with images of that size"
@@ -154,10 +154,10 @@ class ConnectDialog(QDialog):
         self.folder.setAutoDefault(False)
         self.folder.setToolTip("Choose the folder of a rosbag2 recording")
         self.topics = QListWidget()
-        self.topics.setToolTip("Depth images and point clouds that are published there")
-        self.kind.setToolTip("What kind of source it is")
+        self.topics.setToolTip("Published depth images and point clouds")
+        self.kind.setToolTip("Type of live source")
         self.sensor = QComboBox()
-        self.sensor.setToolTip("The sensor file of that camera and membrane")
+        self.sensor.setToolTip("Sensor file of this camera and membrane")
         for name in _sensors(sensor_name):
             self.sensor.addItem(AUTOMATIC if name == AUTO else name, name)
         self.browse_sensor = QPushButton("Browse…")
@@ -165,7 +165,9 @@ class ConnectDialog(QDialog):
         self.browse_sensor.setToolTip("Choose a sensor file")
         self.source = QLineEdit()
         self.source.setReadOnly(True)
-        self.source.setToolTip("The same for bubbleviz open --source, of two sensors --session")
+        self.source.setToolTip(
+            "What to give bubbleviz open --source (two sensors: --session) for the same"
+        )
         self.problem = QLabel(wordWrap=True)
         self.problem.setObjectName("problem")
         buttons = QDialogButtonBox.StandardButton

@@ -52,7 +52,7 @@ class RecordControls(QWidget):
         self.folder.setText("Folder…")
         self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
         self.note = QLineEdit()
-        self.note.setPlaceholderText("Note, saved at the moment you began it")
+        self.note.setPlaceholderText("Note, with the time you opened it")
         self.note.setMinimumWidth(100)
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
@@ -139,20 +139,20 @@ BADGES: dict[Badge, str] = {
 }
 """Colour of the badge with each word."""
 
-SENSOR_TIP = "The panels show this sensor (B: the other)"
+SENSOR_TIP = "Show this sensor in the panels (B: switch sensor)"
 RATE_LOOKS = 11
 RATE_FROM_S = 0.5
 """The rate is counted over the last looks, once they span this."""
 
 WRONG = {
     "out_of_order": "out of order",
-    "duplicate": "twice",
+    "duplicate": "duplicate",
     "undecodable": "undecodable",
     "wrong_type": "of wrong type",
     "wrong_size": "of wrong size",
     "bad_stamps": "with bad stamps",
     "clock_jumps": "clock jumps",
-    "missed": "never arrived",
+    "missed": "lost",
 }
 """Counters that are shown once they are not zero."""
 
@@ -168,12 +168,14 @@ class LiveBar(QFrame):
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
         self.zero = self._button(
-            "Zero gas", "Take the gas pressure's zero from the next rest (Ctrl+Shift+G)"
+            "Zero gas", "Zero the gas pressure in the next contact-free frames (Ctrl+Shift+G)"
         )
         self.publish = self._button("Publish", "")
         self.publish.setCheckable(True)
-        self.publish.setToolTip("Patch, force, pose and diagnostics over Zenoh, this computer only")
-        self.leave = self._button("Disconnect", "Let go of the source (Ctrl+Shift+L)")
+        self.publish.setToolTip(
+            "Publish patch, force, pose and diagnostics over Zenoh to this computer"
+        )
+        self.leave = self._button("Disconnect", "Disconnect from the source (Ctrl+Shift+L)")
         self.counts = Elided(Qt.TextElideMode.ElideRight)
         self.counts.setObjectName("dim")
         self._lay_out()
@@ -294,7 +296,9 @@ class LiveBar(QFrame):
         if sensor is None or (sensor.zero.waiting and sensor.zero.offset_pa is None):
             return "gas pressure not zeroed yet"
         offset = self._units.gas_pressure.text(sensor.zero.offset_pa, signed=True)
-        return f"gas zero {offset}" + (", waiting for a rest" if sensor.zero.waiting else "")
+        return f"gas zero {offset}" + (
+            ", waiting for contact-free frames" if sensor.zero.waiting else ""
+        )
 
 
 def counted(counters: Counters) -> list[str]:

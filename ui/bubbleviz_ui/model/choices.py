@@ -286,7 +286,7 @@ class Choices(_Described):
     )
     # T_B_O the search begins at, x y z in m and qx qy qz qw; None: all around
     pose_start: tuple[float, float, float, float, float, float, float] | None = _setting(
-        None, "start of the object"
+        None, "initial pose"
     )
     pose_track: bool = _setting(False, "tracking", "Follow the object from frame to frame")
     # Stage whose pose the object is drawn at; 2 for both

@@ -128,7 +128,7 @@ def _looks(choices: Choices) -> Products:
 
 STAGES = {
     "estimate": "Contact pressure (Eq. 23)",
-    "fine_contact": "Contact on a finer mesh, where the camera is better than the sensor's",
+    "fine_contact": "Contact on a finer mesh, if the camera resolves more than the sensor's mesh",
     "patch": "Contact patch (section V-C of the paper)",
     "pixel_mask": "Pixels of the patch",
     "pose": "Pose of the object (section VI of the paper)",
@@ -138,7 +138,7 @@ STAGES = {
     "traction": "Traction with friction",
     "slip": "Slip",
     "texture": "Colour image on the membrane",
-    "total": "Depth image in → products out",
+    "total": "Whole frame: depth image in, results out",
 }
 """What each stage of the pipeline computes."""
 KEPT = 100

@@ -45,8 +45,8 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "object_patch": LayerKind(
             "Patch by object",
-            "Green: where the object that is tracked presses at its pose, by its surface;\n"
-            "white, the patch contour: by the contact pressure alone",
+            "Green: patch from the surface of the tracked object at its pose;\n"
+            "white (patch contour): patch from the contact pressure alone",
             at_first=False,
         ),
         "compared": LayerKind(
@@ -77,17 +77,17 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "traction": LayerKind(
             "Traction",
-            "Contact traction at each node: across the membrane orange, along it blue",
+            "Contact traction at each node: normal orange, tangential blue",
             ESTIMATE | {"traction"},
             at_first=False,
         ),
-        "object": LayerKind("Object", "The object that is looked for, at its pose"),
+        "object": LayerKind("Object", "The tracked object at its pose"),
         "fit": LayerKind(
-            "Fit", "Contact points by distance from the object, and what is not determined"
+            "Fit", "Contact points by distance from the object, and undetermined directions"
         ),
         "axes": LayerKind(
             "Axes and scale",
-            "Axes of the bubble frame, and a length in the depth of the point the view turns about",
+            "Axes of the bubble frame, and a scale bar valid at the centre of rotation",
         ),
     }
 )  # fmt: skip

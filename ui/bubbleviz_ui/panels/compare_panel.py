@@ -62,7 +62,7 @@ class Column:
         self.title = QLabel(SETTINGS[number])
         colours = f"background: {theme.COMPARED[number]}; color: {theme.ON_BADGE}"
         self.title.setStyleSheet(f"{colours}; padding: 1px 5px")
-        self.title.setToolTip("The outline of its patch in the 3-D view has this colour")
+        self.title.setToolTip("Colour of its patch outline in the 3-D view")
 
     def _control(self, name: str) -> Any:
         """Control of the field of that name."""
@@ -114,7 +114,7 @@ class ComparePanel(QWidget):
         self._measured: tuple[Measured | str | None, ...] = NOT_MEASURED
         self.a, self.b = Column(state, 0), Column(state, 1)
         self.outlines = QCheckBox("Outlines in the 3-D view")
-        self.outlines.setToolTip("Of the patches of A and B, in their colours")
+        self.outlines.setToolTip("Draw the patch outlines of A and B in their colours")
         bind_member(self.outlines, state, "layers", "compared")
         self._lay_out()
         controller.compared.connect(self._on_compared)
@@ -145,7 +145,9 @@ class ComparePanel(QWidget):
                 grid.addWidget(each.values[name], row, place)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
-        self.hint = QLabel("Force error and IoU need a simulation's truth.", wordWrap=True)
+        self.hint = QLabel(
+            "Force error and IoU need the ground truth of a simulation.", wordWrap=True
+        )
         self.hint.setObjectName("dim")
         fill(QVBoxLayout(self), grid, self.outlines, self.hint, 1, margins=(6, 8, 2, 8))
 

@@ -358,7 +358,7 @@ class ImagesPanel(QWidget):
 def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
     """Three lines about a place, in the operator's units."""
     if place is None:
-        return "Point at an image or the membrane:", "the same place lights up everywhere", ""
+        return "Point at an image or the membrane:", "the same place is marked everywhere", ""
     length = units.length
     seen = f"pixel ({place.pixel[1]}, {place.pixel[0]})" if place.pixel else "outside the image"
     point = place.point_m if np.isfinite(place.point_m).all() else place.node_m

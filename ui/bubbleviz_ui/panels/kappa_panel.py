@@ -50,8 +50,8 @@ class KappaPanel(QWidget):
         self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
-            "By the physics of contact: each patch must somewhere reach the gas pressure.\n"
-            "Untick it to draw the patch where the contact pressure p_c exceeds κ times its mean"
+            "From the physics of contact: each patch must reach the gas pressure somewhere.\n"
+            "Untick to draw the patch where the contact pressure p_c exceeds κ times its mean"
             " (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
@@ -67,7 +67,7 @@ class KappaPanel(QWidget):
         self.box.setKeyboardTracking(False)
         self.solver = control(state, "solver")
         self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
-        self.by_object.setToolTip("Patch by the object at its pose: the green outline")
+        self.by_object.setToolTip("Patch from the object at its pose (green outline)")
         self.doubt = QLabel(wordWrap=True)
         self.doubt.setObjectName("doubt")
         self._lay_out()
@@ -264,8 +264,8 @@ HEIGHT = 300
 """Of both plots, screen pixels."""
 COLUMNS = ("Area", "Force", "Peak pressure", "")
 TIPS = {
-    "Force": "Length of the force on the part, friction included; as vectors, the forces of all"
-    " parts, removed ones too, add up to the force of the frame"
+    "Force": "Magnitude of the force on the part, friction included; the force vectors of all "
+    "parts, removed ones included, add up to the force of the frame"
 }
 
 

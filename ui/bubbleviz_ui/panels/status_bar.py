@@ -36,17 +36,18 @@ TIPS = {
     "sensor": "Sensor",
     "frame": "Frame shown and its time in the recording",
     "force": "Force F: resultant of contact pressure p_c (Eq. 23) and friction on the membrane,"
-    " ± half of its 95 % interval by noise, friction, γ0, gauge pressure and λ",
-    "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact"
-    " patch panel says by which rule",
-    "gas": "Gas pressure change p_v against the reference: measured, else by the gas law (Eq. 6)"
-    " for the estimated shape; what the rubber model makes of both is in result files",
+    " ± half of its 95 % interval due to noise, friction, γ0, gauge pressure and λ",
+    "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact "
+    "patch panel shows the threshold",
+    "gas": "Gas pressure change p_v against the reference: measured, else from the gas law (Eq. "
+    "6) and the estimated shape; result files have the rubber model's estimate from both",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",
-    "solve": "Depth image in → products out, and frames processed in the last second; click: more",
-    "latency": "From the stamp of a live frame to its picture: median and 95th percentile",
+    "solve": "Time per frame, depth image in to results out, and frames processed in the last "
+    "second; click for more",
+    "latency": "From the time stamp of a live frame to its display: median and 95th percentile",
     "render": "Pictures drawn in the last second",
-    "dropped": "Frames skipped on purpose, because a newer one was there",
+    "dropped": "Frames skipped because a newer one had arrived",
 }
 
 
@@ -131,7 +132,7 @@ class StatusBar(QStatusBar):
         }
         for name, text in texts.items():
             self.labels[name].setText(text)
-        tangential = f"its tangential part, by depth alone: {tangential_text(result, units)}"
+        tangential = f"its tangential part, from depth alone: {tangential_text(result, units)}"
         self.labels["force"].setToolTip(doubt_text(result) or f"{TIPS['force']};\n{tangential}")
         self._solve_ms = result.times_ms.get("total")
 
@@ -226,7 +227,9 @@ class CostsPopup(QFrame):
         self._state, self._controller, self._costs, self._view = state, controller, costs, view
         self.table = QTableWidget(0, len(COLUMNS))
         self.drawing = QLabel()
-        self.hint = QLabel("Hide a layer or close a panel, and what only it asked for stops.")
+        self.hint = QLabel(
+            "Hiding a layer or closing a panel stops computations that only it needs."
+        )
         self.hint.setObjectName("dim")
         self._lay_out()
         self._timer = QTimer(self, interval=EVERY_MS)
@@ -256,7 +259,8 @@ class CostsPopup(QFrame):
         each = 1e3 * view.busy_s / view.render_count if view.render_count else None
         self.drawing.setText(
             f"Drawing: {duration.text(each)} a picture, {count_of(view.render_count, 'picture')},"
-            f" {count_of(self._controller.dropped, 'frame')} left out because a newer one was there"
+            f" {count_of(self._controller.dropped, 'frame')} skipped because a newer one had "
+            "arrived"
         )
 
     def _texts(self, line: Cost) -> tuple[str, ...]:

@@ -164,7 +164,7 @@ class TimePlot:
             number = number.removesuffix(unit.symbol).strip()
             parts.append(f'<span style="color:{colour}">{f"{word} {number}".strip()}</span>')
         doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
-        note = f' <span style="color:{theme.UNTRUSTED}">not to be trusted</span>' if doubt else ""
+        note = f' <span style="color:{theme.UNTRUSTED}">not trusted</span>' if doubt else ""
         return f"{' · '.join(parts)} {unit.symbol}{note}"
 
     def _at(self, name: str, frame: int) -> float:

@@ -75,7 +75,7 @@ JUMPS = {
 SWITCHES = {
     "Loop": Choices.about("loop").tip,
     "Mark": "Mark this frame (M); PgUp, PgDn go to marked frames",
-    "Freeze": "Stand still while the live source goes on (F)",
+    "Freeze": "Hold this frame while the live source continues (F)",
 }
 MARGIN, SPACING = 10, 4
 """At both sides of the row, and between what is in it, screen pixels."""
@@ -108,7 +108,7 @@ class PlaybackPanel(QWidget):
         self.loop, self.mark, self.freeze = (
             tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
         )
-        self.now = tool_button("Now", "Back to what the live source shows now (N)")
+        self.now = tool_button("Live", "Go live: show the newest frame (N)")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._lay_out()
         self._show_all()

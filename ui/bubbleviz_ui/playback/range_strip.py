@@ -55,8 +55,8 @@ class RangeStrip(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setMouseTracking(True)
         self.setToolTip(
-            "Contact-free frames. Drag an end, or an empty place for another range;"
-            " keys: Space next end, ← → move it (↑ ↓ by 10), Delete takes the range out"
+            "Contact-free frames. Drag an end to move it, drag elsewhere to add a range. Keys: "
+            "Space next end, ← → move it (↑ ↓ by 10), Delete removes the range"
         )
         self._axis = TimeAxis(np.zeros(0))
         self.ranges: Ranges = ()
@@ -102,9 +102,7 @@ class RangeStrip(QWidget):
             self.update()
         elif key == Qt.Key.Key_Delete:
             number, _ = self._known_handle()
-            self._tell(
-                tuple(r for k, r in enumerate(self.ranges) if k != number), "Take a range out"
-            )
+            self._tell(tuple(r for k, r in enumerate(self.ranges) if k != number), "Remove a range")
         else:
             super().keyPressEvent(event)
 

@@ -39,7 +39,7 @@ WORDS = {
     UNKNOWN: "not computed yet",
     FREE: "no contact",
     CONTACT: "contact",
-    UNTRUSTED: "not to be trusted",
+    UNTRUSTED: "not trusted",
 }
 
 
@@ -133,7 +133,7 @@ class Timeline(QWidget):
             notes = [text for at, text in facts.marks if at == frame]
             parts.append(": ".join(["marked", *filter(None, ["; ".join(notes)])]))
         help_text = "Click or drag: seek. Drag above (or with Shift): range to play"
-        return f"{' · '.join(parts)}\n{help_text}; double-click there: all"
+        return f"{' · '.join(parts)}\n{help_text}; double-click there: play all"
 
     # -- painting -----------------------------------------------------------------------------
 

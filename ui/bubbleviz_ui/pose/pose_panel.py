@@ -60,7 +60,7 @@ class Curves(PlotHost):
         super().__init__(self._fill)
         self._units = units
         self.setMinimumHeight(2 * HEIGHT)
-        self.setToolTip("Above: iterations of the fit, both stages; below: frames so far")
+        self.setToolTip("Top: iterations of the fit, both stages; bottom: frames so far")
         self.prepare()
 
     def _fill(self) -> list[Part]:
@@ -165,8 +165,8 @@ class StartBoxes(QWidget):
             grid.addWidget(QLabel(f"r{name}"), 1, 2 * column)
             grid.addWidget(self.angles[column], 1, 2 * column + 1)
             grid.setColumnStretch(2 * column + 1, 1)
-            self.places[column].setToolTip(f"Start of the search: {name} of T_B_O")
-            self.angles[column].setToolTip(f"Start of the search: turn about {name} of B, degrees")
+            self.places[column].setToolTip(f"Initial pose: {name} of T_B_O")
+            self.angles[column].setToolTip(f"Initial pose: turn about {name} of B, degrees")
         for box in self.angles:
             box.setRange(-180.0, 180.0)
             box.setDecimals(1)
@@ -234,7 +234,7 @@ class PosePanel(QWidget):
         self.here = QPushButton("Start from here")
         self.once = QPushButton("Fit once")
         self.once.setToolTip(
-            "Both stages of the registration (section VI of the paper) on this frame"
+            "Register the object on this frame, both stages (section VI of the paper)"
         )
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")
@@ -244,7 +244,7 @@ class PosePanel(QWidget):
         self.copy.setToolTip("T_B_O as text: position in m, quaternion x y z w, 4×4 matrix")
         self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
         self.csv.setToolTip("Poses found so far, T_B_O in m, as POSES.csv")
-        self.tum.setToolTip("Poses found so far in the TUM format of trajectories, m")
+        self.tum.setToolTip("Poses found so far as a TUM trajectory file, m")
         self.values = {name: QLabel() for name in NUMBERS}
         self._fill()
         self._lay_out()
@@ -279,18 +279,18 @@ class PosePanel(QWidget):
 
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
-        self.object.setToolTip("Object to look for: a preset, or a mesh file dropped here")
+        self.object.setToolTip("Object to track: a preset, or a mesh file dropped here")
         self.object.addItem(NONE, None)
         for path in sorted(presets_folder("objects").glob("*.*")):
             self.object.addItem(path.stem.replace("_", " "), path.stem)
         self.object.addItem(FROM_FILE, FROM_FILE)
         self.search.setChecked(True)
-        self.search.setToolTip("Try the object's faces all around instead of a start")
+        self.search.setToolTip("Search all orientations instead of starting from an initial pose")
         self.move_it.setCheckable(True)
         self.move_it.setToolTip(
             "Drag the box around the object: handles turn it, the middle moves it"
         )
-        self.here.setToolTip("Take the pose that is shown as the start")
+        self.here.setToolTip("Use the displayed pose as the initial pose")
         self.track.setCheckable(True)
         self.track.setToolTip(Choices.about("pose_track").tip)
         self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
@@ -321,8 +321,10 @@ class PosePanel(QWidget):
             value.setObjectName(f"pose_{name}")
             value.setWordWrap(True)
             value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.values["place"].setToolTip("Of T_B_O: the object's origin in the bubble frame B")
-        self.values["turn"].setToolTip("Of T_B_O: turns about fixed x, then y, then z of B")
+        self.values["place"].setToolTip(
+            "Position of T_B_O: the object's origin in the bubble frame B"
+        )
+        self.values["turn"].setToolTip("Rotation of T_B_O: about fixed x, then y, then z of B")
 
     def _connect(self) -> None:
         session, state = self.session, self._state

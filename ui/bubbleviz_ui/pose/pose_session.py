@@ -37,7 +37,7 @@ STATES = {
     "lost": "lost; the last good pose is kept",
     "no_contact": "nothing touches the membrane",
     "few_points": "the patch has fewer points than a pose needs",
-    "no_data": "no estimate of the membrane to trust",
+    "no_data": "no trusted estimate of the membrane",
 }
 
 

@@ -95,21 +95,21 @@ class Value:
 
 
 VALUES = (
-    Value("pneumatics.gauge_pressure_pa", "Gauge pressure", "Of the gas above the atmosphere, "
+    Value("pneumatics.gauge_pressure_pa", "Gauge pressure", "Gas pressure above the atmosphere, "
           "without contact", "Pa", "gas_pressure", "gauge_interval_pa", "gauge_from"),
-    Value("pneumatics.tension_n_per_m", "Tension γ0", "Of the membrane at rest; without one it "
-          "follows from gauge pressure and curvature", "N/m", "tension",
+    Value("pneumatics.tension_n_per_m", "Tension γ0", "Membrane tension at rest; if empty, "
+          "computed from gauge pressure and curvature", "N/m", "tension",
           "tension_interval_n_per_m"),
-    Value("membrane.prestretch", "Pre-stretch λ", "Of the rubber at rest; without one the tension "
-          "is constant", "", "", "prestretch_interval", "prestretch_from"),
-    Value("pneumatics.atmospheric_pressure_pa", "Atmosphere", "Absolute pressure outside",
+    Value("membrane.prestretch", "Pre-stretch λ", "Stretch of the rubber at rest; if empty, the "
+          "tension is constant", "", "", "prestretch_interval", "prestretch_from"),
+    Value("pneumatics.atmospheric_pressure_pa", "Atmosphere", "Absolute air pressure outside",
           "Pa", "gas_pressure"),
-    Value("pneumatics.chamber_volume_m3", "Chamber volume", "Of the gas behind the rim plane",
+    Value("pneumatics.chamber_volume_m3", "Chamber volume", "Gas volume behind the rim plane",
           "m³", "volume"),
-    Value("camera.noise_relative", "Depth noise", "Standard deviation of the range, relative to it",
+    Value("camera.noise_relative", "Depth noise", "Standard deviation of the range over the range",
           "of the range", "range_share"),
-    Value("camera.colour_delay_s", "Colour delay", "Stamp of a colour image minus that of the "
-          "depth image of the same moment; negative where colour leads depth", "s", "time"),
+    Value("camera.colour_delay_s", "Colour delay", "Time stamp of a colour image minus that of "
+          "the depth image of the same moment; negative if colour leads depth", "s", "time"),
 )  # fmt: skip
 """In the order of the panel."""
 
@@ -131,9 +131,9 @@ def identified_text(sensor: Sensor) -> str:
     """When a sensor was identified, and whether its values were changed by hand since."""
     calibration = sensor.calibration
     if calibration is None:
-        return "no, nominal values"
+        return "never; nominal values"
     date = calibration.date
-    when = f"{date[:16].replace('T', ' ')} UTC" if date else "yes, without a date"
+    when = f"{date[:16].replace('T', ' ')} UTC" if date else "date unknown"
     return f"{when}, edited since" if calibration.edited else when
 
 
@@ -207,10 +207,12 @@ class SensorPanel(QWidget):
 
     def _lay_out(self) -> None:
         self.name.setToolTip("Name of the sensor")
-        self.edit.setToolTip("Change values and save them as a new sensor file; this one stays")
-        self.reload.setToolTip("Read the sensor file anew")
+        self.edit.setToolTip(
+            "Edit the values and save them as a new sensor file; this file is not changed"
+        )
+        self.reload.setToolTip("Read the sensor file again")
         self.save.setToolTip("Write a sensor file, with its mesh and pixels, and use it")
-        self.cancel.setToolTip("Leave the values as they are")
+        self.cancel.setToolTip("Discard the changes")
         for label in (self.problem, self.difference):
             label.setObjectName("doubt")
         self._form = form = QFormLayout()

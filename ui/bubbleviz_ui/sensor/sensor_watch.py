@@ -58,7 +58,7 @@ class SensorWatch(QObject):
 
 def _difference(sensor: Sensor, path: Path) -> str:
     if not path.exists():
-        return "is gone; the sensor stays in use"
+        return "was removed; the sensor stays in use"
     try:
         if load_sensor(path).model_copy(update={"folder": sensor.folder}) == sensor:
             return ""

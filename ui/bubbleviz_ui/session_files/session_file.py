@@ -81,9 +81,9 @@ class SavedCamera(BaseModel):
     def _is_a_view(self) -> SavedCamera:
         place, centre, up = (np.array(p) for p in (self.position, self.focal_point, self.up))
         if max(np.abs(p).max() for p in (place, centre, up)) > FARTHEST_M:
-            raise ValueError("the point of view is not in metres")
+            raise ValueError("the viewpoint is not in metres")
         if not np.linalg.norm(np.cross(centre - place, up)) > 0.0:
-            raise ValueError("the point of view has no direction, or none that is up")
+            raise ValueError("the viewpoint lacks a direction or an up vector")
         return self
 
 
@@ -261,7 +261,7 @@ def _read(path: Path, kind: type[Any]) -> Any:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"]) or "file"
         raise InputError(
-            f"{path}: is no session of bubbleviz ({where}: {problem['msg']}); choose another file"
+            f"{path}: not a bubbleviz session ({where}: {problem['msg']}); choose another file"
         ) from error
 
 
@@ -330,4 +330,4 @@ def _read_sensor(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         reason = error.strerror or error
-        raise InputError(f"{path}: cannot be read ({reason}); save the sensor anew") from error
+        raise InputError(f"{path}: cannot be read ({reason}); save the sensor again") from error

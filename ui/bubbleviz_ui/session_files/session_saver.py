@@ -206,7 +206,7 @@ class SessionSaver(QObject):
         self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
         if gone is not None:
             choices = replace(choices, pose_object=None)
-            self._problems.append(f"object {gone} is not there")
+            self._problems.append(f"object {gone} is missing")
         with window.settings.unrecorded():
             window.state.choose(**vars(choices))
             if saved.geometry:
@@ -230,7 +230,7 @@ class SessionSaver(QObject):
         """
         saved = located(saved, file)
         gone = missing(saved)
-        lacks = [f"{k} {name} is not there" for k, name in gone.items() if k != "object"]
+        lacks = [f"{k} {name} is missing" for k, name in gone.items() if k != "object"]
 
         def begin() -> None:
             if first is not None:

@@ -82,22 +82,22 @@ NUMBERS = {
 }  # fmt: skip
 """Titles of the numbers by name."""
 TIPS = {
-    "force": "Length of the force of the object on the membrane",
-    "normal": "Along the mean normal of the contact, into the sensor",
-    "tangential": "Across the mean normal of the contact",
-    "direction": "Of the tangential force, from x towards y of the bubble frame, seen along z",
+    "force": "Magnitude of the force of the object on the membrane",
+    "normal": "Component along the mean normal of the contact, into the sensor",
+    "tangential": "Component across the mean normal of the contact",
+    "direction": "Angle of the tangential force about z, from x towards y of the bubble frame",
     "torque": "About the mean normal through the contact's centre",
     "displacement": "Largest displacement along the membrane where it is touched",
-    "slip": "Share of the patch that moved against the rest of it, over the frames that were"
-    " looked at since contact; none where too little of it sticks to tell",
+    "slip": "Share of the patch that slipped relative to the rest since contact; none if too "
+    "little of the patch sticks to tell",
 }
 UNVERIFIED = "not verified on real sensors"
 STATES = {
     "ok": "depth and texture",
     "no_contact": "nothing touches the membrane",
     "depth_alone": "depth alone",
-    "no_data": "no depth image to trust",
-    "not_converged": "no solution to trust",
+    "no_data": "no trusted depth image",
+    "not_converged": "no trusted solution",
 }
 
 
@@ -149,7 +149,7 @@ class ShearPanel(QWidget):
         super().__init__()
         self._state, self._controller = state, controller
         self.reference = QLabel(NOTHING, wordWrap=True)
-        self.reference.setToolTip("Contact-free colour images that motion is measured from")
+        self.reference.setToolTip("Contact-free colour images from which motion is measured")
         self.collect = QPushButton("Collect again")
         self.collect.setToolTip("Find the contact-free colour images anew; do not touch meanwhile")
         self.flow = control(state, "flow_preset")

@@ -19,7 +19,7 @@ LONG = 3000
 """Frames beyond which a recording is not searched: the solver would wait for minutes."""
 SHEAR: frozenset[Product] = frozenset({"flow", "traction", "slip"})
 NO_RUBBER = (
-    "Shear takes the exact membrane: choose the solver rubber, or a sensor file with its prestretch"
+    "Shear needs the exact membrane: choose the solver rubber, or a sensor file with a prestretch"
 )
 
 

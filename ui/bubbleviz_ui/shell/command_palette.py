@@ -25,7 +25,7 @@ class CommandPalette(QDialog):
         self.resize(WIDTH, HEIGHT)
         self._shortcuts = shortcuts
         self.search = QLineEdit()
-        self.search.setPlaceholderText("What to do?  ↑ ↓ choose, Enter does it, Esc leaves")
+        self.search.setPlaceholderText("Type a command.  ↑ ↓ choose, Enter runs it, Esc closes")
         self.list = QListWidget()
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)

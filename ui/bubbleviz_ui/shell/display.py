@@ -24,8 +24,8 @@ def has_display(environment: Mapping[str, str] = os.environ) -> bool:
     wayland = environment.get("WAYLAND_DISPLAY", "")
     if wayland and _listens(str(Path(environment.get("XDG_RUNTIME_DIR", "/")) / wayland)):
         raise InputError(
-            "this Wayland session has no XWayland, through which the window draws; "
-            "install it (apt install xwayland) and log in again"
+            "this Wayland session has no XWayland, which the window needs; install it (apt "
+            "install xwayland) and log in again"
         )
     return False
 

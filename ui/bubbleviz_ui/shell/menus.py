@@ -29,10 +29,12 @@ from bubbleviz_ui.shell.shortcuts import UNLISTED
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
 
-NO_CONTACT = "No such contact in the frames computed so far; Analyse all frames finds all"
+NO_CONTACT = (
+    "No further contact in the frames computed so far; run Analyse all frames to find the others"
+)
 SO_FAR = (
-    "Largest force of the frames computed so far; not yet computed: {}. "
-    "Analyse all frames includes them"
+    "Largest force of the frames computed so far; {} not yet computed. Run Analyse all frames to "
+    "include them"
 )
 SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
 
@@ -53,7 +55,7 @@ class Menus:
         self._add(menu, "&Open recording…", self._open_recording, QKeySequence.StandardKey.Open)
         self._add(menu, "Open recording &folder…", self._open_folder, "Ctrl+Shift+O")
         self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
-        self._add(menu, "Open &truth of a simulation…", self._open_truth)
+        self._add(menu, "Open ground &truth…", self._open_truth)
         self._recent(menu.addMenu("Open &recent"))
         self._add(menu, "Re&load", self._saver.reload, "F5")
         self._add(menu, "Infor&mation…", self._window.show_information, "Alt+Return")
@@ -117,9 +119,9 @@ class Menus:
         self._add(menu, "&Next frame", lambda: state.step(1), "Right")
         for title, seconds, keys in (
             ("0.1 s back", -0.1, "Shift+Left"),
-            ("0.1 s on", 0.1, "Shift+Right"),
+            ("0.1 s forward", 0.1, "Shift+Right"),
             ("1 s back", -1.0, "Ctrl+Left"),
-            ("1 s on", 1.0, "Ctrl+Right"),
+            ("1 s forward", 1.0, "Ctrl+Right"),
         ):
             self._add(menu, title, partial(state.jump, seconds), keys)
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
@@ -134,8 +136,8 @@ class Menus:
             self._add(menu, title, partial(self._change_speed, direction), keys)
         bind(self._switch(menu, "&Every frame", "E"), state, "every_frame")
         bind(self._switch(menu, "&Loop", "L"), state, "loop")
-        self._add(menu, "Range begins here", lambda: self._range_end(0), "[")
-        self._add(menu, "Range ends here", lambda: self._range_end(1), "]")
+        self._add(menu, "Start range here", lambda: self._range_end(0), "[")
+        self._add(menu, "End range here", lambda: self._range_end(1), "]")
         self._add(menu, "Play all frames", lambda: state.choose_range(None), "Backspace")
         menu.addSeparator()
         CheckMark(
@@ -170,8 +172,8 @@ class Menus:
             lambda _: live.toggle_recording(),
             live.recording.changed,
         )
-        self._add(menu, "Recordings go &to…", window.live.record.choose_folder)
-        self._add(menu, "&Note about this moment…", window.live.record.begin_note, "Shift+M")
+        self._add(menu, "Recording &folder…", window.live.record.choose_folder)
+        self._add(menu, "Add a &note…", window.live.record.begin_note, "Shift+M")
         CheckMark(
             self._switch(menu, "&Publish results", "Ctrl+Shift+R"),
             lambda: live.publishing.on,
@@ -185,13 +187,13 @@ class Menus:
     def _view(self, menu: QMenu) -> None:
         window = self._window
         self._add(menu, "&Reset view", window.scene.reset_view, "R")
-        look = menu.addMenu("&Look from")
+        look = menu.addMenu("&View from")
         for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
             self._add(look, title, partial(window.scene.look, viewpoint), f"Ctrl+{number}")
         turn = window.tools.turn
         turntable = self._switch(menu, "T&urntable", "T")
         CheckMark(turntable, turn.isChecked, turn.setChecked, turn.toggled)
-        for tool, title in (("probe", "&Probe a place"), ("distance", "Measure a &distance")):
+        for tool, title in (("probe", "&Probe a point"), ("distance", "Measure a &distance")):
             self._tool(menu, tool, title)
         self._add(menu, "&Clear probe", partial(window.tools.use_tool, "rotate"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
@@ -319,7 +321,7 @@ class Menus:
         endpoint, chosen = QInputDialog.getText(
             self._bar,
             "Publish results",
-            "Listen at (127.0.0.1: this computer only; an address of it: others, too)",
+            "Listen at (127.0.0.1: this computer only; a network address: others, too)",
             text=state.choices.publish_at,
         )
         if chosen:
@@ -344,8 +346,8 @@ class Menus:
             self._window.controller.opening.sensor_file(path)
 
     def _open_truth(self) -> None:
-        kinds = "Truth of a simulation (*.npz);;All files (*)"
-        path = file_to_open(self._bar, "Open truth", kinds, of="recording")
+        kinds = "Ground truth (*.npz);;All files (*)"
+        path = file_to_open(self._bar, "Open ground truth", kinds, of="recording")
         if path is not None:
             self._window.controller.opening.truth(path)
 

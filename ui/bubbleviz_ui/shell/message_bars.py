@@ -32,7 +32,7 @@ GAP = 16
 """Between the menus and a notice, screen pixels."""
 HINT = (
     "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → go frame by frame. "
-    "Ctrl+K finds everything else; hold the mouse over anything to learn what it is."
+    "Ctrl+K finds everything else; hold the mouse over a control to see what it does."
 )
 
 
@@ -63,7 +63,7 @@ class MessageBar(_Bar):
         self.copy = QPushButton("Copy details")
         self.copy.setToolTip("For a bug report: what went wrong, and where")
         self.dismiss = QPushButton("Dismiss")
-        self.dismiss.setToolTip("On to the next; Help → Messages keeps it")
+        self.dismiss.setToolTip("Next message; Help → Messages lists all")
         super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
         self.kind.show()
         self.more.clicked.connect(self.asked)
@@ -127,7 +127,7 @@ class NoticeBar(QFrame):
         self.label = Elided(Qt.TextElideMode.ElideMiddle)  # a path's ends say most
         self.open = _button("Open", "Open the file here, or in the desktop's program for its kind")
         self.folder = _button("Show in folder", "Open the folder it is in")
-        self.dismiss = _button("Dismiss", "Help → Messages keeps it")
+        self.dismiss = _button("Dismiss", "Close; Help → Messages lists all")
         buttons = self.open, self.folder, self.dismiss
         fill(QHBoxLayout(self), (self.label, 1), *buttons, margins=(8, 0, 4, 0), spacing=2)
         self._due = QTimer(self, interval=NOTICE_MS)

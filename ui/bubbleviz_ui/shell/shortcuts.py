@@ -139,7 +139,7 @@ class Shortcuts(QObject):
         other = self.taken_by(keys, name) if not keys.isEmpty() else None
         if other is not None:
             native = keys.toString(QKeySequence.SequenceFormat.NativeText)
-            return f"{native} is taken by “{other}”; choose other keys or take them away there."
+            return f"{native} is used by “{other}”; choose other keys or remove them there."
         self.actions[name].setShortcuts([] if keys.isEmpty() else [keys])
         self.edited.emit()
         return ""
@@ -150,7 +150,7 @@ class Shortcuts(QObject):
             other = self.taken_by(keys, name)
             if other is not None:
                 native = keys.toString(QKeySequence.SequenceFormat.NativeText)
-                return f"{native} is taken by “{other}” now; reset that first."
+                return f"{native} is used by “{other}” now; reset that first."
         self.actions[name].setShortcuts(self._defaults[name])
         self.edited.emit()
         return ""
@@ -208,7 +208,7 @@ class ShortcutsDialog(QDialog):
         self.set = QPushButton("&Set")
         self.clear = QPushButton("&No keys")
         self.reset = QPushButton("&Default")
-        self.reset_all = QPushButton("Default for &all")
+        self.reset_all = QPushButton("&Reset all")
         self.problem = QLabel(wordWrap=True)
         self.problem.setObjectName("problem")
         self._lay_out()

@@ -38,9 +38,9 @@ VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
 TOOLS = {
-    "rotate": ("Rotate", "Drag rotates the scene, the wheel goes nearer"),
+    "rotate": ("Rotate", "Drag to rotate the scene, wheel to zoom"),
     "probe": ("Probe", "Click on the membrane or a point: its numbers stay until Esc"),
-    "distance": ("Distance", "Click on two points; a third begins anew"),
+    "distance": ("Distance", "Click on two points; a third starts again"),
 }
 HINTS = {
     "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
@@ -80,7 +80,7 @@ class ViewTools(QWidget):
 
     def _make_buttons(self) -> None:
         self.views = {
-            name: tool_button(title, f"Look from the {name}, in the bubble frame B", slim=True)
+            name: tool_button(title, f"View from the {name}, in the bubble frame B", slim=True)
             for name, title in VIEWS.items()
         }
         self.views["camera"].setToolTip("As the depth camera sees it")
@@ -106,7 +106,7 @@ class ViewTools(QWidget):
         self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
         self.save.setToolTip("Picture of the 3-D view at this size, PNG")
-        tip = "Rotate about the vertical by itself, 30° a second"
+        tip = "Rotate about the vertical automatically, 30° per second"
         self.turn = tool_button("Turntable", tip, checkable=True, slim=True)
 
     def _lay_out(self) -> None:
