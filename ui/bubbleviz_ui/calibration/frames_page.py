@@ -52,7 +52,7 @@ class ScorePlot(QWidget):
         self.setFixedHeight(HEIGHT)
         self.setToolTip(
             "Change since rest, in standard deviations, of the gas pressure and of the 1 % of "
-            "pixels that changed most; dashed: {SIGNIFICANT:g} σ, above it is contact"
+            f"pixels that changed most; dashed: {SIGNIFICANT:g} σ, above it is contact"
         )
         self._scores: dict[str, np.ndarray] = {}
         self._axis = TimeAxis(np.zeros(0))
