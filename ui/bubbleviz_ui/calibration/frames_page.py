@@ -249,7 +249,7 @@ class CollectBox(QGroupBox):
         self.target.setSpecialValueText("never")
         self.target.setToolTip("Stop when half of the 95 % interval of γ0 is smaller; 0: never")
         self.untouched.setChecked(True)
-        self.untouched.setToolTip("As the sensor in use sees it")
+        self.untouched.setToolTip("Contact is detected with the sensor file in use")
         self.stop.setText("Stop and use these frames")
         self.cancel.setText("Cancel")
         row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)

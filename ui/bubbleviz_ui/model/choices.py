@@ -107,26 +107,26 @@ class Setting(_Described):
     solver: str | None = _setting(
         None,
         "Solver",
-        "Of the inverse problem: rubber is the exact membrane",
+        "Solver of the inverse problem; rubber: exact membrane",
         titles={None: "default", **_same(*ESTIMATORS)},
     )
     pressure_scale: float | None = _setting(
         None,
         "Pressure prior",
-        "Contact pressure expected, in gauge pressures: the larger, the less smoothing",
+        "Expected contact pressure, in gauge pressures; larger: less smoothing",
         low=0.1, high=100.0, step=0.5, unit=TIMES, usual=USUAL.pressure_scale,
     )  # fmt: skip
     friction: float | None = _setting(
         None,
         "Friction μ",
-        "Coefficient of friction to expect of contacts; lowest value: none. Only the exact"
-        " membrane (rubber) has friction",
+        "Expected coefficient of friction; lowest value: no friction. Only the exact membrane"
+        " (rubber) has friction",
         high=MOST_FRICTION, step=0.1, lowest="none", usual=USUAL.friction,
     )  # fmt: skip
     nodes: int | None = _setting(
         None,
         "Nodes",
-        "Of the mesh; where the sensor has a mesh file, that counts",
+        "Number of mesh nodes; ignored if the sensor has a mesh file",
         low=0, high=min(5_000, MAX_NODES), step=100, lowest="sensor's",
     )  # fmt: skip
     block: int | None = _setting(
@@ -165,7 +165,7 @@ class Choices(_Described):
     solver: str | None = _setting(
         None,
         "Solver",
-        "Solver of the inverse problem (Eq. 23); changing it starts anew",
+        "Solver of the inverse problem (Eq. 23); a change solves the frame again",
         titles={name: solver_title(name) for name in (None, *SOLVER_NAMES, *SETTINGS)},
     )
     speed: float = _setting(
@@ -178,12 +178,12 @@ class Choices(_Described):
     every_frame: bool = _setting(
         False,
         "Playback",
-        "Keep time and leave frames out, or wait for every frame however slow (E)",
+        "Real time: skip frames if needed; every frame: show all, however slowly (E)",
         of="playback",
         titles={False: "real time", True: "every frame"},
     )
     loop: bool = _setting(
-        True, "Loop", "Begin again after the last frame, or the range's (L)", of="playback"
+        True, "Loop", "Repeat the recording or the chosen range (L)", of="playback"
     )
     # layers, panels: What is visible
     layers: frozenset[str] = _setting(
@@ -200,19 +200,19 @@ class Choices(_Described):
     plots: frozenset[str] = _setting(
         frozenset({"force", "gas", "area"}),
         "Plots",
-        "What is plotted, and so computed",
+        "Quantities to plot; others are not computed",
         titles={name: plot.title for name, plot in PLOTS.items()},
     )
     images: frozenset[ImageName] = _setting(
         frozenset[ImageName]({"depth", "change", "residual"}),
         "Images",
-        "What is shown, and so computed",
+        "Images to show; others are not computed",
         titles=IMAGES,
     )
     cloud_colour: CloudColour = _setting(
         "residual",
         "Colour points by",
-        "Residual: measured minus modelled range; patch: in it or not",
+        "Residual: measured minus modelled range; patch: whether in contact",
         titles={"residual": "residual", "patch": "patch", "plain": "one colour"},
     )
     # Points drawn at most: beyond that, every n-th measured point; None for all. Of 10,000 on the
@@ -220,8 +220,7 @@ class Choices(_Described):
     cloud_points: int | None = _setting(
         10_000,
         "Points shown",
-        "Beyond that every n-th point is drawn; all are solved with. Without a GPU a quarter "
-        "of them is drawn while frames follow each other",
+        "Most points drawn; the solver always uses all. Without a GPU, playback draws a quarter",
         titles={
             **{n: f"up to {n:,}".replace(",", " ") for n in (5_000, 10_000, 20_000, 50_000)},
             None: "all",
@@ -246,17 +245,17 @@ class Choices(_Described):
     exaggeration: float = _setting(
         1.0,
         "Exaggerate",
-        "Displacement u drawn so many times as large",
+        "Factor by which displacement u is exaggerated",
         high=10.0, step=0.5, unit=TIMES,
     )  # fmt: skip
     # Normal of the plane that cuts the scene open; None: it is whole
     section_axis: Axis | None = _setting(
         None,
         "Section",
-        "Cut the membrane open across an axis of the bubble frame B",
+        "Cut the membrane across an axis of the bubble frame B",
         titles={None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"},
     )
-    section_at_m: float = _setting(0.0, "Place of the section", "Where the cutting plane is")
+    section_at_m: float = _setting(0.0, "Position of the section", "Position of the cutting plane")
     section_flipped: bool = _setting(
         False, "other side", "Show what is on the other side of the plane"
     )
@@ -265,13 +264,13 @@ class Choices(_Described):
     pressure_max_pa: float | None = _setting(
         None,
         "Maximum pressure",
-        "Pressure that has the last colour; lowest value: automatic",
+        "Pressure at the top of the colour scale; lowest value: automatic",
         high=1e6, step=1e3, unit="pressure", lowest="automatic",
     )  # fmt: skip
     residual_max_m: float | None = _setting(
         None,
         "Maximum residual ±",
-        "Residual that has the first or last colour; lowest value: automatic",
+        "Residual at the ends of the colour scale; lowest value: automatic",
         high=0.1, step=1e-4, unit="length", lowest="automatic",
     )  # fmt: skip
     # Object to look for: preset or mesh file; None for none
@@ -291,20 +290,20 @@ class Choices(_Described):
     pose_track: bool = _setting(False, "tracking", "Follow the object from frame to frame")
     # Stage whose pose the object is drawn at; 2 for both
     pose_stage: int = _setting(
-        2, "Shown", "Which result the object is drawn at", titles={2: "both stages", 1: "stage one"}
+        2, "Shown", "Stage whose pose is drawn", titles={2: "both stages", 1: "stage one"}
     )
     # Of the optical flow that shear is measured by
     flow_preset: Literal["fast", "balanced", "fine"] = _setting(
         "fast",
         "Optical flow",
-        "Optical flow: fast, or with less error",
+        "Optical flow: fast, or more accurate",
         titles=_same("fast", "balanced", "fine"),
     )
     # Coulomb's bound μ of the tangential over the normal traction; None for no bound
     friction: float | None = _setting(
         None,
         "Friction bound",
-        "Keep the tangential below μ times the normal traction (Coulomb)",
+        "Limit the tangential traction to μ times the normal one (Coulomb)",
         low=0.01, high=MOST_FRICTION, step=0.05,
     )  # fmt: skip
     # What is measured side by side
@@ -317,7 +316,7 @@ class Choices(_Described):
     pre_roll_s: float = _setting(
         2.0,
         "Include the previous",
-        "How much of what came before the button is recorded, too",
+        "Also record this much from before the button was pressed",
         of="recording", high=60.0, unit=SECONDS,
     )  # fmt: skip
     # Where recordings go; None: a folder of their own in the user's

@@ -132,7 +132,7 @@ class ComparePanel(QWidget):
         grid.setVerticalSpacing(3)
         for place, each in enumerate((self.a, self.b), start=1):
             grid.addWidget(each.title, 0, place)
-        tip = "Analyse all frames with it; undo brings the present solver back"
+        tip = "Use this setting for all frames; undo restores the current solver"
         for place, each in enumerate((self.a, self.b), start=1):
             each.used.setToolTip(tip)
             for row, made in enumerate((*each.controls.values(), each.used), start=1):

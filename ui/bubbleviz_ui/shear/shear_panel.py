@@ -151,7 +151,9 @@ class ShearPanel(QWidget):
         self.reference = QLabel(NOTHING, wordWrap=True)
         self.reference.setToolTip("Contact-free colour images from which motion is measured")
         self.collect = QPushButton("Collect again")
-        self.collect.setToolTip("Find the contact-free colour images anew; do not touch meanwhile")
+        self.collect.setToolTip(
+            "Find the contact-free colour images again; do not touch the sensor meanwhile"
+        )
         self.flow = control(state, "flow_preset")
         about = Choices.about("friction")
         self.bounded = QCheckBox(about.label)

@@ -181,8 +181,8 @@ class Menus:
             live.publishing.changed,
         )
         self._add(menu, "Publish &at…", self._publish_at)
-        self._add(menu, "Gas pressure &zero now", live.zero_now, "Ctrl+Shift+G")
-        self._add(menu, "Switch sens&or", live.choose_other, "B")
+        self._add(menu, "&Zero gas pressure", live.zero_now, "Ctrl+Shift+G")
+        self._add(menu, "&Switch sensor", live.choose_other, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window
