@@ -98,10 +98,10 @@ def record(
     recorder = Recorder()
     recorder.listen_to(stream)
     first: float | None = None
-    with room_for(out, overwrite=overwrite):
+    with room_for(out, overwrite=overwrite), stopped_by_signals() as stop:
         recorder.start(out)
         try:
-            with stopped_by_signals() as stop, stream:
+            with stream:
                 first = _wait(stream, recorder, stop, duration_s)
         finally:
             status = recorder.stop()
