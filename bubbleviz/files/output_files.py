@@ -29,7 +29,7 @@ _OURS = {
 _CANNOT_WRITE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 
 
-_MARK = re.compile(r"([0-9a-f]{8})-([1-9]\d*)-[0-9a-f]{8}")
+_MARK = re.compile(r"\..*\.(([0-9a-f]{8})-([1-9]\d*)-[0-9a-f]{8})(?:\.[^.]+)?")
 """In the hidden name of an unfinished output: where it is written, and by which process."""
 
 
@@ -132,13 +132,16 @@ def _where() -> str:
 
 
 def sweep(path: Path, *, of_others: bool = False) -> None:
-    """Remove what killed processes left of an output that they were writing at a path.
+    """Remove what killed processes of this computer left unfinished in the folder of a path.
 
-    Those of other computers may still run, unless the caller knows better.
+    `of_others`: and what those of other computers left of the output at this path, which may still
+    run as far as this function knows.
     """
     for each in path.parent.glob(".*"):
-        mark = _MARK.fullmatch(each.name.removesuffix(path.suffix).rpartition(".")[2])
-        if mark and each == _beside(path, mark[0]) and (of_others or _is_dead(mark[1], mark[2])):
+        if (mark := _MARK.fullmatch(each.name)) is None:
+            continue
+        this = each == _beside(path, mark[1])
+        if _is_dead(mark[2], mark[3]) or (of_others and this):
             _discard(each)
 
 
