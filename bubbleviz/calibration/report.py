@@ -205,12 +205,8 @@ def _rectification(found: Identification) -> dict[str, Any]:
     line, mask = found.pixels.line, found.pixels.mask
     if line is None:
         return {"levels": 1}
-    return {
-        "levels": line.levels,
-        "slope_median": float(np.median(line.slope[mask])),
-        "slope_spread": float(np.std(line.slope[mask])),
-        "span_median_m": float(np.median((line.farthest_m - line.nearest_m)[mask])),
-    }
+    names = "slope_median", "slope_spread", "span_median_m"
+    return {"levels": line.levels, **dict(zip(names, line.typical(mask), strict=True))}
 
 
 def _rubber(found: Identification) -> dict[str, Any] | None:

@@ -40,6 +40,12 @@ class RangeLine:
         within = np.clip(range_m, self.nearest_m, self.farthest_m)
         return range_m + (self.slope - 1.0) * (within - self.rest_m)
 
+    def typical(self, mask: np.ndarray) -> tuple[float, float, float]:
+        """Median and spread of the slopes, and median span of the line, m, over some pixels."""
+        span_m = (self.farthest_m - self.nearest_m)[mask]
+        slope = self.slope[mask]
+        return float(np.median(slope)), float(np.std(slope)), float(np.median(span_m))
+
     def at(self, pixels: np.ndarray) -> RangeLine:
         """The line of some pixels, by their flat indices; arrays (k,) in single precision."""
         some = (getattr(self, name).ravel()[pixels].astype(np.float32) for name in _LINE_IMAGES)

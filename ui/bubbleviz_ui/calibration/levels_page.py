@@ -83,10 +83,8 @@ class RectificationPage(Page):
             self.numbers.set("line", "offset only")
             self.numbers.set("valid over", None)
             return
-        mask = answer.draft.found.pixels.mask
-        slope, spread = float(np.median(line.slope[mask])), float(np.std(line.slope[mask]))
+        slope, spread, span = line.typical(answer.draft.found.pixels.mask)
         self.numbers.set("line", f"slope {slope:.4f}, spread {spread:.4f}, {line.levels} levels")
-        span = float(np.median((line.farthest_m - line.nearest_m)[mask]))
         text = f"{self.units.length.text(span)}; outside, the nearest level's offset"
         self.numbers.set("valid over", text)
 
