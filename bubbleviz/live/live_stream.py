@@ -327,7 +327,8 @@ class LiveStream:
             wrong = counters.frames == 0 and counters.wrong_size >= enough
             size = self._assembler.other_size
         if wrong and size is not None and own is not None:
-            raise size_refusal(f"--source {self.uri}", size, self.sensor.name, own)
+            sensor_name = self.sensor.file or self.sensor.name
+            raise size_refusal(f"--source {self.uri}", size, sensor_name, own)
 
     def _size_refused(self) -> str:
         """What to say of images that are of another size since the last frame; empty for none."""

@@ -106,8 +106,8 @@ def test_the_source_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatc
     dialog.accept()
     bench.wait(bench.window.message.isVisible)
     assert bench.said.endswith(
-        "images are 64×48 pixels but the camera of sensor pico_flexx_75mm has 224×171; choose the "
-        "sensor file of this camera"
+        "images are 64×48 pixels but the camera of sensor pico_flexx_75mm.toml has 224×171; choose "
+        "the sensor file of this camera"
     )
     assert bench.live_controller.run is None and bench.live_controller.connection is None
     dialog.browse_sensor.click()
