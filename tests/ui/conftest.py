@@ -14,7 +14,7 @@ from window_driver import Driver
 
 from bubbleviz.simulation import default_press
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver import CachedSource
+from bubbleviz_ui.engine.source import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme

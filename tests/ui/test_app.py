@@ -16,7 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screenshot
-from bubbleviz_ui.engine.solver import recording
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.shell.display import has_display
 from bubbleviz_ui.window_session import window_session
 
@@ -189,7 +189,7 @@ def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press):
     driver.wait(lambda: driver.state.facts.frames == 90)
     assert driver.window.controller.sensor.camera.width == 640
     driver.wait(lambda: driver.result.frame.depth_m.shape == (480, 640))
-    driver.opens("press", recording(punyo_press), load_sensor("pico_flexx_75mm"))
+    driver.opens("press", Source.of_recording(punyo_press), load_sensor("pico_flexx_75mm"))
     driver.told("640×480")
 
 

@@ -243,7 +243,7 @@ def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
     driver.state.choose(kappa=2.5, membrane_opacity=0.5)
     driver.seek(8)
     other = small_sensor("another", nodes=150)
-    driver.window.controller.opening.open("dent", DentSource, lambda: other, frame=7, playing=False)
+    driver.opens("dent", DentSource, other, frame=7, playing=False)
     driver.wait(lambda: driver.state.facts.sensor_name == "another")
     driver.settle()
     assert tuple(view.camera.position) == pytest.approx(moved)

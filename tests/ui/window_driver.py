@@ -25,6 +25,7 @@ from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.inverse import mean_pressure
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.sensor_layers import CORNER
@@ -192,7 +193,9 @@ class Driver:
 
     def opens(self, title, opener, sensor, **at):
         """Open another source in the same window; returns at once."""
-        self.window.controller.opening.open(title, opener, lambda: sensor, **at)
+        live = at.pop("live", False)
+        source = opener if isinstance(opener, Source) else Source(title, opener, live=live)
+        self.window.controller.opening.open(source, lambda: sensor, **at)
 
     def resize(self, width, height):
         self.window.resize(width, height)

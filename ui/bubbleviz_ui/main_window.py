@@ -469,8 +469,8 @@ class MainWindow(QMainWindow):
         self.gamma0.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
-        if opened.request.open_source is not self._source:  # of the same, who is at a box stays
-            self._source = opened.request.open_source
+        if opened.request.source is not self._source:  # of the same, who is at a box stays
+            self._source = opened.request.source
             self.view.setFocus()
         self.message.drop_warnings()
         self.message.drop_topic(OPENING)

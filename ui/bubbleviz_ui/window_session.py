@@ -100,17 +100,15 @@ class WindowSession:
     def _open(
         self, sensor: Sensor, recording: Path | None, frame: int | None, truth: Path | None
     ) -> None:
-        from bubbleviz_ui.engine.solver import recording as recording_opener, synthetic
+        from bubbleviz_ui.engine.source import SYNTHETIC, Source
         from bubbleviz_ui.engine.worker import Failed
 
         self._answers.clear()
         self.controller.opening.open(
-            str(recording) if recording else "synthetic press",
-            recording_opener(recording, truth) if recording else synthetic,
+            Source.of_recording(recording, truth) if recording else SYNTHETIC,
             lambda: sensor,
             frame=frame or 0,
             playing=frame is None,
-            live=recording is None,
         )
         self.wait_for(lambda: bool(self._answers), "opening")
         answer = self._answers[0]

@@ -11,7 +11,7 @@ from window_driver import CTRL
 
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.calibration import report_page
-from bubbleviz_ui.engine.solver import recording
+from bubbleviz_ui.engine.source import Source
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def folder(resting, tmp_path):
 
 def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, folder, tmp_path):
     """Identified and used, but saved nowhere: its files are gone when the window is."""
-    bench = Bench(drive(recording(folder / "rest.mcap")))
+    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     window, answer = bench.window, bench.answer
     bench.step(len(bench.panel.pages) - 1)
@@ -58,7 +58,7 @@ def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, 
 def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     drive, folder, monkeypatch
 ):
-    bench = Bench(drive(recording(folder / "rest.mcap")))
+    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     window, panel, answer = bench.window, bench.panel, bench.answer
     bench.key(Qt.Key.Key_W, CTRL)
@@ -92,10 +92,10 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
 
 
 def test_closing_asks_and_a_session_that_is_refused_changes_nothing(drive, folder):
-    other = drive(recording(folder / "other.mcap"))
+    other = drive(Source.of_recording(folder / "other.mcap"))
     other.state.choose(layers=frozenset({"rim"}))
     other.window.session_saver.save_as(folder / "look.bubbleviz")
-    bench = Bench(drive(recording(folder / "rest.mcap")))
+    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     window, state = bench.window, bench.state
     before = state.choices, window.open_panels.names, state.facts
@@ -115,7 +115,7 @@ def test_closing_asks_and_a_session_that_is_refused_changes_nothing(drive, folde
 
 @pytest.mark.long
 def test_a_saved_identification_is_not_asked_for(drive, folder, monkeypatch):
-    bench = Bench(drive(recording(folder / "rest.mcap")))
+    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (folder / "mine.toml", ""))

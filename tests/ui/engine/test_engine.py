@@ -20,6 +20,7 @@ from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.progress import Cancelled
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz_ui.engine.solver import KeptEstimates, OpenRequest, Solver
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
 from bubbleviz_ui.engine.worker import KEYS, Deferred, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
@@ -269,7 +270,7 @@ def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(qtbot):
 
 def test_a_frame_past_the_end_opens_at_the_last(sensor):
     solver, demand = Solver(), Demand(frozenset({"cloud"}))
-    opened = solver.open(OpenRequest("dent", DentSource, lambda: sensor, 99, demand))
+    opened = solver.open(OpenRequest(Source("dent", DentSource), lambda: sensor, 99, demand))
     assert opened.frame == opened.facts.frames - 1
     solver.close()
 
@@ -300,6 +301,7 @@ def test_what_nobody_uses_goes_back_to_the_system():
     done = run_python("""
 import numpy as np
 from benchmarks.window.process_usage import resident_mib
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.upkeep import release_memory
 before = resident_mib()
 pieces = [np.ones(100 << 10, np.uint8) for _ in range(1500)]  # too small for memory of their own

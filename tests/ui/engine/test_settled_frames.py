@@ -9,6 +9,7 @@ from window_driver import CONTACT
 
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import OpenRequest
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 
@@ -133,7 +134,7 @@ def client(qtbot, sensor, state):
     made = SensorClient(state)
     made.worker.close()
     made.worker = Waiting()
-    made.open(OpenRequest("dent", DentSource, lambda: sensor, 3, PLAIN))
+    made.open(OpenRequest(Source("dent", DentSource), lambda: sensor, 3, PLAIN))
     made.worker.run(-1)
     yield made
     made.solver.close()

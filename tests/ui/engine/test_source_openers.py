@@ -17,7 +17,7 @@ from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
-from bubbleviz_ui.engine.solver import recording
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.window_session import window_session
 
 FRAMES = 3
@@ -38,7 +38,7 @@ def files(sensor, tmp_path_factory):
 
 def opened(drive, sensor, path):
     """A window on a recording with the Threshold panel open."""
-    driver = drive(recording(path), sensor, frame=2)
+    driver = drive(Source.of_recording(path), sensor, frame=2)
     driver.show("threshold")
     driver.wait(lambda: driver.inspection.kappa_curve is not None)
     return driver
@@ -90,7 +90,7 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     # one that ends early says so
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((tmp_path / "marked.mcap").read_bytes()[:-40])
-    driver.opens("cut.mcap", recording(cut), sensor)
+    driver.opens("cut.mcap", Source.of_recording(cut), sensor)
     driver.told("cut.mcap ends early")
 
 
@@ -123,7 +123,9 @@ def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
     driver.state.set_playing(False)
     driver.wait(lambda: says_iou(driver))
     # and without the truth there is no IoU until it is opened
-    driver.opens("sim.mcap", recording(files / "sim.mcap"), sensor, frame=2, playing=False)
+    driver.opens(
+        "sim.mcap", Source.of_recording(files / "sim.mcap"), sensor, frame=2, playing=False
+    )
     driver.wait(lambda: not says_iou(driver))
     driver.settle()
     arrays = dict(np.load(files / "what_is_true.npz"))

@@ -14,9 +14,10 @@ from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pressure_zero import PressureZero
 from bubbleviz_ui.engine.solver import OpenRequest, Solver
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.connection import single
-from bubbleviz_ui.live.live_frames import LiveFrames, LiveOpener
+from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from tests.live.streams import robot
 
@@ -45,7 +46,7 @@ def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
     with stream:
         first = stream.first_frame()
         frames.begin(first.arrival_ns, first)
-    solver.open(OpenRequest("press", LiveOpener(frames), lambda: sensor, 0, demand))
+    solver.open(OpenRequest(Source.of_stream(frames), lambda: sensor, 0, demand))
     while solver.newest(demand, lambda: False) is not None:  # what had arrived before it ended
         pass
     with pytest.raises(Deferred):
@@ -64,7 +65,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     with stream:
         first = stream.first_frame()
         frames.begin(first.arrival_ns, first)
-        solver.open(OpenRequest("press", LiveOpener(frames), lambda: sensor, 0, demand))
+        solver.open(OpenRequest(Source.of_stream(frames), lambda: sensor, 0, demand))
         session = solver.session
         assert session is not None and session.beside is not None
         beside, own = session.beside, Pipeline.of(sensor, session.source[0].intrinsics)

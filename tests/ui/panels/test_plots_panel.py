@@ -17,7 +17,7 @@ from window_driver import CONTACT, canvas, copied, hover, painted
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
 from bubbleviz.simulation import SyntheticSource, default_press
-from bubbleviz_ui.engine.solver import CachedSource
+from bubbleviz_ui.engine.source import CachedSource
 from bubbleviz_ui.model.frame_history import thinned
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text
 from bubbleviz_ui.panels.plot_host import PlotFrame

@@ -16,7 +16,8 @@ from PySide6.QtCore import QPoint
 
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz_ui.engine.solver import Opened, recording
+from bubbleviz_ui.engine.solver import Opened
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,
@@ -41,9 +42,9 @@ def files(tmp_path_factory, sensor):
 
 def open_press(driver, files, folder=None, **at):
     """Open the recording, or a copy of it, in a window."""
-    opener, before = recording((folder or files) / "press.mcap"), driver.window.controller.client
-    former = before.session
-    driver.opens("press", opener, load_sensor(files / "dome.toml"), playing=False, **at)
+    source = Source.of_recording((folder or files) / "press.mcap")
+    former = driver.window.controller.client.session
+    driver.opens("press", source, load_sensor(files / "dome.toml"), playing=False, **at)
     driver.wait(lambda: driver.window.controller.client.session is not former)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
@@ -245,7 +246,8 @@ def test_what_was_open_is_not_kept(qtbot, files):
         controller = session.controller
         for frame in (1, 2, 3, 4):
             was = controller.client.session
-            controller.opening.open("dent", DentSource, lambda: sensor, frame=frame, playing=False)
+            dent = Source("dent", DentSource)
+            controller.opening.open(dent, lambda: sensor, frame=frame, playing=False)
             session.wait_for(lambda was=was: controller.client.session is not was, "opening")
         gc.collect()
         kept = sum(isinstance(thing, Opened) for thing in gc.get_objects())

@@ -16,7 +16,7 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.files import presets_folder
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz_ui.engine.solver import recording
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,
@@ -51,7 +51,7 @@ def start(keep_in=None, saved=None):
 
 def open_press(driver, files, sensor=None):
     chosen = sensor or load_sensor(files / "dome.toml")
-    driver.opens("press", recording(files / "press.mcap"), chosen, frame=8, playing=False)
+    driver.opens("press", Source.of_recording(files / "press.mcap"), chosen, frame=8, playing=False)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
 

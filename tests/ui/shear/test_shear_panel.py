@@ -11,7 +11,7 @@ from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.recordings import LAG
 from bubbleviz.result import Slip, Traction
 from bubbleviz.shear import COLLECTED
-from bubbleviz_ui.engine.solver import recording
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.demand import Demand, products
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -114,7 +114,7 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     driver.wait(lambda: panel.reference.text().startswith(said))
     assert driver.result.flow is None
     record(tmp_path / "dent.mcap", list(DentSource(rubber))[:6])
-    driver.opens("dent", recording(tmp_path / "dent.mcap"), rubber, playing=False)
+    driver.opens("dent", Source.of_recording(tmp_path / "dent.mcap"), rubber, playing=False)
     driver.wait(lambda: panel.reference.text().startswith("Depth alone: no colour images"))
     # the exact membrane is not known: what to do, in the image as well
     driver.state.choose(images=frozenset({"flow"}))

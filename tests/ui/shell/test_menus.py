@@ -70,8 +70,7 @@ def test_check_marks_follow_the_state_and_close_leaves_the_sensor_at_rest(drive,
     driver.bot.keyClick(driver.window, Qt.Key.Key_Space)
     driver.bot.keyClick(driver.window, Qt.Key.Key_End)
     close(driver)
-    again = lambda made: DentSource(made)  # noqa: E731
-    driver.window.controller.opening.open("dent", again, lambda: sensor, frame=11, playing=False)
+    driver.opens("dent", DentSource, sensor, frame=11, playing=False)
     driver.wait(lambda: driver.state.facts.title == "dent")
     driver.settle()
     assert len(driver.warm_pixels()) > 100

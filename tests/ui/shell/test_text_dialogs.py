@@ -6,14 +6,14 @@ from small_press import write_press
 from window_driver import copied
 
 from bubbleviz.api.frames import info
-from bubbleviz_ui.engine.solver import recording
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
 
 
 def test_information_and_documentation_are_read_in_the_window(drive, sensor, tmp_path):
     path = tmp_path / "press.mcap"
     write_press(path, sensor)
-    driver = drive(open_source=recording(path))
+    driver = drive(open_source=Source.of_recording(path))
 
     def opened():
         driver.act("File › Information")

@@ -17,7 +17,8 @@ from bubbleviz.recordings import FrameSource, HeldFrames, TimeAxis
 from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver import NothingOpen, Opened, OpenRequest, RecordingOpener
+from bubbleviz_ui.engine.solver import Opened, OpenRequest
+from bubbleviz_ui.engine.source import NOTHING, Source
 from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import UserMessage
@@ -114,8 +115,8 @@ class Calibration(QObject):
         self.name = ""
         self.given: Sensor | None = None
         self.saved: Work | None = None  # of which a sensor file was written last
-        self._opener: Callable[[Sensor], FrameSource] | None = None
-        self._shown: Callable[[Sensor], FrameSource] | None = None
+        self._opener: Source | None = None
+        self._shown: Source | None = None
         self._holding = False
         self._remembered: OrderedDict[Work, Answer] = OrderedDict()
         self.benches = Benches()
@@ -144,7 +145,7 @@ class Calibration(QObject):
 
     def loses(self, request: OpenRequest) -> bool:
         """Whether an identification that was not saved would be lost by opening something."""
-        if not self.unsaved or request.open_source is self._shown:
+        if not self.unsaved or request.source is self._shown:
             return False
         return not self._goes_on(request, request.open_sensor)
 
@@ -245,16 +246,16 @@ class Calibration(QObject):
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
-        if opened.request.open_source is self._shown:
+        if opened.request.source is self._shown:
             return  # the same source with another sensor, perhaps the one identified here
-        self._shown = opened.request.open_source
+        self._shown = opened.request.source
         self.undo.stack.clear()  # what could be undone belongs to the source that is gone
         if self._goes_on(opened.request, lambda: opened.sensor):
             self._go_on(opened)
             return
         self._worker.cancel()
         self._remembered.clear()
-        self._opener, self.given = opened.request.open_source, opened.sensor
+        self._opener, self.given = opened.request.source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
         self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
         self.answer = self._nothing = Answer(self.work, Draft(self.settings))
@@ -264,19 +265,19 @@ class Calibration(QObject):
 
     def _goes_on(self, request: OpenRequest, sensor: Callable[[], Sensor]) -> bool:
         """Whether the work stays with another source: none, or the same recording or camera."""
-        present, opener = self._opener, request.open_source
+        present, opener = self._opener, request.source
         if present is None or self.given is None:
             return False
-        if opener is NothingOpen:
+        if opener is NOTHING:
             return True
-        if isinstance(opener, RecordingOpener):
-            return isinstance(present, RecordingOpener) and opener.path == present.path
-        return request.live and self.live and _size(sensor()) == _size(self.given)
+        if opener.path is not None:
+            return opener.path == present.path
+        return opener.live and self.live and _size(sensor()) == _size(self.given)
 
     def _go_on(self, opened: Opened) -> None:
         """Keep what was decided and found."""
-        if opened.request.open_source is not NothingOpen:
-            self._opener = opened.request.open_source
+        if opened.request.source is not NOTHING:
+            self._opener = opened.request.source
         if opened.facts.live:
             self.given, self.name = opened.sensor, opened.facts.title
         self.changed.emit()
@@ -290,11 +291,11 @@ class Benches:
     """The workbench of the open source; lives in the calibration thread."""
 
     def __init__(self) -> None:
-        self._opener: Callable[[Sensor], FrameSource] | None = None
+        self._opener: Source | None = None
         self._bench: Workbench | None = None
         self._collected: tuple[HeldFrames, Workbench] | None = None
 
-    def of(self, work: Work, opener: Callable[[Sensor], FrameSource], given: Sensor) -> Workbench:
+    def of(self, work: Work, opener: Source, given: Sensor) -> Workbench:
         """Workbench of a work, made where it is not there yet."""
         from bubbleviz.calibration import Workbench  # the window starts without
 
@@ -304,7 +305,7 @@ class Benches:
             return self._collected[1]
         if self._bench is None or self._opener is not opener:
             self.close()
-            self._bench, self._opener = Workbench(opener(given), given), opener
+            self._bench, self._opener = Workbench(opener.open(given), given), opener
         return self._bench
 
     def source(self, work: Work) -> FrameSource:

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton
 
 from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
-from bubbleviz_ui.engine.solver import RECORDINGS
+from bubbleviz_ui.engine.source import RECORDINGS
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open

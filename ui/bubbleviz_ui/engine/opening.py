@@ -10,25 +10,17 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.engine.solver import (
-    NothingOpen,
-    Opened,
-    OpenRequest,
-    RecordingOpener,
-    recording,
-    sensor_for,
-)
+from bubbleviz_ui.engine.solver import Opened, OpenRequest
+from bubbleviz_ui.engine.source import NOTHING, Source, sensor_for
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 
 if TYPE_CHECKING:
     from bubbleviz.inverse import EstimatorOptions
-    from bubbleviz.recordings import FrameSource
     from bubbleviz.sensor import Sensor
 
     OpenSensor = Callable[[], Sensor]
-    OpenSource = Callable[[Sensor], FrameSource]
 
 
 class Opening(QObject):
@@ -55,9 +47,9 @@ class Opening(QObject):
         return None if self.present is None else self.present.sensor
 
     @property
-    def source(self) -> OpenSource | None:
-        """Opener of what is open; None before the first."""
-        return None if self.present is None else self.present.request.open_source
+    def source(self) -> Source | None:
+        """What is open; None before the first."""
+        return None if self.present is None else self.present.request.source
 
     @property
     def options(self) -> EstimatorOptions | None:
@@ -68,13 +60,12 @@ class Opening(QObject):
 
     def open(
         self,
-        what: str,
-        open_source: OpenSource,
+        source: Source,
         open_sensor: OpenSensor,
         *,
+        what: str = "",  # What to call it in a message; the source's title where not given
         frame: int = 0,
         playing: bool = True,
-        live: bool = False,
         first: Callable[[], None] | None = None,
     ) -> bool:
         """Open a source with a sensor in the solver thread; whether that was not refused.
@@ -82,13 +73,11 @@ class Opening(QObject):
         What is done `first`, unless it was, may make other choices.
         """
         request = OpenRequest(
-            what=what,
-            open_source=open_source,
+            source=source,
             open_sensor=open_sensor,
             frame=frame,
             demand=Demand.of(self._state.choices),
             playing=playing,
-            live=live,
         )
         self.wanted.emit(request)
         if request.cancelled.is_set():
@@ -101,7 +90,7 @@ class Opening(QObject):
         request = replace(request, demand=demand, options=options)
         self._waiting = request
         self._ask(request)
-        self.changed.emit("Closing …" if open_source is NothingOpen else f"Opening {what} …")
+        self.changed.emit("Closing …" if source is NOTHING else f"Opening {what or source.title} …")
         return True
 
     def cancel(self) -> None:
@@ -114,17 +103,17 @@ class Opening(QObject):
         self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
     ) -> None:
         """Open a recording with a sensor, with the present one, or with the preset that fits."""
-        sensor = self.sensor
+        source, sensor = Source.of_recording(path, truth), self.sensor
         if sensor_file is not None:
-            self.open(path.name, recording(path, truth), lambda: load_sensor(sensor_file))
+            self.open(source, lambda: load_sensor(sensor_file))
         elif sensor is not None:
-            self.open(path.name, recording(path, truth), lambda: sensor_for(path, sensor))
+            self.open(source, lambda: sensor_for(path, sensor))
 
     def truth(self, path: Path) -> None:
         """Have the recording that is open, one of a simulation, known by its TRUTH.npz."""
-        opener, sensor = self.source, self.sensor
-        if isinstance(opener, RecordingOpener) and sensor is not None:
-            self.reopen(path.name, lambda: sensor, replace(opener, truth=path))
+        source, sensor = self.source, self.sensor
+        if source is not None and source.path is not None and sensor is not None:
+            self.reopen(path.name, lambda: sensor, Source.of_recording(source.path, path))
         else:
             problem = f"{path}: open the recording of that simulation first"
             self.said.emit(UserMessage("error", problem))
@@ -137,26 +126,17 @@ class Opening(QObject):
         """Use another sensor, which is loaded already, with the present source."""
         self.reopen(sensor.name, lambda: sensor)
 
-    def reopen(
-        self, what: str, open_sensor: OpenSensor, open_source: OpenSource | None = None
-    ) -> None:
+    def reopen(self, what: str, open_sensor: OpenSensor, source: Source | None = None) -> None:
         """Open the present source anew, or in another form, at the present frame."""
-        facts, source = self._state.facts, open_source or self.source
-        if source is not None and facts is not None:
-            self.open(
-                what,
-                source,
-                open_sensor,
-                frame=self._state.frame,
-                playing=self._state.playing,
-                live=facts.live,
-            )
+        state, source = self._state, source or self.source
+        if source is not None and state.facts is not None:
+            self.open(source, open_sensor, what=what, frame=state.frame, playing=state.playing)
 
     def nothing(self) -> None:
         """Close what is open; the sensor stays, at rest."""
         sensor = self.sensor
         if sensor is not None:
-            self.open("the sensor at rest", NothingOpen, lambda: sensor, playing=False)
+            self.open(NOTHING, lambda: sensor, playing=False)
 
     def take(self, request: object) -> None:
         """Notice that what was asked for has come, or has failed."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass, field, is_dataclass, replace
-from pathlib import Path
 from threading import Event
 from typing import Literal
 
@@ -29,20 +27,17 @@ from bubbleviz.recordings import (
     Gap,
     HeldFrames,
     Recording,
-    check_fits,
-    fitting_sensor,
     gas_warning,
-    image_size,
-    open_recording,
 )
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import KnownRecording, NoisyLoop, Truth, known_beside, truth_of
+from bubbleviz.simulation import truth_of
+from bubbleviz_ui.engine.source import NOTHING, Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
-from bubbleviz_ui.model.source_facts import NOTHING_OPEN, SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
 
 ComparedOptions = tuple[EstimatorOptions, FrameOptions]
@@ -53,15 +48,12 @@ ComparedOptions = tuple[EstimatorOptions, FrameOptions]
 class OpenRequest:
     """A source to open with a sensor."""
 
-    what: str  # What to call it in a message
-    # open_source, open_sensor: Make the source and the sensor; called in the solver thread
-    open_source: Callable[[Sensor], FrameSource]
-    open_sensor: Callable[[], Sensor]
+    source: Source
+    open_sensor: Callable[[], Sensor]  # Called in the solver thread
     frame: int  # Frame to show first; proof that the source can be used with the sensor
     demand: Demand  # Of that frame
     options: EstimatorOptions = field(default_factory=EstimatorOptions)
-    playing: bool = False  # playing, live: Play once it is open; it is a live source
-    live: bool = False
+    playing: bool = False  # Play once it is open
     # Set: nobody waits for it any more
     cancelled: Event = field(default_factory=Event, compare=False)
 
@@ -132,113 +124,6 @@ def _bytes(held: object) -> int:
     return sum(map(_bytes, vars(held).values())) if is_dataclass(held) else 0
 
 
-# How the window opens what it can show; called in the solver thread.
-
-
-RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
-"""As file dialogs offer them."""
-LIVE_FINER = 2
-"""Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingOpener:
-    """Opens a recording for a sensor; two are never equal, as each stands for one opening."""
-
-    path: Path
-    truth: Path | None = None
-
-    def __call__(self, sensor: Sensor) -> FrameSource:
-        """Open it, with the truth behind it where it is of a simulation and that is known.
-
-        Raises InputError: It cannot be opened, does not fit the sensor, or the truth is not its
-        own.
-        """
-        opened = open_recording(self.path)
-        try:
-            check_fits(opened, sensor, sensor.name)
-            if self.truth is not None and isinstance(opened, Recording):
-                return KnownRecording(opened, self.truth)
-            return known_beside(opened)
-        except InputError:
-            opened.close()
-            raise
-
-
-def recording(path: Path, truth: Path | None = None) -> Callable[[Sensor], FrameSource]:
-    """Opener of a recording, and of its TRUTH.npz where that is not beside it under its name."""
-    return RecordingOpener(path, truth)
-
-
-def sensor_for(path: Path, present: Sensor) -> Sensor:
-    """Sensor to open a recording with: the present one if it fits, else the preset that does."""
-    with closing(open_recording(path)) as opened:
-        if image_size(opened) == (present.camera.width, present.camera.height):
-            return present
-        return fitting_sensor(opened, None)[1]
-
-
-def synthetic(sensor: Sensor) -> FrameSource:
-    """Open the built-in synthetic press, which the window loops as a live sensor.
-
-    All its frames are made now, within seconds: a live sensor does not stutter in its first round.
-    Only the noise is new in every round.
-    """
-    # a recording is opened without the simulator
-    from bubbleviz.simulation import SyntheticSource, default_press
-
-    press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
-    source = CachedSource(
-        SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
-    )
-    for index in range(len(source)):
-        _ = source[index]
-    return NoisyLoop(source, press.camera, press.noise)
-
-
-class NothingOpen:
-    """What is there while nothing is open: one image in which no pixel has a return."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        self.name, self.times_s = NOTHING_OPEN, np.zeros(1)
-        self._size = sensor.camera.height, sensor.camera.width
-
-    def __len__(self) -> int:
-        return 1
-
-    def __getitem__(self, index: int) -> Frame:
-        return Frame(index, 0.0, np.full(self._size, np.nan, np.float32))
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class CachedSource:
-    """Keeps the frames of a short source that computes them, so a loop costs them once."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-        self._frames: dict[int, Frame] = {}
-        self.name = source.name
-        self.times_s = source.times_s
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __getitem__(self, index: int) -> Frame:
-        if index not in self._frames:
-            self._frames[index] = self._source[index]
-        return self._frames[index]
-
-    def truth(self, index: int) -> Truth | None:
-        """What is true of a frame."""
-        return truth_of(self._source, index)
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
-
-
 WAIT_S, LOOK_S = 0.05, 0.005
 """How long a frame of a live source is waited for before it counts as paused, and how often the
 worker looks meanwhile whether something more urgent waits."""
@@ -258,18 +143,64 @@ class Session:
     recording's gas pressure.
     """
 
+    opened: Source
     source: FrameSource
     pipeline: Pipeline
     side_by_side: SideBySide
-    shear: ShearReference
+    shear: ShearReference = field(default_factory=ShearReference)
     kept: KeptEstimates = field(default_factory=KeptEstimates)
     beside: PipelineProcess | None = None
     zero: PressureZero | None = None
+
+    @property
+    def recording(self) -> Recording | None:
+        """The source, where it is a recording of a sensor."""
+        return self.source if isinstance(self.source, Recording) else None
 
     def frame(self, index: int) -> Frame:
         """Frame of the source; a recorded one's gas pressure is zeroed."""
         frame = self.source[index]
         return frame if self.zero is None else self.zero.applied(frame)
+
+    def process(
+        self,
+        frame: Frame,
+        demand: Demand,
+        *,
+        beside: PipelineProcess | None = None,
+        settled: bool = False,
+    ) -> Result:
+        """Products of a frame; a live one's gas pressure is zeroed. `NOTHING` has none."""
+        pipeline, stream = self.pipeline, self.opened.stream
+        if self.opened is NOTHING:
+            return Result(frame)
+        if stream is not None:
+            frame = zeroed(frame, stream.zero, pipeline)
+        products = self.shear.products(self.source, pipeline, frame.index, demand) - LOOKS.keys()
+        if settled:
+            pipeline.settle(frame)
+        result = (beside or pipeline).process(frame, products, demand.options)
+        if products & SHEAR:
+            self.shear.collect(result)
+        return result
+
+    def look(self, result: Result, demand: Demand) -> Result:
+        """The result looked at closer, beside the truth where the source knows it."""
+        if self.opened is NOTHING:
+            return result
+        wanted = "kappa_curve" in demand.looks
+        truth = truth_of(self.source, result.frame.index) if wanted else None
+        mask = truth.patch_mask if truth is not None else None
+        result = self.pipeline.look(result, demand.products, demand.options, mask)
+        seen = replace(result.inspection or Inspection(), reference=self.shear.words)
+        return replace(result, inspection=seen)
+
+    def numbers(self, result: Result) -> Numbers:
+        """Numbers of a result; its estimate is kept, unless it is of a live source that goes on."""
+        numbers = numbers_of(result, self.pipeline.model.gas)
+        if result.estimate is not None and self.opened.stream is None:
+            self.kept.keep(result.frame.index, numbers, result.estimate)
+        return numbers
 
     def close(self) -> None:
         """Let go of the source, and end the process beside."""
@@ -317,7 +248,7 @@ class Solver:
         solved = self._solved(session, demand, frame, settled=settled)
         if settled and self._checked is not session:  # in spare time: opening does not wait for it
             self._checked = session
-            return replace(solved, remark=_misfit(session.source, session.pipeline))
+            return replace(solved, remark=_misfit(session))
         return solved
 
     def newest(
@@ -329,20 +260,20 @@ class Solver:
         `of_colour`: Have colour images sent, also for diagnostics that not every frame gets.
         """
         session, end = self._open, time.perf_counter() + WAIT_S
-        source, beside = session.source, session.beside
-        if not isinstance(source, LiveFrames):
+        stream, beside = session.opened.stream, session.beside
+        if stream is None:
             return None
-        source.follow_colour(of_colour)
-        while (frame := source.newest(LOOK_S)) is None:
+        stream.follow_colour(of_colour)
+        while (frame := stream.newest(LOOK_S)) is None:
             if called_off():
                 raise Deferred
-            if source.ended or time.perf_counter() > end:
+            if stream.ended or time.perf_counter() > end:
                 return None
         known = "" if beside is None else beside.lost
         solved = self._solved(session, demand, frame, beside=beside)
-        source.tell(solved.result, session.pipeline.mesh)
+        stream.tell(solved.result, session.pipeline.mesh)
         remark = "" if beside is None or beside.lost == known else _lost(session, beside)
-        return replace(solved, outages=source.outages, remark=remark)
+        return replace(solved, outages=stream.outages, remark=remark)
 
     def follow(
         self, object_name: str | None, unit: Literal["m", "mm"] | None, start: np.ndarray | None
@@ -364,7 +295,7 @@ class Solver:
             raise ValueError("no estimate to threshold")
         masked = "pixel_mask" in demand.products
         patch = session.pipeline.patch(estimate, demand.options, pixel_mask=masked)
-        result = _look(session, replace(result, patch=patch), demand)
+        result = session.look(replace(result, patch=patch), demand)
         return result, numbers_of(result, session.pipeline.model.gas)
 
     def analyse(
@@ -395,8 +326,8 @@ class Solver:
         if not settings:
             return ()
         frame, truth = session.frame(index), truth_of(session.source, index)
-        if isinstance(session.source, LiveFrames):
-            frame = session.source.zero.applied(frame)
+        if session.opened.stream is not None:
+            frame = session.opened.stream.zero.applied(frame)
         for options, rule in settings:
             try:
                 measured.append(bench.measure(options, frame, rule, truth, settled=settled))
@@ -413,10 +344,9 @@ class Solver:
         beside: PipelineProcess | None = None,
         settled: bool = False,
     ) -> Solved:
-        of = session.source, session.pipeline, session.shear
-        result = _process(*of, frame, demand, beside=beside, settled=settled)
-        result = _look(session, result, demand)
-        return Solved(demand, result, _kept_numbers(session, result), time.perf_counter())
+        result = session.process(frame, demand, beside=beside, settled=settled)
+        result = session.look(result, demand)
+        return Solved(demand, result, session.numbers(result), time.perf_counter())
 
     def open(self, request: OpenRequest) -> Opened:
         """Open a source in place of the present one.
@@ -426,23 +356,26 @@ class Solver:
         if request.cancelled.is_set():
             raise Cancelled
         sensor = request.open_sensor()
-        source = request.open_source(sensor)
+        source, stream = request.source.open(sensor), request.source.stream
         try:
             if len(source) == 0:
                 raise InputError(f"{source.name}: has no frames; choose another recording")
             index = min(max(request.frame, 0), len(source) - 1)
             frame = source[index]
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
-            if isinstance(source, LiveFrames):
-                source.zero.refer_to(pipeline.model.gas.P0)
-            shear = ShearReference()
-            products = shear.products(source, pipeline, frame.index, request.demand)
+            if stream is not None:
+                stream.zero.refer_to(pipeline.model.gas.P0)
+            settings = SideBySide(sensor, pipeline.camera.intrinsics)
+            session = Session(request.source, source, pipeline, settings)
+            products = session.shear.products(source, pipeline, frame.index, request.demand)
             pipeline.prepare(products)  # apart: says nothing about a frame
-            zero = zero_of(source, pipeline) if isinstance(source, Recording) else None
             measured_pa = frame.gas_pressure_pa
-            if zero is not None:
-                frame, measured_pa = zero.applied(frame), zero.rest_pa or measured_pa
-            result = _process(source, pipeline, shear, frame, request.demand)
+            if session.recording is not None:
+                session = replace(session, zero=zero_of(session.recording, pipeline))
+            if session.zero is not None:
+                frame = session.zero.applied(frame)
+                measured_pa = session.zero.rest_pa or measured_pa
+            result = session.process(frame, request.demand)
             if request.cancelled.is_set():
                 raise Cancelled
         except BaseException:
@@ -451,31 +384,34 @@ class Solver:
                 raise Cancelled from None
             raise
         self.close()
-        settings = SideBySide(sensor, pipeline.camera.intrinsics)
-        beside = _beside(source, pipeline)
-        session = Session(source, pipeline, settings, shear, beside=beside, zero=zero)
-        self.session = session
-        grows = isinstance(source, LiveFrames)
-        remarks = [str(getattr(source, "remark", ""))]  # recordings have one
-        if not grows:  # else its zero tells, once it is known
-            remarks.append(gas_warning(measured_pa, pipeline.model.gas.P0))
-            remarks.append(_told(zero))
-        remark = " ".join(f"{text}." for text in remarks if text)
-        marks = source.marks() if isinstance(source, Recording) else ()
-        opener = request.open_source
-        path = str(opener.path.resolve()) if isinstance(opener, RecordingOpener) else ""
-        # a live source that does not grow is the press that the window loops
-        simulated = source.simulated if isinstance(source, LiveFrames) else request.live
-        facts = SourceFacts(
-            source.name, sensor.name, source.times_s, request.live, grows, remark, marks, simulated,
-            outages=source.outages if isinstance(source, LiveFrames) else (),
-            path=path,
-            gas_zero="" if zero is None else zero.words,
-        )  # fmt: skip
-        numbers = _kept_numbers(session, result)
-        result = _look(session, result, request.demand)
-        camera, mesh = pipeline.camera, pipeline.mesh
+        self.session = session = replace(session, beside=_beside(stream, pipeline))
+        numbers, result = session.numbers(result), session.look(result, request.demand)
+        facts, camera, mesh = _facts(session, sensor, measured_pa), pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers)
+
+
+def _facts(session: Session, sensor: Sensor, measured_pa: float | None) -> SourceFacts:
+    """What the window says about a source that was opened."""
+    opened, source, zero = session.opened, session.source, session.zero
+    stream, recording = opened.stream, session.recording
+    remarks = [str(getattr(source, "remark", ""))]  # recordings have one
+    if stream is None:  # else its zero tells, once it is known
+        remarks.append(gas_warning(measured_pa, session.pipeline.model.gas.P0))
+        remarks.append(_told(zero))
+    return SourceFacts(
+        source.name,
+        sensor.name,
+        source.times_s,
+        live=opened.live,
+        grows=stream is not None,
+        remark=" ".join(f"{text}." for text in remarks if text),
+        marks=() if recording is None else recording.marks(),
+        # a live source that does not grow is the press that the window loops
+        simulated=opened.live if stream is None else stream.simulated,
+        outages=() if stream is None else stream.outages,
+        path="" if opened.path is None else str(opened.path.resolve()),
+        gas_zero="" if zero is None else zero.words,
+    )
 
 
 def _numbers(session: Session, demand: Demand, index: int, *, kept_only: bool) -> Numbers | None:
@@ -490,66 +426,21 @@ def _numbers(session: Session, demand: Demand, index: int, *, kept_only: bool) -
         return None
     try:
         frame = session.frame(index)
-        result = _process(session.source, pipeline, session.shear, frame, demand)
+        result = session.process(frame, demand)
     except InputError:
         return Numbers()  # it says so when somebody looks at it
-    return _kept_numbers(session, result)
+    return session.numbers(result)
 
 
-def _kept_numbers(session: Session, result: Result) -> Numbers:
-    """Numbers of a result; its estimate is kept, unless it is of a live source, which goes on."""
-    numbers = numbers_of(result, session.pipeline.model.gas)
-    if result.estimate is not None and not isinstance(session.source, LiveFrames):
-        session.kept.keep(result.frame.index, numbers, result.estimate)
-    return numbers
-
-
-def _look(session: Session, result: Result, demand: Demand) -> Result:
-    """The result looked at closer, beside the truth where the source knows it."""
-    truth = None
-    if isinstance(session.source, NothingOpen):
-        return result
-    if "kappa_curve" in demand.looks:
-        truth = truth_of(session.source, result.frame.index)
-    mask = truth.patch_mask if truth is not None else None
-    result = session.pipeline.look(result, demand.products, demand.options, mask)
-    seen = replace(result.inspection or Inspection(), reference=session.shear.words)
-    return replace(result, inspection=seen)
-
-
-def _process(
-    source: FrameSource,
-    pipeline: Pipeline,
-    shear: ShearReference,
-    frame: Frame,
-    demand: Demand,
-    *,
-    beside: PipelineProcess | None = None,
-    settled: bool = False,
-) -> Result:
-    """Products of a frame; a live one's gas pressure is zeroed. `NothingOpen` has none."""
-    if isinstance(source, NothingOpen):
-        return Result(frame)
-    if isinstance(source, LiveFrames):
-        frame = zeroed(frame, source.zero, pipeline)
-    products = shear.products(source, pipeline, frame.index, demand) - LOOKS.keys()
-    if settled:
-        pipeline.settle(frame)
-    result = (beside or pipeline).process(frame, products, demand.options)
-    if products & SHEAR:
-        shear.collect(result)
-    return result
-
-
-def _beside(source: FrameSource, pipeline: Pipeline) -> PipelineProcess | None:
+def _beside(stream: LiveFrames | None, pipeline: Pipeline) -> PipelineProcess | None:
     """A process for the frames of one of two cameras: one alone leaves a core to its solver thread.
 
     A simulation has no images to hurry for.
     """
-    if not isinstance(source, LiveFrames) or source.simulated or not source.paired:
+    if stream is None or stream.simulated or not stream.paired:
         return None
     beside = PipelineProcess(pipeline)
-    source.at_end(beside.end)
+    stream.at_end(beside.end)
     return beside
 
 
@@ -567,9 +458,10 @@ def _told(zero: PressureZero | None) -> str:
     return zero.words
 
 
-def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
+def _misfit(session: Session) -> str:
     """What the first frames of a recording say against the sensor file; nothing where touched."""
-    if not isinstance(source, Recording):
+    source, model = session.recording, session.pipeline.model
+    if source is None:
         return ""
     # what the window starts without
     from bubbleviz.calibration import check_sensor
@@ -579,10 +471,10 @@ def _misfit(source: FrameSource, pipeline: Pipeline) -> str:
     first = HeldFrames([source[k] for k in range(min(ENOUGH, len(source)))], source.name)
     try:
         free = find_contact_free(first).frames
-        found = check_sensor(pipeline.model, [first[k] for k in free], quick=True)
+        found = check_sensor(model, [first[k] for k in free], quick=True)
     except InputError:
         return ""
-    if found.verdict == "drifted" and pipeline.model.pixels is None:
+    if found.verdict == "drifted" and model.pixels is None:
         off = f"{1e3 * found.bias_m:+.2f} mm"
         return f"the sensor file was never calibrated, and depth is {off} off: identify the sensor"
     return "" if found.verdict == "fits" else f"compared with the sensor file: {found.reason}"

@@ -248,8 +248,8 @@ class Exporting(QObject):
 
         With `captioned` a video has frame number and time in its pictures.
         """
-        open_source, sensor = self._controller.opening.source, self._controller.sensor
-        if self.busy or open_source is None or sensor is None or not frames:
+        source, sensor = self._controller.opening.source, self._controller.sensor
+        if self.busy or source is None or sensor is None or not frames:
             return
         choices = self._state.choices
         if kind.is_video:
@@ -264,7 +264,7 @@ class Exporting(QObject):
 
             poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
             how = (FrameOptions(*choices.rule), choices.options, poses)
-            job = partial(export_to_files, open_source, sensor, frames, path, kind.what, *how)
+            job = partial(export_to_files, source.open, sensor, frames, path, kind.what, *how)
         function = partial(job, self._worker.progress)
         self._worker.submit(function, partial(self._on_done, path), self._on_refused)
         self.progressed.emit("starting", 0.0)

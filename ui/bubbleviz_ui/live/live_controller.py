@@ -10,9 +10,9 @@ from bubbleviz.live import LiveSensor, SessionPreset
 from bubbleviz.recordings import gas_warning
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import Connection, LiveRun
-from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import OWN_FOLDER, Recording
 from bubbleviz_ui.live.sensor_pair import SensorPair
@@ -211,9 +211,7 @@ class LiveController(QObject):
     def _on_ready(self, run: LiveRun) -> None:
         frames, sensor = run.frames[0], run.session.sensors[0].sensor
         opening = self._controller.opening
-        if not opening.open(
-            frames.name, LiveOpener(frames), lambda: sensor, playing=True, live=True
-        ):
+        if not opening.open(Source.of_stream(frames), lambda: sensor):
             self.cancel()
             self._worker.submit(run.close)
             return
@@ -232,12 +230,7 @@ class LiveController(QObject):
         self.changed.emit()
 
     def _is_ours(self, request: OpenRequest) -> bool:
-        opener = request.open_source
-        return (
-            isinstance(opener, LiveOpener)
-            and self.run is not None
-            and opener.frames in self.run.frames
-        )
+        return self.run is not None and request.source.stream in self.run.frames
 
     def _on_opened(self, opened: Opened) -> None:
         self._marked = frozenset()

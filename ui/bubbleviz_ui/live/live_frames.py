@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import Frame, Gap, usual_step
 from bubbleviz.result import Result
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.frame_history import grown
 
 KEPT_S = 10.0  # s of frames to look back at
@@ -169,14 +168,3 @@ class LiveFrames:
                 usual_s = usual_step(np.diff(self._times_s[-RECENT:])) or silent_s
                 missing = max(round(silent_s / usual_s) - 1, 1)
                 self.outages = (*self.outages, Gap(last, missing, silent_s))
-
-
-@dataclass(frozen=True, eq=False)
-class LiveOpener:
-    """Opens frames that come already, for any sensor file of their camera."""
-
-    frames: LiveFrames
-
-    def __call__(self, sensor: Sensor) -> LiveFrames:
-        """Hand them out."""
-        return self.frames

@@ -13,9 +13,9 @@ from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import OpenRequest
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import PATCH_CHOICES
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.view3d.render_view import View
@@ -68,14 +68,12 @@ class SensorPair(QObject):
         self._listen(second)
         second.open(
             OpenRequest(
-                what=frames.name,
-                open_source=LiveOpener(frames),
+                source=Source.of_stream(frames),
                 open_sensor=lambda: sensor,
                 frame=0,
                 demand=self._demand,
                 options=state.choices.options,
                 playing=True,
-                live=True,
             )
         )
 

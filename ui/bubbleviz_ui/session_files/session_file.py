@@ -18,6 +18,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, presets_folder, whole_file
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz_ui.engine.source import SYNTHETIC
 from bubbleviz_ui.model.choices import OWN_CHOICES, Choices, Setting
 
 # Live sensors in a session file: what of the disk they name. No Qt in here.
@@ -59,7 +60,6 @@ def source_with(source: str, rename: Rename) -> str:
     return f"{scheme}{colon}{quote(rename(unquote(place)), safe=SAFE)}{question}{options}"
 
 
-SYNTHETIC = "synthetic:"
 MOST_RECENT = 10  # in the menu
 FARTHEST_M = 1e3  # of a point of view
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -207,7 +207,7 @@ def absolute(name: str, file: Path | None = None) -> str:
 def missing(saved: SavedSession) -> dict[str, str]:
     """Files a located session names that are not there, by the field they belong to."""
     named = {"recording": saved.source, "truth": saved.truth, "sensor": saved.sensor}
-    if saved.source == SYNTHETIC:
+    if saved.source == SYNTHETIC.name:
         del named["recording"]
     if saved.sensor is not None and not saved.sensor.endswith(".toml"):
         del named["sensor"]  # a preset

@@ -14,23 +14,15 @@ from PySide6.QtWidgets import QMainWindow
 
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
-from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.engine.solver import (
-    Opened,
-    RecordingOpener,
-    recording,
-    sensor_for,
-    synthetic,
-)
+from bubbleviz_ui.engine.solver import Opened
+from bubbleviz_ui.engine.source import SYNTHETIC, Source, sensor_for
 from bubbleviz_ui.engine.worker import Failed
-from bubbleviz_ui.live.live_frames import LiveOpener
 from bubbleviz_ui.model.choices import OWN_CHOICES
 from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.session_file import (
     MOST_RECENT,
-    SYNTHETIC,
     SavedCamera,
     SavedSession,
     UserFile,
@@ -136,11 +128,11 @@ class SessionSaver(QObject):
         Raises InputError: That sensor cannot be kept.
         """
         window, state = self._window, self._window.state
-        sensor = self._sensor_name(file)
+        sensor, source = self._sensor_name(file), self._source
         moved = window.scene.moved_by_user
         now = SavedSession(
-            source=self._source_name(),
-            truth=self._truth_name(),
+            source=None if source is None else source.name,
+            truth=None if source is None or source.truth is None else str(source.truth.absolute()),
             live=self._live(sensor),
             sensor=sensor,
             frame=state.frame,
@@ -238,24 +230,22 @@ class SessionSaver(QObject):
             self._problems += lacks
             self._pending = saved
 
-        opener: Callable[[Sensor], FrameSource] | None = None
-        if saved.source == SYNTHETIC:
-            opener = synthetic
+        source: Source | None = None
+        if saved.source == SYNTHETIC.name:
+            source = SYNTHETIC
         elif saved.source is not None and "recording" not in gone:
             truth = None if saved.truth is None or "truth" in gone else Path(saved.truth)
-            opener = recording(Path(saved.source), truth)
-        if opener is None:
+            source = Source.of_recording(Path(saved.source), truth)
+        if source is None:
             begin()
             self._go_without(saved)
             return False
         sensor = None if "sensor" in gone else saved.sensor
         return self._window.controller.opening.open(
-            saved.source or "",
-            opener,
-            self._sensor_opener(opener, sensor),
+            source,
+            self._sensor_opener(source, sensor),
             frame=saved.frame,
-            playing=opener is synthetic,
-            live=opener is synthetic,
+            playing=source.live,
             first=begin,
         )
 
@@ -269,19 +259,16 @@ class SessionSaver(QObject):
         opened, state = self._opened, self._window.state
         if opened is None or state.facts is None:
             return
-        opener = opened.request.open_source
-        if isinstance(opener, RecordingOpener):
-            opener = replace(opener)
-        sensor = opened.sensor
+        source, sensor = opened.request.source, opened.sensor
+        if source.path is not None:
+            source = replace(source)
         path = sensor.resolve(sensor.file)
         from_file = bool(sensor.file) and path.exists()
         self._window.controller.opening.open(
-            opened.request.what,
-            opener,
+            source,
             (lambda: load_sensor(path)) if from_file else (lambda: sensor),
             frame=state.frame,
             playing=state.playing,
-            live=state.facts.live,
         )
 
     def _autosave(self) -> None:
@@ -293,17 +280,10 @@ class SessionSaver(QObject):
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _source_name(self) -> str | None:
-        """The source that is open, as far as it has a name."""
-        opener = None if self._opened is None else self._opened.request.open_source
-        if isinstance(opener, RecordingOpener):
-            return str(opener.path.absolute())
-        return SYNTHETIC if opener is synthetic else None
-
-    def _truth_name(self) -> str | None:
-        opener = None if self._opened is None else self._opened.request.open_source
-        truth = opener.truth if isinstance(opener, RecordingOpener) else None
-        return None if truth is None else str(truth.absolute())
+    @property
+    def _source(self) -> Source | None:
+        """The source that is open."""
+        return None if self._opened is None else self._opened.request.source
 
     def _sensor_name(self, file: Path | None) -> str | None:
         """The sensor in use: a preset, a file of the user's, or its copy beside `file`."""
@@ -331,11 +311,13 @@ class SessionSaver(QObject):
 
     @property
     def _is_live(self) -> bool:
-        opener = None if self._opened is None else self._opened.request.open_source
-        return isinstance(opener, LiveOpener)
+        return self._source is not None and self._source.stream is not None
 
     def _is_open(self, saved: SavedSession) -> bool:
-        return saved.live is not None if self._is_live else saved.source == self._source_name()
+        source = self._source
+        if source is None:
+            return False
+        return saved.live is not None if self._is_live else saved.source == source.name
 
     def _go_without(self, saved: SavedSession) -> None:
         """Wait for what a session's source lacks beside what is open, or will be in its place."""
@@ -347,21 +329,19 @@ class SessionSaver(QObject):
             if saved.live is not None:
                 self._window.live_controller.connect_to(saved.live)
 
-    def _sensor_opener(
-        self, opener: Callable[[Sensor], object], name: str | None
-    ) -> Callable[[], Sensor]:
+    def _sensor_opener(self, source: Source, name: str | None) -> Callable[[], Sensor]:
         if name is not None:
             return lambda: load_sensor(name)
         present = self._window.controller.sensor or load_sensor("pico_flexx_75mm")
-        if isinstance(opener, RecordingOpener):
-            path = opener.path
+        path = source.path
+        if path is not None:
             return lambda: sensor_for(path, present)
         return lambda: present
 
     def _on_opened(self, opened: Opened) -> None:
         before, self._opened = self._opened, opened
-        opener, sensor = opened.request.open_source, name_of(opened.sensor)
-        if before is not None and before.request.open_source is not opener:
+        source, sensor = opened.request.source, name_of(opened.sensor)
+        if before is not None and before.request.source is not source:
             self._forget_absent()
         if (
             sensor is not None
@@ -369,8 +349,8 @@ class SessionSaver(QObject):
             and not self._is_unsaved(opened.sensor)
         ):
             self._remember(sensor)
-        if isinstance(opener, RecordingOpener):
-            self._remember(str(opener.path.absolute()))
+        if source.path is not None:
+            self._remember(str(source.path.absolute()))
 
     def _forget_absent(self) -> None:
         """The user has opened something else, or what was absent came."""

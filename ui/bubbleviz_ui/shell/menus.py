@@ -15,7 +15,7 @@ from vtkmodules.vtkCommonCore import vtkVersion
 import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.solver import RECORDINGS
+from bubbleviz_ui.engine.source import RECORDINGS
 from bubbleviz_ui.model.choices import LOOPBACK, Choices
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS, PATCH

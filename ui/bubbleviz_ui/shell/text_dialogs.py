@@ -20,7 +20,6 @@ from PySide6.QtWidgets import (
 from bubbleviz.api.frames import info
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver import RecordingOpener
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.sensor.sensor_panel import title_text
@@ -78,10 +77,10 @@ class InformationDialog(TextDialog):
         self.text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self.text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
         sensor, facts = controller.sensor, controller.state.facts
-        opener = controller.opening.source
+        source = controller.opening.source
         self._sensor = "" if sensor is None else f"Sensor: {title_text(sensor)}"
-        if isinstance(opener, RecordingOpener):
-            path = opener.path
+        path = None if source is None else source.path
+        if path is not None:
             self.text.setPlaceholderText("Reading the recording…")
             worker.submit(lambda: info(path).to_text(), self._write, self._on_failed)
             self.finished.connect(worker.cancel)
