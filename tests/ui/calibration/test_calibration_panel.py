@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration_bench import Bench
-from fakes import record, small_sensor
+from fakes import DentSource, record, small_sensor
 from PySide6.QtCore import QPoint, Qt
 from resting import REST, TENSION, RestingSource
 from scipy.spatial.transform import Rotation
@@ -18,6 +18,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.units import NOTHING
 
 
 def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
@@ -51,6 +52,8 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
         assert panel.calibration.settings.reached == step
         assert bench.draft.found is None and not panel.verdict.isVisible()
     assert not panel.strip.isVisible()
+    panel.go_to(3)
+    assert panel.tension.numbers.text("95 % interval") == NOTHING
     for _ in range(4):
         bench.redo()
     assert bench.answer.work == last.work
@@ -178,6 +181,24 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
     assert tips()[0] == "Contact-free frames: done"
     bench.click(panel.all)
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
+
+
+def test_another_recording_begins_without_numbers_and_marks(bench):
+    panel = bench.panel
+    for _ in range(2):
+        bench.click(panel.next)
+    assert panel.pixels.numbers.text("used") != NOTHING
+    panel.frames.set_ranges(((0, 3),), "Too few")
+    bench.done()
+    assert panel.steps.button(0).toolTip().endswith("needs attention")
+    bench.opens("dent", DentSource, small_sensor(), playing=False)
+    bench.wait(lambda: bench.state.facts.title == "dent")
+    assert panel.steps.button(0).toolTip().endswith("to do")
+    assert panel.pixels.numbers.text("used") == NOTHING
+    panel.rectification.set_vented(Path("vented.mcap"))
+    panel.go_to(4)
+    assert panel.rectification.levels.text().endswith("Open chamber: vented.mcap")
+    panel.calibration.cancel()
 
 
 def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_path, monkeypatch):

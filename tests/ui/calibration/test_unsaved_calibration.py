@@ -118,7 +118,11 @@ def test_a_saved_identification_is_not_asked_for(drive, folder, monkeypatch):
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)
+    bench.click(bench.panel.report.use_it)
+    bench.wait(lambda: "(not saved)" in bench.window.windowTitle())
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (folder / "mine.toml", ""))
     bench.click(bench.panel.report.save_as)
+    bench.wait(lambda: "– mine (" in bench.window.windowTitle())  # and opened again from its file
+    assert "not saved" not in bench.window.windowTitle()
     bench.window.open_file(folder / "other.mcap")
     bench.wait(lambda: bench.state.facts.title == "other.mcap")

@@ -34,6 +34,16 @@ def place_of(panel, name, row, column):
     return canvas(panel).mapFromScene(scene)
 
 
+def test_the_wheel_makes_no_dot_of_an_image(drive):
+    driver = drive(frame=CONTACT)
+    panel = opened(driver, "depth")
+    box, width = panel.cells["depth"].box, panel.cells["depth"].image.shape[1]
+    for _ in range(40):
+        box.scaleBy((1.5, 1.5))
+    (left, right), _ = box.viewRange()
+    assert width <= right - left < 10 * width
+
+
 def pointed_at(driver, place):
     """Point at a place of the 3-D view until it is known what is there."""
     hover(driver.window.view, place)

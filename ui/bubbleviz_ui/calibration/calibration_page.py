@@ -68,6 +68,11 @@ class Numbers(QWidget):
     def text(self, name: str) -> str:
         return self._labels[name].text()
 
+    def clear(self) -> None:
+        """Nothing is known any more: a dash for each number."""
+        for name in self._labels:
+            self.set(name, None)
+
 
 # An image of numbers: coloured, with its colour bar, and the number under the mouse.
 

@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.calibration import Step
 from bubbleviz.progress import Progress
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import TOPIC, Calibration, Work
 from bubbleviz_ui.calibration.frames_page import FramesPage
@@ -56,6 +56,7 @@ class Gamma0Panel(QWidget):
         self._make_pages()
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
         self._refused_of: Work | None = None
+        self._used: Sensor | None = None  # what was identified, in use before it is saved
         self.title, self.todo = QLabel(), QLabel(wordWrap=True)
         self.verdict = QLabel(wordWrap=True)
         self.back, self.next = QPushButton("Back"), QPushButton()
@@ -113,6 +114,9 @@ class Gamma0Panel(QWidget):
         def told(_: None) -> None:
             self.calibration.saved = work
             self.calibration.said.emit(notice)
+            controller = self.calibration.controller
+            if self._used is not None and controller.sensor is self._used:
+                controller.opening.sensor_file(path)  # in use from its file from now on
 
         self.calibration.start(job, told)
 
@@ -137,7 +141,7 @@ class Gamma0Panel(QWidget):
         write_sensor(found, path)
         name = f"{found.sensor.name}, identified"
         # the user knows of no file
-        new = load_sensor(path).model_copy(update={"name": name, "file": ""})
+        new = self._used = load_sensor(path).model_copy(update={"name": name, "file": ""})
         open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.undo.push("Use the new sensor", open_sensor, present, new)
 
@@ -275,7 +279,7 @@ class Gamma0Panel(QWidget):
         """How far a step is; what was refused, or is doubtful, needs attention."""
         answer, page = self.calibration.answer, self.pages[number]
         changed = self._changed_step()
-        refused = self._refused_of is not None and number == changed
+        refused = self._refused_of == self.calibration.work and number == changed
         verdict = answer.verdict(self.units)
         doubtful = verdict is not None and verdict.grade == "doubtful"
         if refused or (doubtful and page is self.tension):

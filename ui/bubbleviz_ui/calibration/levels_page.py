@@ -72,12 +72,12 @@ class RectificationPage(Page):
         self._show_rubber(answer)
 
     def _show_levels(self, answer: Answer) -> None:
-        levels = self.calibration.settings.levels
+        settings = self.calibration.settings
+        levels, vented = settings.levels, settings.vented
         self.drop.setEnabled(bool(levels))
         names = ", ".join(path.name for path in levels)
-        self.levels.setText(
-            f"Further levels: {names}" if levels else "One level: an offset for each pixel."
-        )
+        text = f"Further levels: {names}" if levels else "One level: an offset for each pixel."
+        self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
         line = answer.draft.pixels.line if answer.draft.pixels is not None else None
         if line is None or answer.draft.found is None:
             self.numbers.set("line", "offset only")

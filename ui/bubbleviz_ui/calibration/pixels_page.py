@@ -79,6 +79,7 @@ class PixelsPage(Page):
         self.deviations.show_value(settings.deviations)
         self._show_picture(answer)
         if samples is None or pixels is None:
+            self.numbers.clear()
             return
         statistics, units = samples.statistics, self.units
         used = int(pixels.mask.sum())
@@ -209,6 +210,7 @@ class SurfacePage(Page):
         self.paint.setEnabled(surfaces is not None)
         if surfaces is None or draft.pixels is None:
             self.view.show_image("Residual to the surface", None, length, 0.0, 1.0)
+            self.numbers.clear()
             return
         mask = draft.pixels.mask
         limit = 3.0 * float(np.std(surfaces.residual_m[mask])) if mask.any() else 1e-3
@@ -275,6 +277,7 @@ class TensionPage(Page):
         units, found, unit = self.units, answer.draft.found, self.units.tension
         if found is None:
             self.view.show_image("Local γ0", None, unit, 0.0, 1.0)
+            self.numbers.clear()
             self.numbers.set("γ0", unit.text(None))
             return
         estimate = found.tension

@@ -87,7 +87,10 @@ class _Described:
 
 def solver_title(solver: str | None) -> str:
     """What the window calls a value of `Choices.solver`."""
-    return f"setting {solver} of Compare" if solver in SETTINGS else solver or "default"
+    if solver in SETTINGS:
+        return f"setting {solver} of Compare"
+    name, _, base = (solver or "default").partition("-")
+    return f"{name}, sensor's mesh alone" if base else name
 
 
 def _same(*names: str) -> dict[str, str]:
@@ -108,7 +111,7 @@ class Setting(_Described):
         None,
         "Solver",
         "Solver of the inverse problem; rubber: exact membrane",
-        titles={None: "default", **_same(*ESTIMATORS)},
+        titles={name: solver_title(name) for name in (None, *ESTIMATORS)},
     )
     pressure_scale: float | None = _setting(
         None,

@@ -37,6 +37,8 @@ MAPS = {"range": "viridis", "mask": "CET-L1", "colour": "CET-L1"}
 """Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
 NARROW = 18
 """Letters in a line of the narrowest cell."""
+REACH = 2
+"""How far beside an image one can look, in its widths and heights."""
 BLOCKS = 5
 """Squares of colour that stand for the scale in the text above."""
 
@@ -142,6 +144,9 @@ class ImageCell:
         self.image = image
         self.item.setImage(drawn, **how)
         if new:
+            height, width = image.shape[:2]
+            x, y = REACH * width, REACH * height  # else the wheel makes a dot of it
+            self.box.setLimits(xMin=-x, xMax=width + x, yMin=-y, yMax=height + y)
             self.box.setRange(self.item.boundingRect(), padding=0.01)
 
     def mark(self, place: Probed | None) -> None:

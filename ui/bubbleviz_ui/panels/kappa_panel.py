@@ -67,6 +67,10 @@ class KappaPanel(QWidget):
         self.box.setKeyboardTracking(False)
         self.solver = control(state, "solver")
         self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
+        self.area.setToolTip(
+            "Area on the membrane; in brackets the areas inside the inner and the outer thin line,"
+            " between which noise may put the patch's edge"
+        )
         self.by_object.setToolTip("Patch from the object at its pose (green outline)")
         self.doubt = QLabel(wordWrap=True)
         self.doubt.setObjectName("doubt")
