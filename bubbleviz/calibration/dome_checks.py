@@ -31,9 +31,9 @@ def check_dome(
     seen = _seen_share(cap.fine, camera, membrane)
     if seen < _LEAST_SEEN:
         raise InputError(
-            f"{name}: only {100 * seen:.0f} % of the dome is seen: the shape of the rest, the"
-            " volume under it and so γ0 cannot be known; uncover the camera, or give the sensor"
-            " file of this camera's pose"
+            f"{name}: only {100 * seen:.0f} % of the dome is visible: its shape at rest, its "
+            "volume and γ0 cannot be determined; uncover the camera, or give a sensor file with "
+            "this camera's pose"
         )
     points = camera.points_at(ranges, np.arange(ranges.size))
     residual = cap.distance(points).reshape(ranges.shape)
@@ -102,8 +102,8 @@ def _check_no_dent(
             row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
             raise InputError(
                 f"{name}: the membrane is pressed in by {1e3 * depth:.1f} mm around pixel"
-                f" ({column}, {row}) in all of the frames; take the object away, or name"
-                " contact-free frames"
+                f" ({column}, {row}) in all frames; remove the object, or choose contact-free "
+                "frames"
             )
 
 

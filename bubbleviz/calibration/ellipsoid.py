@@ -120,7 +120,7 @@ def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
         surface = _descend(few, surface, loss, sphere=sphere)
     if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
         raise InputError(
-            "contact-free cloud: no dome fits it (flat, or hollow); check that the"
+            "contact-free cloud: no dome fits it (flat or concave); check that the"
             " membrane is inflated and the depth is in metres"
         )
     if len(points) > len(few):

@@ -100,9 +100,9 @@ def rest_gauge(samples: Samples, sensor: Sensor) -> tuple[float, float | None]:
     if sigma is not None:
         if not ATMOSPHERES[0] <= rest - gauge <= ATMOSPHERES[1]:
             raise InputError(
-                f"{samples.source_name}: gas pressure {rest:.0f} Pa less the sensor file's gauge"
-                f" pressure {gauge:.0f} Pa is no atmospheric pressure; record the absolute one, or"
-                " correct the sensor file"
+                f"{samples.source_name}: gas pressure {rest:.0f} Pa minus the sensor file's gauge "
+                f"pressure {gauge:.0f} Pa is not a plausible atmospheric pressure; record the "
+                "absolute pressure, or correct the sensor file"
             )
         moved = abs(rest - pneumatics.reference_pressure_pa)
         return gauge, float(np.hypot(sigma, min(moved, WEATHER_SIGMA_PA)))
@@ -110,7 +110,8 @@ def rest_gauge(samples: Samples, sensor: Sensor) -> tuple[float, float | None]:
     if gauge <= 0.0:
         raise InputError(
             f"{samples.source_name}: gas pressure {rest:.0f} Pa is not above the atmospheric"
-            f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the latter, or inflate"
+            f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the atmospheric pressure in "
+            "the sensor file, or inflate the bubble"
         )
     return gauge, WEATHER_SIGMA_PA
 

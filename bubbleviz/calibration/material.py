@@ -187,8 +187,8 @@ def _estimate(
     if vented is not None:
         if gas is None:
             raise InputError(
-                f"{samples.source_name}: no gas pressure, so that {vented.source_name} says nothing"
-                " of its gauge pressure; leave --vented out, or record the pressure"
+                f"{samples.source_name}: no gas pressure, so {vented.source_name} does not "
+                "determine the gauge pressure; leave --vented out, or record the pressure"
             )
         sigma = float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
         name, by_chamber = vented.source_name, Quantity.normal(gauge, sigma)
@@ -229,8 +229,8 @@ def _judged(
     """
     changed, left = known.change_rms_m, known.unexplained_rms_m
     if left > _UNEXPLAINED * changed:
-        misses, what = f"misses by {1e3 * left:.2g} mm", f"what changes by {1e3 * changed:.2g} mm"
-        return replace(known, why_not=f"rubber of this shape {misses} {what}")
+        misses, what = f"misfit {1e3 * left:.2g} mm", f"of a change of {1e3 * changed:.2g} mm"
+        return replace(known, why_not=f"no rubber of this shape fits: {misses} {what}")
     covariance, found = fit.covariance, known
     if known.gauge is None:
         by_shapes, weighed = (_gauge(each, by_file.value) for each in (alone, fit))
@@ -249,7 +249,7 @@ def _judged(
     q = Quantity.normal(float(fit.vector[0]), float(np.sqrt(max(held, 0.0))))
     if not 0.0 < q.low <= q.high < 1.0:
         what = "press is too shallow" if found.told_by == "press" else "levels differ too little"
-        why = f"the {what}, or constant tension explains as much"
+        why = f"the {what}, or constant tension fits as well"
         return replace(found, why_not=why)
     wide = Quantity.normal(float(fit.vector[0]), float(np.sqrt(covariance[0, 0])))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)

@@ -112,12 +112,13 @@ def _comment(found: Identification) -> str:
     misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
     lines = [
         f"Identified from {found.samples.source_name}, contact-free frames {free[0]}–{free[-1]}.",
-        "B: origin at the centre of the rim plane; the rim plane and the axes are the drawing's.",
-        "Rms by which parts of the cloud that a fit had not seen are missed: sphere"
+        "B: origin at the centre of the rim plane; rim plane and axes are taken from the design "
+        "drawing.",
+        "Rms misfit on parts of the cloud that were left out of the fit: sphere"
         f" {misses['sphere']},",
         f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"
         f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
-        "γ0 is Young–Laplace's, summed over the surface so that its bumps do not bias it;",
+        "γ0 is from Young–Laplace, summed over the surface so that small bumps do not bias it;",
         f"100 Pa more of gauge pressure would make it {100 * tension.per_pascal:.2f} N/m larger.",
     ]
     lines += [f"{each.name}: {each.value} ({each.told_by})." for each in parameters(found)]

@@ -55,12 +55,12 @@ def collect(
     if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
         raise InputError(
             f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are outside its"
-            f" {count_of(len(source), 'frame')}; name others"
+            f" {count_of(len(source), 'frame')}; choose others"
         )
     if len(chosen) < MIN_FRAMES:
         raise InputError(
-            f"{source.name}: {count_of(len(chosen), 'contact-free frame')}; name at least"
-            f" {MIN_FRAMES}"
+            f"{source.name}: {count_of(len(chosen), 'contact-free frame')}; choose at least "
+            f"{MIN_FRAMES}"
         )
     chosen = list(chosen)[:: -(-len(chosen) // MAX_FRAMES)]
     images: list[np.ndarray] = []

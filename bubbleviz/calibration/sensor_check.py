@@ -39,11 +39,11 @@ from bubbleviz.wording import decimals_of, rounded
 
 Answer = Literal["fits", "drifted", "another"]
 
-OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure by the shape"
+OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure from the shape"
 _UNITS = {OFFSET: ("mm", 1e3), SCALE: ("%", 1e2), GAS: ("Pa", 1.0)}
 _REMEDY = {
-    True: "inflate it as in the sensor file, or identify anew",
-    False: "let the camera warm up, then re-zero (identify anew at rest)",
+    True: "inflate it as in the sensor file, or identify the sensor again",
+    False: "let the camera warm up, then identify the sensor again at rest",
 }
 
 _STEP = 0.01  # of gauge pressure, to find its pattern
@@ -130,16 +130,19 @@ def check_sensor(
         return replace(found, verdict="another", reason=_another_camera(model, camera))
     turned = [depth[::-1, ::-1] for depth in depths]
     if rest.left > rest.limit and (again := _Rest(model, turned)).left <= again.limit:
-        reason = "another camera: its images are turned by 180°; turn it back, or identify anew"
+        reason = (
+            "another camera: its images are turned by 180°; turn it back, or identify the sensor "
+            "again"
+        )
         return replace(found, verdict="another", reason=reason)
     pipeline = Pipeline(model)
     if _touched(pipeline, frames[0], rest):
         raise InputError(
-            "no contact-free stretch: something touches the membrane in all of these frames; record"
+            "no contact-free frames: something touches the membrane in all of these frames; record"
             " it untouched"
         )
     if rest.left > rest.limit:
-        reason = "another membrane or camera: identify anew"
+        reason = "another membrane or camera: identify the sensor again"
         return replace(found, verdict="another", reason=reason)
     causes = [row for row in rest.rows()[:-1] if row.todo]
     most = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
@@ -341,7 +344,8 @@ def _another_camera(model: SensorModel, row: Checked) -> str:
     own, there = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
     return (
         f"another camera: fx {there.fx:.1f}, fy {there.fy:.1f} in the recording's camera info,"
-        f" {own.fx:.1f} and {own.fy:.1f} pixels in the sensor file: {row.todo}, or identify anew"
+        f" {own.fx:.1f} and {own.fy:.1f} pixels in the sensor file: {row.todo}, or identify the "
+        "sensor again"
     )
 
 

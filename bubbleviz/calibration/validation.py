@@ -72,7 +72,7 @@ class KnownPress:
         if not 0 <= self.first < self.stop <= len(source):
             raise InputError(
                 f"{source.name}: pressed frames {self.first}:{self.stop} are outside its"
-                f" {count_of(len(source), 'frame')}; name others"
+                f" {count_of(len(source), 'frame')}; choose others"
             )
         frames = [source[k] for k in range(self.first, self.stop)]
         return validate(model, frames, obj, T_B_O)

@@ -76,14 +76,14 @@ def _surface(found: Identification) -> str:
     sphere, cap, free = (f"{1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in NAMES)
     if surfaces.chosen == "sphere":
         return (
-            "The dome is spherical: nothing else predicts it better than the sphere, which"
-            f" misses by {sphere} rms."
+            f"The dome is spherical: no other shape predicts it better than the sphere ({sphere} "
+            "rms)."
         )
     if surfaces.chosen == "ellipsoid":
-        return f"Dome not spherical: the sphere misses by {sphere}; use the ellipsoid ({cap})."
+        return f"Dome not spherical: misfit of the sphere {sphere}; use the ellipsoid ({cap})."
     return (
-        f"Dome not spherical: the sphere misses by {sphere}, the ellipsoid by {cap};"
-        f" use the free-form surface ({free})."
+        f"Dome not spherical: misfit of the sphere {sphere}, of the ellipsoid {cap}; use the "
+        f"free-form surface ({free})."
     )
 
 
@@ -93,8 +93,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     out = []
     if found.samples.gas_pressure_pa is None:
         out.append(
-            "The recording has no gas pressure: γ0 rests on the sensor file's gauge pressure, and"
-            f" is wrong by as many percent as it is ({pressure(100.0)}:"
+            "The recording has no gas pressure: γ0 is computed from the sensor file's gauge "
+            f"pressure and has the same relative error ({pressure(100.0)}:"
             f" {100 * tension.per_pascal:.2f} N/m). Record the pressure, or measure it."
         )
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
@@ -103,25 +103,25 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         shapes, file = (_interval(each, pressure) for each in rubber.both)
         if rubber.contradicts_file:
             out.append(
-                f"The gauge pressure is {shapes} by the {rubber.told_by} and {file} by the sensor"
-                " file: one of them is wrong. Record the open chamber for ten seconds (--vented)."
+                f"Gauge pressure: {shapes} from the {rubber.told_by}, {file} in the sensor file; "
+                "one of them is wrong. Record the open chamber for ten seconds (--vented)."
             )
     elif abs(change) > _USABLE:
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
-            " the sensor file's: inflate alike, and make sure that nothing touches the sensor."
+            " the sensor file's: inflate as before, and make sure that nothing touches the sensor."
         )
     if surfaces.seen < _WELL_SEEN:
         out.append(
-            f"{_percent(1.0 - surfaces.seen)} of the dome is not seen: there the surface is the"
-            " fitted cap's continuation, and contact is only inferred."
+            f"{_percent(1.0 - surfaces.seen)} of the dome is not visible: there the surface is "
+            "extrapolated from the fitted cap, and contact is only inferred."
         )
     height = tension.dimensions["height_m"].value
     rim = surfaces.rim_height_m
     if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
             f"The edge of the cloud lies {1e3 * rim:+.1f} mm from the drawing's rim"
-            " plane: either the rim is hidden, or the camera's position is off by as much."
+            " plane: either the rim is hidden, or the camera's position has an error of that size."
         )
     value, least = tension.tension.value, tension.least_squares_n_per_m
     apart = abs(least - value)
@@ -147,13 +147,14 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         gauge_text = f"{pressure(gauge.value)}, 95 % interval {interval}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
-        "pixels": "more frames, or a better rectification, against noise and pattern of the pixels",
-        "frames": "let gas and camera settle, against drift from frame to frame",
-        "gas_pressure": "record longer, against noise of the gas pressure",
-        "facets": "more nodes, against the flat facets of the mesh",
-        "gauge_pressure": "know the gauge pressure better",
-        "statics": "nothing: over an oval rim shape and pressure leave the mean tension open",
-        "surface": "uncover the rim, against a shape that is hidden or too fine for the fit",
+        "pixels": "more frames or a better rectification (noise and pattern of the pixels)",
+        "frames": "let gas and camera settle (drift between frames)",
+        "gas_pressure": "record longer (noise of the gas pressure)",
+        "facets": "more nodes (flat facets of the mesh)",
+        "gauge_pressure": "measure the gauge pressure more accurately",
+        "statics": "nothing: with an oval rim, shape and pressure do not determine the mean "
+        "tension",
+        "surface": "uncover the rim (shape that is hidden or too fine for the fit)",
     }[part]
     if rubber is None:
         told, narrower = "neither levels nor a press were recorded", _LEVELS

@@ -52,7 +52,7 @@ def find_contact_free(source: FrameSource, progress: Progress = quiet) -> Contac
     if end < MIN_FRAMES:
         raise InputError(
             f"{source.name}: only {end} contact-free frames at its start; record at least"
-            f" {MIN_FRAMES} before touching the sensor, or name them"
+            f" {MIN_FRAMES} before touching the sensor, or choose them"
         )
     return ContactFree(range(end), depth_score, pressure_score, ended_by)
 

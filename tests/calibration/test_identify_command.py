@@ -104,7 +104,7 @@ def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path, monkeyp
     result = run(recording, "--sensor", given, "--out", out, "--nodes", 300)
     assert result.exit_code == 0, result.output
     assert read == dict.fromkeys(range(len(twin)), 1)  # each frame once
-    assert "Dome not spherical: the sphere misses by" in result.stdout
+    assert "Dome not spherical: misfit of the sphere" in result.stdout
     assert "use the free-form surface" in result.stdout
     sensor = load_sensor(out)
     assert sensor.membrane.shape == "mesh" and sensor.calibration.report is None

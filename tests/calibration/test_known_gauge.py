@@ -217,7 +217,9 @@ def test_gauge_pressure_at_rest_and_how_well_it_is_known(rest_samples):
     assert rest_gauge(silent, told())[1] is None
     assert rest_gauge(silent, known)[1] == 50.0
     gauge_only = replace(rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA)
-    with pytest.raises(InputError, match="no atmospheric pressure; record the absolute one"):
+    with pytest.raises(
+        InputError, match="not a plausible atmospheric pressure; record the absolute pressure"
+    ):
         rest_gauge(gauge_only, known)
 
 

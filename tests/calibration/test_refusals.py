@@ -87,7 +87,7 @@ def test_flat_membrane(twin):
 def test_half_of_the_dome_unseen(twin):
     depth = twin.depth.copy()
     depth[:, :, :88] = np.nan
-    assert "cannot be known" in refused(replace(twin, depth=depth), "% of the dome is seen")
+    assert "cannot be determined" in refused(replace(twin, depth=depth), "% of the dome is visible")
 
 
 @pytest.mark.parametrize("kind", ["drift", "shake", "little"])

@@ -196,7 +196,7 @@ def test_standard_error_of_the_open_chamber_is_that_of_its_pressure():
 def test_levels_that_say_nothing(found):
     low = level(found, 0.85)
     kept = with_rubber(found, [replace(low, gas_pressure_pa=None)])
-    assert kept.rubber.prestretch is None and "gas pressure recorded" in kept.rubber.why_not
+    assert kept.rubber.prestretch is None and "lack the gas pressure" in kept.rubber.why_not
     assert kept.sensor == found.sensor
     alike = with_rubber(found, [level(found, 1.002)])
     assert alike.rubber.prestretch is None and "differs" in alike.rubber.why_not

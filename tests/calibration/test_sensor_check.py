@@ -98,7 +98,7 @@ def test_more_gas(sensor, twin, rest):
     ]
     found = bv.check(frames, sensor)
     assert found.verdict == "drifted" and "inflate" in found.reason
-    assert size_of(found, "gas pressure by the shape") == pytest.approx(1e3, rel=0.1)
+    assert size_of(found, "gas pressure from the shape") == pytest.approx(1e3, rel=0.1)
 
 
 def test_another_membrane(sensor, twin, rest):
@@ -111,7 +111,7 @@ def test_another_membrane(sensor, twin, rest):
     found = bv.check(with_depth(rest, lambda depth: depth + change), sensor)
     assert (found.verdict, found.reason) == (
         "another",
-        "another membrane or camera: identify anew",
+        "another membrane or camera: identify the sensor again",
     )
 
 
@@ -131,7 +131,7 @@ def test_another_camera(sensor, rest):
 
 
 def test_frames_that_are_touched_are_refused(sensor, twin):
-    with pytest.raises(InputError, match="no contact-free stretch"):
+    with pytest.raises(InputError, match="no contact-free frames"):
         bv.check([twin[k] for k in range(FREE + 8, FREE + 15)], sensor)
 
 
@@ -146,7 +146,7 @@ def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
     lines = CliRunner().invoke(main, words).stdout.splitlines()
     assert lines[0].startswith("fits") and any(line.startswith("depth offset") for line in lines)
     refused = CliRunner().invoke(main, [*words, "--contact-free", "38:45"])
-    assert refused.exit_code == 2 and "no contact-free stretch" in refused.stderr
+    assert refused.exit_code == 2 and "no contact-free frames" in refused.stderr
 
 
 @pytest.mark.skipif(not PRESS.exists(), reason="the real recording is not here")
@@ -156,5 +156,5 @@ def test_the_real_press():
     assert bv.check(rest, "punyo_oval_d405").verdict == "fits"
     found = bv.check(with_depth(rest, lambda depth: depth + 1.8e-4), "punyo_oval_d405")
     assert found.verdict == "drifted" and found.force_error_n < 0.1
-    with pytest.raises(InputError, match="no contact-free stretch"):
+    with pytest.raises(InputError, match="no contact-free frames"):
         bv.check(frames[72:90], "punyo_oval_d405", contact_free=range(18))
