@@ -186,6 +186,6 @@ def check_still(samples: Samples) -> float:
         raise InputError(
             f"{samples.source_name}: the dome moves by {1e3 * wander[worst]:.2g} mm against the"
             f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fix the"
-            " camera, let the gas settle, or name frames without contact"
+            " camera, let the gas settle, or choose frames without contact"
         )
     return float(wander[worst])

@@ -455,8 +455,8 @@ class RubberProblem:
 def _seen(observer: RangeObserver, rest: Samples, seen: Samples, *, pressed: bool) -> _SeenShape:
     if seen.statistics.range_m.shape != rest.statistics.range_m.shape:
         raise InputError(
-            f"{seen.source_name}: images of another size than {rest.source_name}'s;"
-            " record all levels with one camera mode"
+            f"{seen.source_name}: image size differs from {rest.source_name}; record all "
+            "levels with one camera mode"
         )
     rise = _mean_pressure(seen)[0] - _mean_pressure(rest)[0]
     steady = seen.statistics.validity >= seen.statistics.regular_validity
@@ -488,7 +488,7 @@ def _dents(observer: RangeObserver, shape: _SeenShape) -> np.ndarray:
             zone[nodes] = moved[nodes] < _EDGE_OF_DENT * moved[nodes].min()
     if not zone.any():
         name = shape.samples.source_name
-        raise InputError(f"{name}: no dent is seen while the gas pressure is high")
+        raise InputError(f"{name}: no dent in the depth images while the gas pressure is high")
     beside = abs(laplacian) @ zone.astype(float) > 0.0
     return np.flatnonzero(zone | (beside & (total == 0.0) & ~mesh.rim))
 
@@ -513,8 +513,8 @@ def _check_rise(shape: _SeenShape, gauge_pa: float, *, pressed: bool) -> None:
     name, rise = shape.samples.source_name, shape.rise_pa
     if pressed and rise < 0.0:
         raise InputError(
-            f"{name}: the gas pressure falls by {-rise:.0f} Pa in the press, which a closed"
-            " chamber's cannot; check its topic, and the chamber for leaks"
+            f"{name}: the gas pressure falls by {-rise:.0f} Pa during the press, impossible in a "
+            "closed chamber; check the pressure topic, and the chamber for leaks"
         )
     if abs(rise) < _LEAST_RISE * gauge_pa:
         raise InputError(
@@ -528,7 +528,7 @@ def _mean_pressure(samples: Samples) -> tuple[float, float]:
     gas = samples.gas_pressure_pa
     if gas is None:
         raise InputError(
-            f"{samples.source_name}: not every frame has its gas pressure recorded; λ needs that of"
-            " every level and press"
+            f"{samples.source_name}: some frames lack the gas pressure; λ needs it in all frames "
+            "of levels and press"
         )
     return float(np.mean(gas)), error_of_mean(gas)

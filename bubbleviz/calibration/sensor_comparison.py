@@ -51,7 +51,7 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     """
     intrinsics = new.model.camera.intrinsics
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
-        raise InputError(f"{old.name}: of another camera; nothing to compare by pixel")
+        raise InputError(f"{old.name}: from another camera; pixels cannot be compared")
     measured = np.where(new.pixels.mask, new.statistics.range_m, np.nan)
     models = SensorModel.of(old, intrinsics), new.model
     before, after = (_numbers(model, measured) for model in models)
