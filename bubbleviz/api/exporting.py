@@ -64,8 +64,9 @@ def export(
     sensor, kappa, solver, friction, progress
         As of `estimate`.
     what : str or sequence of str
-        Into a folder: table, parquet, plots, vtk (ParaView), ply, patch (points with pressure),
-        depth, pressure (pictures; png for both); one text has commas between them.
+        Into a folder: table, parquet, plots, lerobot (dataset of one episode, v3.0), vtk
+        (ParaView), ply, patch (points with pressure), depth, pressure (pictures; png for both);
+        one text has commas between them.
     poses : path, optional
         POSES.csv to join to the table.
     overwrite : bool
@@ -112,5 +113,5 @@ def export_frames(
                 each.add(result)
         for each in exporters:
             each.finish()
-        files = len(list(temporary.iterdir())) if plan.is_folder else 1
+        files = sum(path.is_file() for path in temporary.rglob("*")) if plan.is_folder else 1
     return ExportSummary(str(plan.out), plan.kinds, len(frames), files, dict(pipeline.counts))

@@ -175,7 +175,8 @@ def pose(**options: Any) -> None:
 @option(
     "--what",
     default="",
-    help="Files for the folder, separated by commas: table, parquet, plots, vtk (ParaView), ply, "
+    help="Files for the folder, separated by commas: table, parquet, plots, lerobot "
+    "(dataset of one episode), vtk (ParaView), ply, "
     "patch (points with pressure), depth, pressure (pictures; png for both).",
 )
 @frames_option

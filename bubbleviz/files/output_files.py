@@ -26,6 +26,8 @@ _OURS = {
     *(".png", ".svg", ".pdf", ".mcap", ".yaml"),
 }
 """Suffixes of files that this program writes into folders."""
+_OUR_FOLDERS = {"meta", "data", "episodes", "chunk-000"}
+"""Names of the folders in them, of a LeRobot dataset."""
 _CANNOT_WRITE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 
 
@@ -95,11 +97,12 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
     if exists and not overwrite:
         raise _exists(path)
     if exists and path.is_dir():
-        for each in path.iterdir():
-            if each.is_dir() or each.suffix.lower() not in _OURS:
+        for each in path.rglob("*"):
+            known = each.name in _OUR_FOLDERS if each.is_dir() else each.suffix.lower() in _OURS
+            if not known:
                 raise InputError(
-                    f"{path}: holds {each.name}, which bubbleviz did not write; choose another "
-                    "folder, or move that away"
+                    f"{path}: holds {each.relative_to(path)}, which bubbleviz did not write; "
+                    "choose another folder, or move that away"
                 )
     if not parent_exists:
         raise InputError(f"{path}: folder {path.parent} does not exist; create it first")

@@ -10,6 +10,7 @@ from typing import Any
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing
 from bubbleviz.output.exporter import Exporter
+from bubbleviz.output.lerobot import LeRobotDataset
 from bubbleviz.output.series import SERIES
 from bubbleviz.output.table_export import (
     TableExporter,
@@ -33,7 +34,8 @@ _IN_A_FOLDER = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
 """Suffix of the file of such a kind in a folder with others."""
 
 _SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
-KINDS = ("table", "parquet", "plots", *SERIES)
+_DATASETS = {"lerobot": LeRobotDataset}
+KINDS = ("table", "parquet", "plots", *_DATASETS, *SERIES)
 _SEVERAL = {"png": ("depth", "pressure")}
 
 
@@ -82,7 +84,7 @@ class ExportPlan:
                 f"{out}: what to export? Give a file that ends in .csv, .parquet, .png, .svg or "
                 f".pdf, or --what: {', '.join(KINDS)}"
             )
-        if "parquet" in plan.kinds:
+        if "parquet" in plan.kinds or "lerobot" in plan.kinds:
             require_parquet(out)
         return plan
 
@@ -100,7 +102,7 @@ class ExportPlan:
             if kind in _IN_A_FOLDER:
                 made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}", pipeline))
             else:
-                made.append(SERIES[kind](at, name, pipeline.model))
+                made.append({**SERIES, **_DATASETS}[kind](at, name, pipeline.model))
         return made
 
     def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
