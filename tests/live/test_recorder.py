@@ -15,12 +15,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
-from wire import HEIGHT, IMAGE, NOW, PERIOD, WIDTH, camera_info, depth, gas, image, number_of
+from wire import IMAGE, NOW, PERIOD, camera_info, depth, gas, image, number_of
 
 from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
 from bubbleviz.live import Recorder
-from bubbleviz.recordings import MARKERS, McapFile, Message, Recording
+from bubbleviz.recordings import MARKERS, Message, Recording
 
 INFO = "sensor_msgs/msg/CameraInfo"
 
@@ -122,41 +122,6 @@ def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["rec.mcap"]
     with pytest.raises(InputError, match="nothing is being recorded"):
         recorder.stop()
-
-
-def test_a_recording_cut_off_opens_up_to_its_last_whole_chunk(tmp_path):
-    """Wherever it is cut: the frames before are the same, and there are never fewer than before."""
-    path, rng = tmp_path / "long.mcap", np.random.default_rng(0)
-    file = McapFile(path)
-    for k in range(30):
-        noise = rng.integers(1, 60_000, HEIGHT * WIDTH, dtype="<u2").view(np.uint8)
-        stamp = NOW + k * PERIOD
-        file.write(Message("/cam/depth", IMAGE, image(stamp, data=noise), stamp), log_ns=stamp)
-        if k % 7 == 6:
-            file.sync()
-    file.close()
-    whole, size = path.read_bytes(), path.stat().st_size
-    with Recording(path) as recording:
-        truth = [recording[k].depth_m for k in range(len(recording))]
-    found = []
-    for cut in (*np.linspace(0.05, 0.99, 40) * size, size - 1):
-        path.write_bytes(whole[: int(cut)])
-        try:
-            with Recording(path) as recording:
-                assert "ends early" in recording.bag.note
-                found.append(len(recording))
-                for k in range(len(recording)):
-                    np.testing.assert_array_equal(recording[k].depth_m, truth[k])
-        except InputError as error:
-            assert "ends before its first message" in str(error)
-            found.append(0)
-    assert found == sorted(found)
-    assert found[0] == 0
-    assert found[-1] == 30
-    assert len(set(found)) == 6
-    path.write_bytes(whole[: size - 1])
-    lost = float(info(path).note.split("complete chunk; ")[1].split()[0]) * 1e3
-    assert 0.0 < lost < 10_000.0  # the index, no images
 
 
 STREAM = """

@@ -303,22 +303,3 @@ def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path, garbage):
     with Recording(bag.write(tmp_path)) as recording:
         np.testing.assert_allclose(recording.times_s, np.arange(7) * PERIOD * 1e-9)
         np.testing.assert_array_equal(recording[3].depth_m, depth_image(3))
-
-
-def test_a_file_of_the_realsense_library(tmp_path):
-    """Its topics, encoding and unit; an infrared image has the same encoding."""
-    bag, stem = BagMaker("bag lz4"), "/device_0/sensor_0"
-    units = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
-    for k in range(2):
-        infrared = {"encoding": "mono16", "topic": f"{stem}/Infrared_1/image/data"}
-        bag.image(START + k * PERIOD, units[::-1], **infrared)
-        depth = {"encoding": "mono16", "topic": f"{stem}/Depth_0/image/data"}
-        bag.image(START + k * PERIOD, units, **depth)
-    info = f"{stem}/Depth_0/info/camera_info"
-    bag.camera_info(START, model="Inverse Brown Conrady", d=[0.1, 0, 0, 0, 0], topic=info)
-    bag.add(f"{stem}/option/Depth_Units/value", "std_msgs/msg/Float32", START, data=1e-4)
-    with Recording(bag.write(tmp_path)) as recording:
-        assert len(recording) == 2
-        expected = np.where(units > 0, 1e-4 * units, np.nan)
-        np.testing.assert_allclose(recording[1].depth_m, expected, rtol=1e-6)
-        assert recording.intrinsics.distortion_model == "inverse_brown_conrady"
