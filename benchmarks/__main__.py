@@ -1,4 +1,4 @@
-"""`python -m benchmarks …`: what judges methods; heavy imports inside, for a quick --help."""
+"""`python -m benchmarks …`: accuracy benchmarks; imported inside functions for a quick --help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other ways to register an object: on the whole cloud as [6] of the paper, and other libraries.
+"""Alternative registrations of an object: whole cloud ([6] of the paper) and other libraries.
 
 small_gicp is an optional extra, and Open3D is imported after `TriangleScene` has left out what
 draws: hence both inside the functions.

@@ -1,4 +1,4 @@
-"""Known rubber identified from inflation levels with seed after seed of noise."""
+"""Coverage of the intervals of γ0, λ and gauge pressure, over many noise seeds."""
 
 from __future__ import annotations
 

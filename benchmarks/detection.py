@@ -1,4 +1,4 @@
-"""The smallest press that is found, at one false alarm in a thousand contact-free frames.
+"""Smallest detectable press at a false-alarm rate of 1 in 1,000 contact-free frames.
 
 A ball is pressed along the membrane's normal into simulated rubber. A frame alarms where its force
 exceeds a level, which is 0 N unless more than one contact-free frame in a thousand shows a force:

@@ -1,4 +1,4 @@
-"""How well the edge of the patch is found, by noise, on objects made for it, too.
+"""Error of the patch edge over noise, on shipped objects and on objects made for this benchmark.
 
 Compared with the best threshold on depth change that an oracle picks for each object, with the true
 edge as the mesh can draw it, and with the Cramér–Rao bound.

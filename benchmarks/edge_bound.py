@@ -1,4 +1,4 @@
-"""How exactly an image can tell where a contact ends: the Cramér–Rao bound of the edge.
+"""Cramér–Rao bound of the position of the patch edge.
 
 The true loads are moved along the membrane by a field that is a polynomial in each of two
 directions: of degree 1 it moves, turns and stretches the patch as a whole, of degree 3 it changes

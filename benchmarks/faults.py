@@ -1,4 +1,4 @@
-"""Errors of the world, drawn at random: how often a wrong force is neither refused nor warned of.
+"""Random sensor errors: how often a wrong force is neither refused nor warned about.
 
 Each error changes the frames of a recording whose forces are known: of the real press, whose own
 estimates count as true, and of simulated presses into two sensors.

@@ -1,4 +1,4 @@
-"""What each preset of the optical flow costs, and what it leaves of error in flow and force.
+"""Run time of each optical-flow preset, and its errors of flow and force.
 
 The texture is rendered on the membrane of the truth, so that the flow is found in images.
 """

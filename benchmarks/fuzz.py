@@ -1,4 +1,4 @@
-"""Damaged and hostile inputs by the thousand: each is refused in one line, or read.
+"""Thousands of damaged and hostile inputs: each must be read, or refused in one line.
 
 Inputs are small valid ones, made by the product itself, with mutations drawn from a seed: the same
 seed and number give the same input. Many are run in one process, forked from one that has imported

@@ -1,4 +1,4 @@
-"""A nut turned by 60° on its flat face over 120 frames: followed to the end, and found again.
+"""Tracking a nut that turns by 60° on its flat face over 120 frames, and finding it again.
 
 The simulation decides on each node at a time whether it touches, so that the outline of a flat face
 catches on its mesh: it is refined there.

@@ -1,4 +1,4 @@
-"""How soon slip is found over the size of the contact, and how often where there is none.
+"""Delay of slip detection over contact size, and its false-alarm rate.
 
 A ball is dragged in steps. At first all of the membrane that touches it sticks; then the outer ring
 of the contact stays where it is.

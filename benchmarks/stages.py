@@ -1,4 +1,4 @@
-"""Every stage of a frame: its time, what this machine could do it in at best, and its growth.
+"""Run time of every stage of a frame, the machine's lower bound, and growth with size.
 
 The floor counts each number that a stage cannot do without once, at the machine's measured rate of
 copying, and the operations of its dense and sparse algebra at its measured rate of multiplying.

@@ -1,4 +1,4 @@
-"""Importing much in little time: what may never be used is loaded when it is used."""
+"""Faster imports: defer modules that may never be used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One sensor in memory: the mesh, camera and pixels that its file describes, built once."""
+"""Sensor in memory: mesh, camera and pixel model, built once from the sensor file."""
 
 from __future__ import annotations
 

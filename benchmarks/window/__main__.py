@@ -1,4 +1,4 @@
-"""`python -m benchmarks.window …`: one thin function a command, heavy imports inside."""
+"""`python -m benchmarks.window …`: one function per command, with imports inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The window that is measured: of a small laptop's size, on a screen of its own."""
+"""Window under test: size of a small laptop, on its own virtual screen."""
 
 from __future__ import annotations
 

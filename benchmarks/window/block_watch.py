@@ -1,4 +1,4 @@
-"""What the GUI thread does while it is kept from events."""
+"""Stack samples of the GUI thread while it does not process events."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A process that opens a recording as the command does, and imports nothing before it does."""
+"""Process that opens a recording like the command, without earlier imports."""
 
 from __future__ import annotations
 

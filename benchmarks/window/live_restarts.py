@@ -1,4 +1,4 @@
-"""A publisher that dies and comes back."""
+"""Reconnection to a publisher that is killed and restarted."""
 
 from __future__ import annotations
 

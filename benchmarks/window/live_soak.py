@@ -1,4 +1,4 @@
-"""A stream over Zenoh recorded and solved, for minutes.
+"""Soak test: a Zenoh stream is recorded and solved for minutes.
 
 The publisher is a process of its own. Every depth image must be in the file, counted by the
 publisher's own sequence; memory must not grow; what is solved must be young.

@@ -1,4 +1,4 @@
-"""Memory of a window at rest, with the same things shown each time.
+"""Memory of an idle window that always shows the same.
 
 What a calibration found stays, and so do caches: of two rests they may differ by 250 MiB.
 """

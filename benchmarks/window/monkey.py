@@ -1,4 +1,4 @@
-"""A monkey at the window: clicks, drags, keys and seeks at random, with a seed."""
+"""Monkey test of the window: random clicks, drags, keys and seeks from a seed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast the window replays: real renders counted, not asserted."""
+"""Replay rate of the window, by counted renders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a person waits: from the process's start to the first picture, and from a seek to it."""
+"""Time from process start, and from a seek, to the picture."""
 
 from __future__ import annotations
 

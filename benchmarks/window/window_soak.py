@@ -1,4 +1,4 @@
-"""The soak with the window open."""
+"""Soak test of `live_soak` with the window open."""
 
 from __future__ import annotations
 

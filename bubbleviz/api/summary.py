@@ -1,4 +1,4 @@
-"""What a verb reports at its end: text for people, JSON for machines."""
+"""Base class of what an API function reports: text and JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live sources solved: frame by frame, or without a window until they end or ^C."""
+"""Estimate live sources: frame by frame, or without a window until they end or ^C."""
 
 from __future__ import annotations
 

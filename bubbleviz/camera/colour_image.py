@@ -1,4 +1,4 @@
-"""A colour image as it was recorded or received, decoded when asked for."""
+"""Encoded colour image, decoded on demand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a range image says about the membrane: residuals against the reference, by blocks.
+"""Range residuals of a depth image against the reference surface, averaged over pixel blocks.
 
 Neighbouring pixels see the same triangle, so their residuals are averaged over blocks of
 pixels before the membrane is asked to explain them; the blocks stay below the mesh's resolution.

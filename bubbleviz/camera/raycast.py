@@ -1,4 +1,4 @@
-"""Where the camera's rays meet the membrane, in the reference or any current configuration.
+"""Intersections of camera rays with the membrane, in the reference or a deformed configuration.
 
 A membrane that the camera sees all of at once, each point of its image showing one triangle, is
 walked on: neighbouring rays meet neighbouring triangles. Rays are cast by Open3D, which takes a

@@ -1,4 +1,4 @@
-"""The command line: commands by name, loaded when used; errors on one line."""
+"""Command line: commands loaded on demand, errors printed on one line."""
 
 from __future__ import annotations
 

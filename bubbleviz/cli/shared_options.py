@@ -1,4 +1,4 @@
-"""Options that several commands share, their progress bar and report; heavy imports inside."""
+"""Options, progress bar and report shared by several commands; imports inside functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands `bubbleviz study …`; heavy imports inside."""
+"""Commands `bubbleviz study …`: error and speed measurements; imports inside functions."""
 
 from __future__ import annotations
 

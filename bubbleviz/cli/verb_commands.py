@@ -1,4 +1,4 @@
-"""Functions of `bubbleviz.api` as commands, with the same options; heavy imports inside.
+"""Functions of `bubbleviz.api` as commands with the same options; imports inside functions.
 
 An option has the name of the parameter, without a plain SI unit.
 """

@@ -1,4 +1,4 @@
-"""Images, curves and parts of one frame for the panels."""
+"""Diagnostics of one frame: images, κ curve, patch parts, probed points, statistics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Triangle meshes from PLY, OBJ, STL and VTK files, as they are in the file.
+"""Triangle meshes from PLY, OBJ, STL and VTK files, without change of unit.
 
 VTK is imported only for the formats that need it: it comes with the window's extra.
 """

@@ -1,4 +1,4 @@
-"""Where the shipped presets and pages are; imports nothing heavy."""
+"""Paths of the shipped presets and pages; imports little."""
 
 from __future__ import annotations
 

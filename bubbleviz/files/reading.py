@@ -1,4 +1,4 @@
-"""Files that others may have made: damage is one InputError, and sizes are bounded."""
+"""Reading untrusted files: damage becomes one InputError, sizes are bounded."""
 
 from __future__ import annotations
 

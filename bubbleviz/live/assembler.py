@@ -1,4 +1,4 @@
-"""Messages to frames: depth decoded, gas pressure and wrench at its time."""
+"""Assemble frames from messages: depth, with gas pressure and wrench interpolated at its time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all live sources share: a thread that delivers messages and can be stopped immediately."""
+"""Base class of live sources: a thread that delivers messages and stops immediately."""
 
 from __future__ import annotations
 

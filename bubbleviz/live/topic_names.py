@@ -1,4 +1,4 @@
-"""Which topics of a live source are the sensor's."""
+"""Select the topics of a live source that belong to the sensor."""
 
 from __future__ import annotations
 

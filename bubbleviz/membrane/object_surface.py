@@ -1,4 +1,4 @@
-"""The surface of a rigid object: distance, normal and edges near any point."""
+"""Surface of a rigid object: distance, normal and edges near any point."""
 
 from __future__ import annotations
 

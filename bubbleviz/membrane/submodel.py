@@ -1,4 +1,4 @@
-"""Part of an exact membrane, finer where asked; the rest moves little and is condensed onto it.
+"""Submodel: part of an exact membrane, optionally refined; the rest is condensed onto it.
 
 With K and g = ∂V/∂x of the rest at the reference surface, its border b and its other nodes f:
 

@@ -1,4 +1,4 @@
-"""Triangles that rays are cast at and closest points are found on, by Open3D."""
+"""Ray casting and closest points on triangles, by Open3D."""
 
 from __future__ import annotations
 

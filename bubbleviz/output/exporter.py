@@ -1,4 +1,4 @@
-"""What makes files of frames for other programs, and the membrane of one frame as files hold it."""
+"""Exporter of frames to files for other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A file for each frame: the membrane for ParaView and as PLY, the patch's points, pictures."""
+"""File series, one file per frame: membrane (VTK, PLY), patch points, pictures."""
 
 from __future__ import annotations
 

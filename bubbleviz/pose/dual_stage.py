@@ -1,4 +1,4 @@
-"""Both stages on one frame, from a prediction or from the best of some starts."""
+"""Dual-stage registration of one frame, from a prediction or the best of several initial poses."""
 
 from __future__ import annotations
 

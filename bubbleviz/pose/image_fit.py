@@ -1,4 +1,4 @@
-"""The pose by the whole depth image: it is compared with the membrane that the object would make.
+"""Pose fit to the whole depth image, compared with the membrane that the object would produce.
 
 Contact normals do not see a flat face slide or turn in its plane, but the membrane around it moves
 along; and what touches is known from the model of the membrane, not from a threshold.

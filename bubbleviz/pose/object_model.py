@@ -1,4 +1,4 @@
-"""Objects that are followed: their size, and the rotations that take one onto itself."""
+"""Properties of tracked objects: size check and rotational symmetries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contact patch by the object: where its surface, at the pose found, carries the membrane.
+"""Contact patch from the object's surface at its estimated pose.
 
 The exact membrane is pressed by the object at its pose, on a mesh twice as fine around the contact,
 and the patch is what touches in that press. Noise comes in by the pose alone, and nothing is

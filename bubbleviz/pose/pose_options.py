@@ -1,4 +1,4 @@
-"""What the pose's stages are set to: each value with its unit and its reason."""
+"""Options of pose estimation, each with unit and reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exact membrane that an object at a pose would make, and how it changes with the pose.
+"""Exact membrane under an object at a given pose, and its derivative by the pose.
 
 Points of the object that are inside the membrane push it outward (`object_contact`):
 

@@ -1,4 +1,4 @@
-"""Follows one object from frame to frame: predicts, fits, notices that it is lost, finds it again.
+"""Tracks one object from frame to frame: predict, fit, detect loss, recover.
 
 The object is lost where too little of the patch lies on it, where it would have jumped further
 than hands and robots move, and while there is no contact. The last good pose is kept, motion is

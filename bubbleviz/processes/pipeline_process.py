@@ -1,4 +1,4 @@
-"""A pipeline whose frames are solved in a process of its own, on another core."""
+"""Pipeline in a separate process, on another core."""
 
 from __future__ import annotations
 

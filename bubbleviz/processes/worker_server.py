@@ -1,4 +1,4 @@
-"""What a worker process runs; it chooses the number of threads before it imports numbers."""
+"""Main loop of a worker process; sets the number of threads before NumPy is imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of a bag by position: what all have in common, ROS 1 bags and SQLite; MCAP is apart."""
+"""Random access to messages in bag files: common base, ROS 1 and SQLite (MCAP: separate module)."""
 
 from __future__ import annotations
 

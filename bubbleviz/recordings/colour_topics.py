@@ -1,4 +1,4 @@
-"""Which topic of a recording has the colour images of a sensor, and where their camera is."""
+"""Select the colour topic of a sensor in a recording, and find the pose of its camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What contact-free depth frames say about every pixel: how often, how far, how noisy."""
+"""Statistics of each pixel over contact-free depth frames: validity, mean, noise."""
 
 from __future__ import annotations
 

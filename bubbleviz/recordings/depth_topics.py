@@ -1,4 +1,4 @@
-"""Which topics of a recording hold the depth images and what belongs to them."""
+"""Select the depth topic of a recording and the topics that belong to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The colour images of a recording, and the image of a moment."""
+"""Colour images of a recording, and the image nearest to a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What belongs to a frame by time: measured values are interpolated, of images the nearest counts.
+"""Data of a frame by time: measured values are interpolated, the nearest image is taken.
 
 The rules are the same in a recording and live: a recording is a stream that has ended. Live, a
 `GrowingSeries` is filled as messages arrive; of a recording `recorded_series` reads only what is

@@ -1,4 +1,4 @@
-"""Truth of every press on one membrane, from a forward model on a mesh that no estimator uses."""
+"""Ground truth of presses on one membrane, by a forward model on a mesh no estimator uses."""
 
 from __future__ import annotations
 

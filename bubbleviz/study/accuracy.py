@@ -1,4 +1,4 @@
-"""Error of force and patch against run time: the exact, the linear and the paper's estimator.
+"""Study of force and patch error against run time: exact, linear and the paper's estimator.
 
 Presses of simulated membranes at two noises.
 """

@@ -1,4 +1,4 @@
-"""One harness for every study: cases give rows, rows give tables, targets, CSV, JSON and a plot."""
+"""Common harness of the studies: run cases, report tables, targets, CSV, JSON and a plot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pose error and run time on rubber pressed by the exact forward model, begun off the truth."""
+"""Study of pose error and run time on simulated rubber, from perturbed initial poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stiff and extreme cases, each solved within its tolerance, or refused with a reason."""
+"""Stability study: extreme cases must be solved within tolerance, or refused with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What menus and session files know of the window, which imports them."""
+"""Protocol of the window for menus and session files, to avoid a circular import."""
 
 from __future__ import annotations
 
