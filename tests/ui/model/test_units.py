@@ -17,8 +17,8 @@ from bubbleviz_ui.model.units import SYSTEMS, Units
         (Units().area.text(231e-6), "231 mm²"),
         (Units().length.text(4.6e-5), "0.05 mm"),
         (Units().force.text(-0.001), "0.00 N"),
-        (Units().force.text(None), "– N"),
-        (Units().force.text(math.nan), "– N"),
+        (Units().force.text(None), "–"),
+        (Units().force.text(math.nan), "–"),
         (Units().gas_pressure.text(443.2, signed=True), "+443 Pa"),
         (Units().force.with_interval(4.784, 0.034), "4.78 ± 0.03 N"),
         (Units().force.with_interval(4.784, 0.002), "4.78 ± 0.01 N"),  # surely not none

@@ -198,7 +198,7 @@ def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     assert words["direction"] == "0 ± 7 °, not verified on real sensors"
     assert words["slip"] == "40 ± 20 %"
     alone = shear_words(dragged(driver, "depth_alone"), Units())
-    assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "– N"
+    assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "–"
     text = copied_shear(dragged(driver), Units())
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
     # the bound is off until it is ticked, and that can be undone

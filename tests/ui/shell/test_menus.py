@@ -59,9 +59,9 @@ def test_check_marks_follow_the_state_and_close_leaves_the_sensor_at_rest(drive,
     close(driver)
     assert source.closed and driver.pipeline.model.sensor == sensor
     assert not len(driver.warm_pixels()) and driver.state.facts.frames == 1
-    assert driver.window.status.labels["force"].text() == "force – N"  # and not 0.00 N
-    assert driver.window.status.labels["frame"].text() == "frame – · – s"
-    assert driver.window.playback.readout.text().split() == ["frame", "–", "–", "s"]
+    assert driver.window.status.labels["force"].text() == "force –"  # and not 0.00 N
+    assert driver.window.status.labels["frame"].text() == "frame –"
+    assert driver.window.playback.readout.text() == "frame –"
     assert {"no contact", "no depth data"}.isdisjoint(texts(driver))
     for panel in driver.window.panels.values():
         panel.show()

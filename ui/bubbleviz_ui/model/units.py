@@ -28,9 +28,9 @@ class Unit:
         return shown / self.per_si
 
     def text(self, si: float | None, *, signed: bool = False) -> str:
-        """Number and unit; a dash and the unit where there is no finite number."""
+        """Number and unit; a dash where there is no finite number."""
         if si is None or not math.isfinite(si):
-            return f"{NOTHING} {self.symbol}"
+            return NOTHING
         shown = round(self.of(si), self.digits) + 0.0  # no "-0.00"
         sign = "+" if signed else ""
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
@@ -71,7 +71,7 @@ class Share(Unit):
     """Per cent of something, to `digits` significant ones: it may be far below one."""
 
     def text(self, si: float | None, *, signed: bool = False) -> str:
-        """Number and unit; a dash and the unit where there is no finite number."""
+        """Number and unit; a dash where there is no finite number."""
         if si is None or not math.isfinite(si):
             return super().text(si)
         return f"{self.of(si):{'+' if signed else ''}.{self.digits}g} {self.symbol}"

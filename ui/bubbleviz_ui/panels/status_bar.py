@@ -123,7 +123,7 @@ class StatusBar(QStatusBar):
         of_all = "" if facts.grows else f" of {facts.frames - 1}"
         place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
-            "frame": f"frame {NOTHING} · {units.time.text(None)}" if facts.nothing else place,
+            "frame": f"frame {NOTHING}" if facts.nothing else place,
             "force": "force " + force_text(result, units),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),

@@ -222,7 +222,7 @@ class PlaybackPanel(QWidget):
         if facts is None:
             return ""
         if facts.nothing:
-            return f"frame {NOTHING}   {self._state.units.time.text(None)}"
+            return f"frame {NOTHING}"
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         of_all = "" if facts.grows else f" of {facts.frames - 1}"
         return f"frame {frame}{of_all}   {time_text}"

@@ -15,7 +15,7 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices, ColourMap
 from bubbleviz_ui.model.source_facts import DOUBTS, force_text, tangential_text
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, pressure_colours
 from bubbleviz_ui.view3d.layer import (
@@ -396,11 +396,13 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
     if result.object_patch is not None:
         by_object = units.area.text(result.object_patch.area_m2)
         patches = f"patch (white) {area}{APART}by object (green) {by_object}"
-    tangential = f"tangential {tangential_text(result, units)}"
+    tangential = tangential_text(result, units)
+    told = [f"peak {peak}", f"tangential {tangential}", patches]
+    if tangential == NOTHING:
+        del told[1]
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
-    rest = f"peak {peak}{APART}{tangential}{APART}{patches}{hatched}"
-    return f"contact  {force_text(result, units)}", rest
+    return f"contact  {force_text(result, units)}", f"{APART.join(told)}{hatched}"
 
 
 def _put(text: Any, size: float, top: float) -> None:
