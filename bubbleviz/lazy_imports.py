@@ -27,7 +27,7 @@ class _Deferred(ModuleType):
 
 
 def import_without(package: str, part: str) -> None:
-    """Import a package, one of its modules only when something of that is asked for.
+    """Import a package but defer one of its modules until an attribute of it is used.
 
     `import open3d` loads a web server for `open3d.visualization`, which is two thirds of its time;
     pyvista loads `matplotlib.pyplot` for one function. Does nothing when the part is loaded.
@@ -64,7 +64,7 @@ def _imported(package: str) -> ModuleType:
 
 
 def import_later(package: str) -> None:
-    """Have a package that others import imported when something of it is asked for.
+    """Defer the import of a package until an attribute of it is used.
 
     pyvista loads one for downloads, with SSL and progress bars. Does nothing when it is loaded.
     """
@@ -73,7 +73,7 @@ def import_later(package: str) -> None:
 
 
 def _deferred(name: str) -> ModuleType:
-    """A module that stands for another one from now on."""
+    """Put a placeholder in `sys.modules` that imports the module when first used."""
     made = _Deferred(name)
     made.__spec__ = ModuleSpec(name, None)
     sys.modules[name] = made
@@ -81,10 +81,10 @@ def _deferred(name: str) -> ModuleType:
 
 
 @contextmanager
-def made_later(module: str, cls: str) -> Iterator[None]:
-    """Import others that import a class by name, only to make one some day: it is loaded then.
+def defer_class(module: str, cls: str) -> Iterator[None]:
+    """Replace a class, imported by name within the block, by a factory that imports it when called.
 
-    pyvista would load what draws Matplotlib's figures, for a chart nobody asks for. Does nothing
+    pyvista would load Matplotlib's figure drawing, for a chart that is not used. Does nothing
     when the module is loaded.
 
     Parameters
@@ -105,12 +105,12 @@ def made_later(module: str, cls: str) -> Iterator[None]:
     try:
         yield
     finally:
-        del sys.modules[module]  # whoever imports it from now on gets the real one
+        del sys.modules[module]  # later imports get the real module
 
 
 @contextmanager
-def hidden(package: str) -> Iterator[None]:
-    """Import others as where a package is not installed.
+def hide_package(package: str) -> Iterator[None]:
+    """Make a package look uninstalled within the block.
 
     pyvista would load mypy wherever that is, for a plugin of it. Does nothing when it is loaded.
     """

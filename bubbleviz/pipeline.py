@@ -140,7 +140,7 @@ class Pipeline:
             return Estimator(observer, RubberBubble(rubber, model.gas, varied), self.options)
         film = ConstantTension(model.mesh, model.tension_n_per_m, model.gas)
         if self.options.solver == PAPER:
-            from bubbleviz.inverse import PaperEstimator  # nobody else needs it
+            from bubbleviz.inverse import PaperEstimator  # only needed here
 
             return PaperEstimator(observer, film, self.options)
         if self.options.solver in (None, LINEAR):
@@ -304,7 +304,7 @@ class Pipeline:
 
         Raises InputError: the estimator is not of the exact membrane.
         """
-        from bubbleviz.shear import TractionEstimator  # nobody else needs it
+        from bubbleviz.shear import TractionEstimator  # only needed here
 
         if self.estimator.solver_name != RUBBER:
             raise InputError(
@@ -315,7 +315,7 @@ class Pipeline:
 
     @cached_property
     def _slip_finder(self) -> SlipFinder:
-        from bubbleviz.shear import SlipFinder  # nobody else needs it
+        from bubbleviz.shear import SlipFinder  # only needed here
 
         held, resolution = self.estimator.held_pressure_pa, self.estimator.resolution_m
         return SlipFinder(self.traction_estimator.flow_observer, self.mesh, held, resolution)

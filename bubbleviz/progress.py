@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 
-class Cancelled(Exception):  # noqa: N818 - no error: somebody asked for it
+class Cancelled(Exception):  # noqa: N818 - no error: requested by the user
     """Raised by a `Progress` to stop a step; the step leaves nothing behind."""
 
 

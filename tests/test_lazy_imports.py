@@ -94,9 +94,9 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need():
 
 def test_a_class_that_others_import_by_name_is_loaded_when_one_is_made():
     code = (
-        "import sys; from bubbleviz.lazy_imports import import_without, made_later\n"
+        "import sys; from bubbleviz.lazy_imports import import_without, defer_class\n"
         "import_without('matplotlib', 'pyplot')\n"
-        "with made_later('matplotlib.backends.backend_agg', 'FigureCanvasAgg'):\n"
+        "with defer_class('matplotlib.backends.backend_agg', 'FigureCanvasAgg'):\n"
         "    import pyvista.plotting.charts\n"
         "print('matplotlib.backends._backend_agg' in sys.modules)\n"
         "import matplotlib.pyplot as plt; figure, axes = plt.subplots(); axes.plot([0, 1])\n"

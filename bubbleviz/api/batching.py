@@ -436,7 +436,7 @@ def _lock(descriptor: int, out: Path) -> None:
 
 
 def _discard_unfinished(todo: list[Job]) -> None:
-    """Remove what killed workers left of results: nobody else writes there."""
+    """Remove partial results of killed workers; the lock keeps other batches away."""
     for out in {Path(job.out) for job in todo}:
         sweep(out, of_others=True)
 

@@ -230,7 +230,7 @@ class Estimator:
         return lambda _: image
 
     def _check_unit(self, depth_m: np.ndarray) -> None:
-        """Refuse depths of which none could be used yet, and which another unit explains."""
+        """Refuse depth images, unusable so far, that another unit would explain."""
         if not has_returns(depth_m):
             return
         model = self._pipeline.model
@@ -244,7 +244,7 @@ class Estimator:
 
 
 class FrameSolver:
-    """Solves frames one after the other, whoever has them: `Estimator`, a recording, a stream.
+    """Solves frames one after the other, for `Estimator`, recordings and streams.
 
     The gas pressure is shifted by a zero, which is learned where it is still waited for; a texture
     adds traction with friction and slip.
@@ -293,7 +293,7 @@ class FrameSolver:
         )
 
     def gas_warning(self, where: str) -> str:
-        """What to say of a gas pressure that is not this sensor's; empty for nothing."""
+        """Warning if the gas pressure does not fit this sensor; else empty."""
         known_pa = self.pipeline.model.gas.P0
         if self.zero is None or self.zero.rest_pa is None:
             return gas_warning(self._measured_pa, known_pa, f"in the {where}")

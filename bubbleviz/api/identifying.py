@@ -89,7 +89,7 @@ class Identified(Summary):
         overwrite: bool = False,
         progress: Progress = quiet,
     ) -> dict[str, Any]:
-        """Write X.toml with its pixels and mesh beside it, and a report where it is asked for.
+        """Write X.toml, its pixel and mesh files next to it, and the requested report.
 
         Parameters
         ----------

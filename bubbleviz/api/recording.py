@@ -296,7 +296,7 @@ def zenoh_place(
 
 @contextmanager
 def room_for(out: str | Path, *, overwrite: bool) -> Iterator[None]:
-    """Set aside what a recording replaces, as it is written in place."""
+    """Move an existing recording aside while its replacement is written in place."""
     if overwrite:
         refuse_existing(out, overwrite=True)
     with set_aside(*([Path(out)] if overwrite else [])):

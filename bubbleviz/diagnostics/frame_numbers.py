@@ -197,7 +197,7 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
     }
 
 
-# What shear told over many frames, in numbers and in words.
+# Summary of shear over many frames, as numbers and text.
 
 
 @dataclass

@@ -217,7 +217,7 @@ class Probe:
         return self._probed(pixel, result, nodes, int(np.argmin(np.sum(away**2, axis=1))))
 
     def at_point(self, point_m: np.ndarray, result: Result) -> Probed:
-        """Place at a point (3,) in B, of the membrane as it is drawn or of the cloud."""
+        """Place at a point (3,) in B, on the drawn membrane or in the cloud."""
         nodes = self._nodes(result)
         node = int(np.argmin(np.sum((nodes - point_m) ** 2, axis=1)))
         row, column = (round(c) for c in self._seen_at(point_m))

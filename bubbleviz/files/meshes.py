@@ -211,7 +211,7 @@ def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
         vertices = np.array([each[1:4] for each in words if each[:1] == [b"vertex"]], np.float64)
     else:
         raise ValueError(f"{len(data)} bytes are not an STL file of {count} triangles")
-    with np.errstate(invalid="ignore"):  # NaN, which is told later
+    with np.errstate(invalid="ignore"):  # NaN, which is refused later
         vertices = vertices.astype(np.float64).reshape(-1, 3)
     if len(vertices) % 3:
         raise ValueError("a triangle is cut short")

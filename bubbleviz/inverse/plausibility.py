@@ -46,7 +46,7 @@ GAS_CONTRADICTS = "the measured gas pressure does not fit the measured shape"
 
 
 def reason_against_gas(change_pa: float, gas: Gas) -> str:
-    """Why a measured p_v is none that this membrane can cause; empty where it is."""
+    """Why this membrane cannot cause a measured p_v; empty if it can."""
     if gas.lowest_change_pa <= change_pa <= gas.highest_change_pa:
         return ""
     return (
@@ -56,7 +56,7 @@ def reason_against_gas(change_pa: float, gas: Gas) -> str:
 
 
 def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
-    """Why a misfit is not what the noise leaves; empty where it is.
+    """Why a misfit is larger than noise; empty if it is not.
 
     Parameters
     ----------

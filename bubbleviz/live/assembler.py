@@ -234,7 +234,7 @@ class FrameAssembler:
 
     @property
     def waits_until_ns(self) -> int | None:
-        """When the frame that waits gives up waiting; None when none waits."""
+        """Deadline of the pending frame; None if none is pending."""
         return None if self._pending is None else self._deadline(self._pending)
 
     def _deadline(self, pending: _Pending) -> int:

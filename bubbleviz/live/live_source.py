@@ -73,7 +73,7 @@ class LiveSource:
     def _main(self, deliver: Deliver) -> None:
         try:
             self._run(deliver)
-        except BaseException as error:  # shown by whoever looks at the source
+        except BaseException as error:  # shown by the users of the source
             self.problem = " ".join(str(error).split()) or type(error).__name__
         finally:
             self.link = "ended"

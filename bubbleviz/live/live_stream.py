@@ -163,7 +163,7 @@ class LiveStream:
         return forget
 
     def follow_colour(self) -> Callable[[], None]:
-        """Have frames with colour images, which the source sends to nobody else; undo by calling.
+        """Subscribe to colour images, which the source sends only then; returns how to unsubscribe.
 
         They are sent until everybody who asked for them has undone it.
         """

@@ -223,7 +223,7 @@ class LiveSensor:
     place: SensorPlace  # name, colour and T_W_B
     sensor: Sensor
     stream: LiveStream
-    zero: PressureZero  # for whoever solves this sensor's frames
+    zero: PressureZero  # for the solver of this sensor's frames
 
 
 class LiveSession:

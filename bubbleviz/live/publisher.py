@@ -102,7 +102,7 @@ class ZenohPublisher:
 
     @property
     def subscribed(self) -> int:
-        """To how many of the announced topics somebody subscribes."""
+        """Number of announced topics that have a subscriber."""
         return sum(
             each.matching_status.matching
             for place, each in self._publishers.items()

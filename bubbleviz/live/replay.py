@@ -98,7 +98,7 @@ def _as_ros2(payload: bytes, kind: str) -> bytes:
     """CDR of a ROS 1 message; the same bytes where they are no such message."""
     try:
         return bytes(typestore(ros1=True).ros1_to_cdr(payload, kind))
-    except Exception:  # counted as undecodable by whoever reads it
+    except Exception:  # counted as undecodable by the reader
         return payload
 
 

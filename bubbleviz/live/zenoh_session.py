@@ -88,7 +88,7 @@ def why_no_session(
 
 
 def _absence(error: OSError, host: str, port: int) -> str:
-    """Why nobody answers, who may be there later."""
+    """Why the host does not answer; it may later."""
     if isinstance(error, socket.gaierror):
         return f"the host {host} is not known to this computer; check the name"
     if isinstance(error, ConnectionRefusedError):

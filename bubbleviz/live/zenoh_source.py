@@ -146,7 +146,7 @@ class ZenohSource(LiveSource):
             self._session.close()
 
     def _look_why(self, before: str) -> str:
-        """Why the session is not back, told once two looks agree: it may come back in between."""
+        """Why the session is not back, once two checks agree: it may just be returning."""
         place = self._options.connect
         why = "" if place is None else why_no_session(place, self._options.credentials)
         if why == before:
@@ -220,7 +220,7 @@ class ZenohSource(LiveSource):
         self._subscribers[place] = (announced.type, subscriber)
 
     def _let_go_of_colour(self) -> None:
-        """Subscribe no more to what nobody asks for any more; what is not heard is not missed."""
+        """Unsubscribe topics no longer needed; unsubscribed topics do not count as missing."""
         if self._names.with_colour:
             return
         for (topic, layout), (kind, subscriber) in list(self._subscribers.items()):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.membrane.object_surface import Planes
-from bubbleviz.membrane.sparse_factor import Factor, Factoriser, Grip, NodeBlocks
+from bubbleviz.membrane.sparse_factor import Factor, Factoriser, FrictionConstraint, NodeBlocks
 
 _ROUNDS = 12  # changes of the active set in one step; the next step goes on from where it ended
 _SHIFTS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
@@ -43,7 +43,7 @@ class ContactStep:
         planes: Planes,  # of the moving nodes
         # friction, none by default. The forces have no energy then, and the step goes to where they
         # are in balance.
-        grip: Grip | None = None,
+        grip: FrictionConstraint | None = None,
     ) -> None:
         self._factoriser, self._blocks, self._data = factoriser, blocks, data
         self.residual, self._gradient, self._beta, self._planes = residual, gradient, beta, planes
@@ -125,7 +125,10 @@ class ContactStep:
 
 
 def _across(
-    vectors: np.ndarray, nodes: np.ndarray, normal: np.ndarray, grip: Grip | None = None
+    vectors: np.ndarray,
+    nodes: np.ndarray,
+    normal: np.ndarray,
+    grip: FrictionConstraint | None = None,
 ) -> np.ndarray:
     """Vectors (f, 3) without what planes and friction take at some nodes (k,)."""
     out = vectors.copy()
@@ -156,7 +159,7 @@ class Friction(NamedTuple):
 
     pull: np.ndarray  # (k, 3), of the nodes on the object across its normals by the law, N
     slip: np.ndarray  # (k, 3), s of nodes that slip, m
-    grip: Grip  # for a step from here
+    grip: FrictionConstraint  # for a step from here
     # (k, 3, 3), of the pull across the direction of slip, and as the normal turns, N/m
     stiffness: np.ndarray
     start: np.ndarray  # (k, 3), the part of the pull that this stiffness has added so far, N
@@ -190,7 +193,9 @@ class Friction(NamedTuple):
         return cls(
             pulled,
             np.where(slips[:, None], s, 0.0),
-            Grip(anchored & ~slips, np.where((anchored & ~slips)[:, None], -s, 0.0), drag),
+            FrictionConstraint(
+                anchored & ~slips, np.where((anchored & ~slips)[:, None], -s, 0.0), drag
+            ),
             turning - normal[:, :, None] * bent[:, None, :],
             np.einsum("kij,kj->ki", turning, s),
         )

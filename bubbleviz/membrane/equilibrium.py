@@ -97,13 +97,13 @@ class Looked:
     distance_m: float  # largest distance of loaded nodes from the object, and of others inside it
 
     @property
-    def missed(self) -> float:
-        """Both over what is aimed at."""
+    def residual_ratio(self) -> float:
+        """The larger of both, relative to its aim."""
         return max(self.balance / BALANCE_AIM, self.distance_m / DISTANCE_AIM_M)
 
     @property
     def accepted(self) -> bool:
-        """Whether it is near enough."""
+        """Whether both are below the accepted limits."""
         return self.balance < BALANCE_ACCEPTED and self.distance_m < DISTANCE_ACCEPTED_M
 
 
@@ -240,10 +240,10 @@ class Equilibrium:
         here = best = self.look(surface, start)
         price, since, count, newton = 0.0, 0, 0, None
         for _ in range(_STEPS):
-            nearer = newton is None or here.missed < 0.5 * best.missed
+            nearer = newton is None or here.residual_ratio < 0.5 * best.residual_ratio
             since = 0 if nearer else since + 1
-            best = min(best, here, key=lambda each: each.missed)
-            if best.missed < 1.0 or (best.accepted and since > 1) or since > _PATIENCE:
+            best = min(best, here, key=lambda each: each.residual_ratio)
+            if best.residual_ratio < 1.0 or (best.accepted and since > 1) or since > _PATIENCE:
                 break
             newton, held = self._step(here), here.state.load[self.membrane.moving] > 0.0
             if self.friction:
@@ -252,7 +252,7 @@ class Equilibrium:
                 except RuntimeError:  # singular
                     break
                 ahead = self._nearer(surface, here, step, often=since > 0)
-                if not np.isfinite(ahead.missed):
+                if not np.isfinite(ahead.residual_ratio):
                     break
             else:
                 step = newton.solve(held)
@@ -313,8 +313,8 @@ class Equilibrium:
             return self.look(surface, self._after(here, step, min(share, self.reach_m / longest)))
 
         ahead = at(1.0)
-        if often or not np.isfinite(ahead.missed):  # round in circles, or too far
-            ahead = min([ahead, *map(at, _SHARES)], key=lambda each: each.missed)
+        if often or not np.isfinite(ahead.residual_ratio):  # round in circles, or too far
+            ahead = min([ahead, *map(at, _SHARES)], key=lambda each: each.residual_ratio)
         return ahead
 
     def _downhill(
@@ -343,7 +343,7 @@ class Equilibrium:
 
         if most < _SHORT * self.reach_m:
             ahead, falls = at(self._after(here, step, 1.0), 1.0)
-            if falls or ahead.missed < 0.5 * here.missed:
+            if falls or ahead.residual_ratio < 0.5 * here.residual_ratio:
                 return ahead
         while True:
             ahead, falls = at(self._after(here, step, length), length)

@@ -457,7 +457,7 @@ def _check_connected(
 
 
 def _check_one_loop(nodes: np.ndarray, boundary: np.ndarray) -> None:
-    """Refuse holes beside the rim, and boundary loops that touch in a node."""
+    """Refuse holes other than the rim, and boundary loops that touch in a node."""
     degree = np.bincount(boundary.ravel(), minlength=len(nodes))
     if degree.max() > 2:
         i = int(degree.argmax())

@@ -385,7 +385,7 @@ def _edges(mesh: MembraneMesh) -> np.ndarray:
 
 
 def _rim_lengths(mesh: MembraneMesh) -> np.ndarray:
-    """Length of the rim that each node stands for, (n,), m; 0 off the rim."""
+    """Length of the rim represented by each node, (n,), m; 0 off the rim."""
     across = triangles_across(mesh.triangles)
     triangle, corner = np.nonzero(across < 0)
     ends = mesh.triangles[triangle, (corner + 1) % 3], mesh.triangles[triangle, (corner + 2) % 3]

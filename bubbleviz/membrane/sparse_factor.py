@@ -100,8 +100,8 @@ class Factor:
         return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
 
 
-class Grip(NamedTuple):
-    """What friction does to nodes on their planes."""
+class FrictionConstraint(NamedTuple):
+    """Friction constraint of nodes that are held on planes."""
 
     stuck: np.ndarray  # (k,) bool, nodes that do not move across their normals but for `back`
     back: np.ndarray  # (k, 3), motion of the stuck ones to where they stick, m
@@ -109,9 +109,9 @@ class Grip(NamedTuple):
     # load.
     drag: np.ndarray
 
-    def of(self, nodes: np.ndarray) -> Grip:
+    def of(self, nodes: np.ndarray) -> FrictionConstraint:
         """On some of the nodes."""
-        return Grip(self.stuck[nodes], self.back[nodes], self.drag[nodes])
+        return FrictionConstraint(self.stuck[nodes], self.back[nodes], self.drag[nodes])
 
 
 class NodeBlocks:
@@ -158,7 +158,7 @@ class NodeBlocks:
         data: np.ndarray,  # (nnz,), of K
         nodes: np.ndarray,  # (k,) int
         normals: np.ndarray,  # (k, 3), unit; s is of the size of K's diagonal
-        grip: Grip | None = None,  # of these nodes, without drag where they are stuck
+        grip: FrictionConstraint | None = None,  # of these nodes, without drag where they are stuck
     ) -> np.ndarray:
         """Data of Q K P + s (I − P): K where some nodes only move across their normals.
 

@@ -44,7 +44,7 @@ def area_and_bending(mesh: MembraneMesh) -> tuple[float, float]:
 
 
 def area_shares(mesh: MembraneMesh) -> np.ndarray:
-    """Area that each node stands for over its own, (n,): rim nodes' goes to their neighbours."""
+    """Area represented by each node over its own, (n,): rim nodes' goes to their neighbours."""
     start, end = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
     both = np.stack([np.concatenate([start, end]), np.concatenate([end, start])], axis=1)
     edges = np.unique(both, axis=0)

@@ -60,7 +60,7 @@ class SideBySide:
     def measure(
         self,
         options: EstimatorOptions,
-        frame: Frame,  # its gas pressure as it is to be believed
+        frame: Frame,  # its gas pressure already zeroed
         rule: FrameOptions | None = None,  # what makes the patch
         truth: Truth | None = None,
         *,

@@ -95,7 +95,7 @@ class TableExporter(Exporter):
 
 
 def _nothing(value: Any) -> Any:
-    """What stands for a value of its kind that is not known."""
+    """Placeholder for an unknown value of its kind."""
     return "" if isinstance(value, str) else np.nan
 
 

@@ -99,7 +99,7 @@ class Solver:
         return ImageFit(own.observer, pressed, options)
 
     def forget(self) -> None:
-        """Begin anew, with nothing kept of where the object was."""
+        """Reset, forgetting the earlier pose."""
         if "_image" in vars(self):
             self._image.forget()
 
@@ -190,7 +190,7 @@ class Solver:
         return _Found(self._registration.at(contact, fit, T), predicted, step.information, lasting)
 
 
-# Where an object may be when nobody says: on one of its faces, turned any way, at the patch.
+# Initial poses without a given one: on each face, at every turn about its normal, at the patch.
 
 
 TURNS = 12  # turns about the patch's normal: 30° apart, which registration bridges

@@ -34,7 +34,7 @@ class PredictedImage:
     T_B_O: np.ndarray  # (4, 4)
     center: np.ndarray  # (3,)
     pixel: np.ndarray  # (b,) int, which of the observer's pixels are looked at
-    every: int  # how many of those that could be each stands for
+    every: int  # number of candidate pixels that each used pixel represents
     expected_m: np.ndarray  # (b,), residuals of these pixels, as the observer has them, at the pose
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
     held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
@@ -74,7 +74,7 @@ class ImageFit:
         self.forget()
 
     def forget(self) -> None:
-        """Look anew at the next frame."""
+        """Start on the next frame."""
         self._predicted: PredictedImage | None = None
         self._failed: np.ndarray | None = None
         self.valid_m = self._options.valid_m

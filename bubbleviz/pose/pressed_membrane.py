@@ -146,7 +146,7 @@ class ObjectContact:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew with the directions in which edges push, and with what touches."""
+        """Reset the directions in which edges push, and the contact."""
         self._pushing = np.zeros_like(self._points)
         self._held = np.zeros(len(self._points), bool)
 

@@ -38,7 +38,7 @@ class ContactPoints:
     # the object's
     points: np.ndarray
     normals: np.ndarray
-    areas_m2: np.ndarray  # (k,), the part of the membrane that each stands for
+    areas_m2: np.ndarray  # (k,), membrane area that each represents
     pressure_pa: np.ndarray  # (k,), contact pressure
     free: np.ndarray  # (f, 3), around the patch, where the membrane touches nothing
     free_areas_m2: np.ndarray  # (f,)

@@ -34,7 +34,7 @@ class PipelineProcess:
         pipeline: Pipeline,
         patience_s: float = PATIENCE_S,  # how long a frame may take before the process is ended
     ) -> None:
-        self.lost = ""  # how the process ended, when nobody had asked it to; else empty
+        self.lost = ""  # how the process ended unexpectedly; else empty
         self._pipeline = pipeline
         self._patience_s = patience_s
         self._worker = WorkerProcess()
@@ -88,7 +88,7 @@ class PipelineProcess:
             self._worker.kill()
 
     def _is_built(self) -> bool:
-        """Whether it is there to solve; nobody waits until it is."""
+        """Whether the process is ready to solve; does not wait."""
         if self._built or self._over.is_set() or not self._worker.pipe.poll():
             return self._built
         if self._returned(self._worker.outcome()):
@@ -116,7 +116,7 @@ class PipelineProcess:
         return outcome.kind == "returned"
 
     def _watch(self) -> None:
-        """End a process that hangs, so that who waits for its answer learns that it died.
+        """End a process that hangs, so that the waiting caller learns that it died.
 
         A thread of its own: a frame may also wait for the process while it is sent.
         """

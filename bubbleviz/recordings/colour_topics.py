@@ -138,7 +138,7 @@ def is_called_colour(topic: str) -> bool:
 
 
 def _namespace(topic: str, words: tuple[str, ...]) -> str:
-    """What stands before the part with one of the words, or before the last part."""
+    """Topic name before the part with one of the words, or before the last part."""
     parts = topic.split("/")
     said = (k for k, part in enumerate(parts) if any(word in part.lower() for word in words))
     namespace = "/".join(parts[: next(said, len(parts) - 1)])

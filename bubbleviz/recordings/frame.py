@@ -137,7 +137,7 @@ class EqualImages:
         self.most = 1  # images in the longest row
 
     def take(self, depth_m: np.ndarray) -> None:
-        """Compare an image (H, W) with the one before; one without any return counts for none."""
+        """Compare an image (H, W) with the previous one; images without returns are ignored."""
         last, self._last = self._last, depth_m
         some = depth_m[::16, ::16]  # tells nearly all that differ
         same = last is not None and np.array_equal(last[::16, ::16], some, equal_nan=True)
@@ -147,7 +147,7 @@ class EqualImages:
 
     @property
     def warning(self) -> str:
-        """What to say of a camera that repeated one image; it stays after the camera recovers."""
+        """Warning about a camera that repeated one image; stays after the camera recovers."""
         if self.most < FROZEN_AFTER:
             return ""
         return (

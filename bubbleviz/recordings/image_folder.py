@@ -126,7 +126,7 @@ class ImageFolder:
         return round(float(self._clock_s[index]) * 1e9)
 
     def _find_colour(self) -> Series[ColourImage] | None:
-        """Those of the same numbers in a folder inside this one."""
+        """Colour images with the same numbers, from a subfolder."""
         folder = next((self.path / name for name in FOLDERS if (self.path / name).is_dir()), None)
         if folder is None:
             return None

@@ -35,7 +35,7 @@ class ColourAround:
 
 
 class RecordedColour:
-    """Colour images beside the depth images of a recording; only headers are read here."""
+    """Colour images of the recording of depth images; only headers are read here."""
 
     def __init__(
         self,

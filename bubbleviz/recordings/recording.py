@@ -272,7 +272,7 @@ class Recording:
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
     def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:
-        """Series of what was measured beside the images, by type, of topics that may be named."""
+        """Series of values measured along with the images, by type; topics may be given."""
         found: dict[str, Series[np.ndarray]] = {}
         for kind, name in names.items():
             topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
@@ -338,7 +338,7 @@ def _headers(images: Messages) -> tuple[np.ndarray, np.ndarray]:
     return headers[:, 0], headers[:, 1]
 
 
-# The size of the force that a wrench sensor beside the bubble measured.
+# Magnitude of the force measured by a wrench sensor at the bubble.
 
 
 def measured_force(

@@ -37,7 +37,7 @@ class SeenColour:
 
 @dataclass(frozen=True)
 class Texture:
-    """A colour image on the membrane as it is deformed."""
+    """A colour image mapped to the deformed membrane."""
 
     colour: SeenColour
     # (n, 2), where in the image each node is: shares of its width from the left and of its height

@@ -66,7 +66,7 @@ def gas_warning(
     known_pa: float,  # without contact, as the sensor file has it, Pa
     where: str = "in the recording",  # it was measured
 ) -> str:
-    """What to say of a gas pressure that is not this sensor's; empty for nothing."""
+    """Warning if the gas pressure does not fit the sensor; else empty."""
     if measured_pa is None or abs(measured_pa - known_pa) <= WEATHER_PA:
         return ""
     return (

@@ -114,7 +114,7 @@ def _told(values: np.ndarray) -> np.ndarray | None:
 
 
 VALUES: dict[str, Callable[[Any], np.ndarray]] = {PRESSURE: pressure_of, WRENCH: wrench_of}
-"""What messages of a type hold that is measured beside the images."""
+"""Values measured along with the images, by message type."""
 
 
 def values_at(series: Mapping[str, Series[np.ndarray]], moment: Moment) -> dict[str, Any]:

@@ -6,11 +6,11 @@ import linecache
 import sys
 
 from bubbleviz.lazy_imports import (
+    defer_class,
     everything_stays,
-    hidden,
+    hide_package,
     import_later,
     import_without,
-    made_later,
 )
 
 
@@ -29,8 +29,8 @@ def import_the_window() -> None:
     import_without("matplotlib", "pyplot")
     import_without("scipy", "ndimage")
     import_later("pooch")
-    charts = made_later("matplotlib.backends.backend_agg", "FigureCanvasAgg")
-    with everything_stays(), charts, hidden("mypy"):
+    charts = defer_class("matplotlib.backends.backend_agg", "FigureCanvasAgg")
+    with everything_stays(), charts, hide_package("mypy"):
         # First what knows no Qt: PySide6 reads the source of every module that is imported after it
         import pyvista.plotting  # noqa: F401
 
