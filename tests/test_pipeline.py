@@ -71,7 +71,7 @@ def test_products_run_the_stages_they_need_and_no_other(pipeline, source, produc
         assert (result.patch.pixel_mask is not None) == ("pixel_mask" in products)
 
 
-def test_a_pipeline_that_nobody_asks_to_estimate_builds_no_solver(pipeline, source, monkeypatch):
+def test_a_pipeline_without_requested_estimates_builds_no_solver(pipeline, source, monkeypatch):
     monkeypatch.setattr("bubbleviz.pipeline.Estimator", lambda *_: pytest.fail("built"))
     result = pipeline.process(source[PRESSED], frozenset({"cloud"}))
     assert result.cloud_m is not None

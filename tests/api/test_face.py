@@ -73,7 +73,7 @@ def test_a_notebook_kernel_estimates(recording, sensor):
     assert python(code) == "ok"
 
 
-def test_every_name_is_there_and_explained():
+def test_every_public_name_exists_and_has_a_docstring():
     assert set(bv.__all__) <= set(dir(bv))
     for name in bv.__all__:
         assert getattr(bv, name).__doc__
@@ -85,7 +85,7 @@ def test_type_information_is_shipped():
     assert (Path(bv.__file__).parent / "py.typed").is_file()
 
 
-def test_a_camera_that_drifted_is_told(frames, sensor, estimated):
+def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     drifted = [replace(frame, depth_m=frame.depth_m - 1e-3) for frame in frames]
     run = bv.estimate(drifted, sensor)
     told = re.match(r"depth has drifted by (\S+) mm since the calibration", run.warning)

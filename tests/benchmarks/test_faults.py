@@ -9,7 +9,7 @@ def row(kind, told, held, worst_n=0.0):
     return FaultRow("flat pico", kind, 0.1, "m", 10, told, held, worst_n)
 
 
-def test_frames_neither_told_of_nor_inside_their_interval_are_wrong():
+def test_unflagged_frames_outside_their_interval_are_wrong():
     report = report_of([row("offset", 10, 0), row("offset", 0, 9, 0.7), row("hole", 2, 8)])
     (faults,) = report.tables
     wrong = {record["kind"]: record["wrong"] for record in faults.records}

@@ -229,7 +229,7 @@ def test_open_chamber_takes_the_place_of_what_the_file_knew():
     assert vented.pneumatics.atmospheric_pressure_pa == ATMOSPHERE_PA
 
 
-def test_another_gauge_pressure_by_hand_is_known_no_better_than_nothing():
+def test_an_edited_gauge_pressure_drops_its_standard_deviation():
     sensor = told(gauge_sigma_pa=50.0)
     assert edited(sensor, {"membrane.nodes": 300}).pneumatics.gauge_sigma_pa == 50.0
     assert (

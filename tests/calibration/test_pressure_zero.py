@@ -33,7 +33,7 @@ def test_the_median_of_a_rest_is_taken_from_every_pressure():
     assert zero.rest_pa == np.median(pressures)
 
 
-def test_a_rest_that_is_interrupted_begins_anew():
+def test_an_interrupted_contact_free_run_starts_again():
     zero = learned(np.full(ENOUGH - 1, REFERENCE + 900.0))
     zero.learn(None, contact_free=False)  # without a pressure there is nothing to tell
     assert zero.wants_next()
@@ -49,7 +49,7 @@ def test_a_rest_that_is_interrupted_begins_anew():
     assert zero.waiting and zero.offset_pa == pytest.approx(-70.0)  # till there is another
 
 
-def test_another_sensor_file_keeps_what_was_measured_and_asks_anew():
+def test_another_sensor_file_keeps_the_measured_rest_and_waits_again():
     zero = learned(np.full(ENOUGH, REFERENCE + 250.0))
     zero.refer_to(REFERENCE)
     assert not zero.waiting

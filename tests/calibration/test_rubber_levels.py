@@ -193,7 +193,7 @@ def test_standard_error_of_the_open_chamber_is_that_of_its_pressure():
     assert np.std(off) == pytest.approx(1.0, abs=0.08)  # three standard errors of a spread
 
 
-def test_levels_that_say_nothing(found):
+def test_levels_that_do_not_determine_the_prestretch(found):
     low = level(found, 0.85)
     kept = with_rubber(found, [replace(low, gas_pressure_pa=None)])
     assert kept.rubber.prestretch is None and "lack the gas pressure" in kept.rubber.why_not

@@ -166,7 +166,7 @@ def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
     )
 
 
-def test_a_reflection_beside_the_press_changes_little(pressed, told):
+def test_a_reflection_next_to_the_press_changes_little(pressed, told):
     """A patch of pixels is 3 mm too far away while the ball is held: outliers count for little."""
     found, held = pressed
     glare = np.zeros(held.statistics.range_m.shape)

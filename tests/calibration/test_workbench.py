@@ -82,7 +82,7 @@ def test_steps_give_what_identify_gives(bench, found):
         (Step.SURFACE, ["contact_free", "samples", "pixels", "surfaces"]),
     ],
 )
-def test_nothing_is_done_beyond_the_step_reached(bench, step, known):
+def test_no_step_beyond_the_reached_one_is_computed(bench, step, known):
     draft = bench.work(Settings(step, nodes=NODES))
     names = ("contact_free", "samples", "pixels", "surfaces", "found")
     assert [name for name in names if getattr(draft, name) is not None] == known

@@ -91,7 +91,7 @@ def test_presses_that_differ_widen_the_interval():
     assert apart.gain.half_width > 3.0 * alike.gain.half_width
 
 
-def test_hysteresis_is_told_from_gain():
+def test_hysteresis_is_distinguished_from_gain():
     found = compare_with_wrench(*pressed(4, hysteresis=0.5))
     none = compare_with_wrench(*pressed(4))
     assert found.hysteresis_n.value > none.hysteresis_n.value + 0.15

@@ -70,7 +70,7 @@ def errors_px(recording, texture, frame, lead):
 
 
 @pytest.mark.parametrize("lead", [0.0, 2.4])
-def test_frames_are_paired_by_their_stamps_whatever_is_seen(lead, led_by_colour, stamped_alike):
+def test_frames_are_paired_by_stamps_whatever_their_content(lead, led_by_colour, stamped_alike):
     with Recording(led_by_colour if lead else stamped_alike) as recording:
         texture = learned(recording)
         for k in (5, 36, 50):

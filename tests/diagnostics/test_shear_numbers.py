@@ -51,12 +51,12 @@ def test_torque_is_about_the_normal_into_the_sensor():
     assert ShearNumbers.of(twisted).torque_nm == pytest.approx((-0.01, 1.96e-4))
 
 
-def test_no_direction_is_told_where_it_may_be_any():
+def test_no_direction_is_shown_if_its_interval_is_too_wide():
     found = ShearNumbers.of(traction(across=(0.06, 0.08, 0.0)))
     assert np.isnan(found.direction_deg).all() and found.tangential_n[0] == pytest.approx(0.1)
 
 
-def test_by_depth_alone_nothing_tangential_is_told():
+def test_from_depth_alone_no_tangential_force_is_shown():
     found = ShearNumbers.of(traction("depth_alone"))
     assert found.normal_n[0] == pytest.approx(3.0)
     for measure in (found.tangential_n, found.direction_deg, found.torque_nm):

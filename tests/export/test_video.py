@@ -45,7 +45,7 @@ def test_frames_come_back(size, tmp_path):
         assert red[8 * k + 4] == pytest.approx(220, abs=20)
 
 
-def test_nothing_is_left_without_an_end(tmp_path):
+def test_an_unfinished_video_leaves_no_file(tmp_path):
     with pytest.raises(KeyboardInterrupt), open_mp4(tmp_path / "a.mp4", 30.0) as writer:
         for picture in pictures(3, 64, 64):
             writer.add(picture)

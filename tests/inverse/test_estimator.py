@@ -209,7 +209,7 @@ def test_what_no_membrane_explains_is_not_called_ok(sphere, spoil, solver):
 
 @LINEAR_OR_PAPER
 @pytest.mark.parametrize("absolute_pa", [0.0, 104.0, -1e5, 2.1e5, np.inf])
-def test_a_gas_pressure_no_membrane_can_cause_is_not_believed(sphere, absolute_pa, solver):
+def test_an_impossible_gas_pressure_is_refused(sphere, absolute_pa, solver):
     """104 is kilopascals taken for pascals."""
     estimate = first(estimator(solver=solver), sphere.depth(0.0), absolute_pa)
     assert estimate.status == "implausible"

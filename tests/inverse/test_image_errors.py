@@ -77,7 +77,7 @@ def test_a_contact_that_hides_most_of_the_image_is_solved_alike_alone_and_after_
     )
 
 
-def test_a_hole_in_the_middle_of_a_contact_is_told_as_a_share_not_seen(solver):
+def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
     mesh, contact = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, contact.displacement_3d_m, NOISE_M)
     rest = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M)

@@ -74,7 +74,7 @@ def test_a_gas_pressure_off_by_more_than_its_errors_contradicts_the_shape(sign):
     assert not contradicted(900.0, 100.0, replace(gas, zero_sigma_pa=200.0))
 
 
-def test_a_gas_pressure_is_believed_from_no_gauge_pressure_to_the_cap_pressed_flat():
+def test_gas_pressures_from_deflated_to_pressed_flat_are_plausible():
     mesh, pneumatics = estimator().mesh, SENSOR.pneumatics
     gas = Gas.of(pneumatics, mesh)
     lowest = -pneumatics.gauge_pressure_pa

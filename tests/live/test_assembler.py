@@ -176,7 +176,7 @@ def test_a_topic_called_depth_wins_and_infrared_is_left_alone():
     assert [round(1e3 * float(f.depth_m[0, 0])) - 100 for f in found] == [50, 0, 1, 2]
 
 
-def test_another_sensors_topics_and_our_own_results_are_left_alone():
+def test_topics_of_other_sensors_and_own_results_are_ignored():
     assembler = FrameAssembler(TopicNames(prefix="/left"))
     found = frames_of(
         assembler, depth(NOW, 1, topic="/right/depth"), depth(NOW, 2, topic="/left/depth")
@@ -260,7 +260,7 @@ def test_whatever_stamps_come_times_of_frames_never_fall_between_jumps(stamps):
 
 
 @pytest.mark.parametrize(("equal", "told"), [(29, False), (30, True)])
-def test_a_camera_that_sends_its_last_image_on_and_on_is_told(equal, told):
+def test_a_camera_that_repeats_its_last_image_gives_a_warning(equal, told):
     """Its stamps are new each time; a covered camera, which sees nothing, is another matter."""
     assembler = FrameAssembler()
     for k in range(equal + 40):

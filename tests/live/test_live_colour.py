@@ -173,7 +173,7 @@ def test_what_is_recorded_has_colour(tmp_path, small_sensor, before):
         assert [level(recording[k]) for k in range(5)] == list(range(5))
 
 
-def test_a_robot_sends_colour_only_to_who_asks(small_sensor):
+def test_a_robot_sends_colour_only_to_subscribers(small_sensor):
     """Announced, but not subscribed to before; found also when it is asked for later."""
     port, topics = free_port(), {"depth/image": 0, "color/image_raw": 1}
     kind = f"sensor_msgs::msg::dds_::Image_/{HASH}"
@@ -243,7 +243,7 @@ def test_why_a_frame_has_no_colour_is_said(tmp_path, small_sensor):
 @pytest.mark.parametrize(
     ("asked", "let_go", "comes"), [(0, 0, False), (1, 0, True), (2, 1, True), (2, 2, False)]
 )
-def test_a_replay_plays_colour_until_the_last_who_asked_lets_go(
+def test_a_replay_sends_colour_until_the_last_subscriber_leaves(
     asked, let_go, comes, tmp_path, small_sensor
 ):
     path = recorded(tmp_path / "rec.mcap", [m for k in range(3) for m in both(k)])
@@ -323,7 +323,7 @@ def test_a_recording_and_its_replay_have_the_pose(tmp_path, small_sensor):
 
 
 @pytest.mark.parametrize("ours", [False, True])
-def test_a_robot_that_told_the_pose_long_ago_tells_it_again(ours, small_sensor):
+def test_a_static_pose_sent_before_connecting_is_received(ours, small_sensor):
     """As rmw_zenoh does for transient-local topics; our own publisher does the same."""
     port, pose = free_port(), static_pose("", "lens", (0.01, 0.02, 0.03))
     place, held = f"tcp/127.0.0.1:{port}", ExitStack()

@@ -200,7 +200,7 @@ def untouched_recording(path, sensor_file, frames, off_pa):
     return path
 
 
-def test_nothing_to_trust_is_no_number_of_newtons(tmp_path, small_sensor_file):
+def test_an_untrusted_estimate_shows_no_force(tmp_path, small_sensor_file):
     path, camera = tmp_path / "rec.mcap", load_sensor(small_sensor_file).camera
     with RecordingWriter(path) as writer:
         for k in range(5):
@@ -301,7 +301,7 @@ def test_colour_images_are_published_with_the_pose_of_their_camera(tmp_path, sma
 
 
 @pytest.mark.long
-def test_an_encrypted_endpoint_lets_in_who_has_the_certificate_and_the_password(
+def test_an_encrypted_endpoint_accepts_certificate_and_password(
     tmp_path, certificates, eventually, monkeypatch
 ):
     path, out, port = tmp_path / "rec.mcap", tmp_path / "got.mcap", free_port()

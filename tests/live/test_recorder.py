@@ -176,7 +176,7 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path, name
 
 
 @pytest.mark.parametrize("pause_s", [0.002, 0.0])
-def test_a_disk_that_is_full_ends_the_recording_with_what_is_there(tmp_path, pause_s):
+def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, pause_s):
     """In a process whose files may not grow beyond 2.5 MB, at a pace or all at once."""
     path = tmp_path / "rec.mcap"
     code = f"""

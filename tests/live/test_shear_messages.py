@@ -67,7 +67,7 @@ def test_a_wrench_and_slip_arrive_over_zenoh(eyes, dragged, eventually):
     assert got["slip_share_sigma"].data >= 0.0
 
 
-def test_nothing_goes_out_of_what_is_not_known(eyes, dragged):
+def test_unknown_results_are_not_published(eyes, dragged):
     assert topics(eyes, replace(dragged, slip=None)) & SHEAR_TOPICS == {
         "traction_wrench",
         "traction_wrench_sigma",

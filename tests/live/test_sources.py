@@ -64,7 +64,7 @@ def test_the_simulation_streams_stamped_with_the_present(small_sensor):
     assert stream.counters.bad_stamps == 0
 
 
-def test_every_round_shows_the_same_stamped_anew(small_sensor, eventually):
+def test_every_round_repeats_the_frames_with_new_stamps(small_sensor, eventually):
     seen: list[Message] = []
     stream = open_stream("synthetic:?rate=100&frames=3&encoding=16UC1", small_sensor)
     stream.listen(seen.append)
@@ -109,7 +109,7 @@ def test_newest_wins_and_what_is_passed_by_is_counted(small_sensor, eventually):
     assert images == list(range(len(images)))  # who listens misses none
 
 
-def test_a_listener_that_waits_blocks_nobody_who_looks(small_sensor):
+def test_a_waiting_listener_does_not_block_readers(small_sensor):
     """A recorder waiting for its disk must not freeze the window, which asks how it is going."""
     waiting, go_on = threading.Event(), threading.Event()
 

@@ -73,7 +73,7 @@ def test_a_topic_named_needs_no_announcement(small_sensor):
         assert frame.depth_m.shape == (HEIGHT, WIDTH)
 
 
-def test_hostile_announcements_and_types_end_nothing(small_sensor, tmp_path):
+def test_hostile_announcements_and_types_do_not_stop_the_source(small_sensor, tmp_path):
     """Names that Zenoh refuses or takes for patterns, and a type that no file can describe."""
     port, recorder = free_port(), Recorder()
     image_type, topic = "sensor_msgs::msg::dds_::Image_", KEYS["rmw"]["/cam/depth"]
@@ -255,7 +255,7 @@ def test_two_sensors_share_nothing(small_sensor):
         assert depths[0] < 20.0 < depths[1]
 
 
-def test_nobody_else_can_reach_us(small_sensor, eventually):
+def test_only_this_computer_can_connect(small_sensor, eventually):
     """Who connects listens nowhere, who listens does so where it is told to."""
     port, other = free_port(), free_port()
     with robot(port), stream_of(port, small_sensor) as stream:
@@ -346,12 +346,12 @@ def test_who_refuses_a_session_is_told_from_who_is_not_there(
             assert told(f"tcp/localhost:{port}").endswith("if it requires encryption, use tls/")
 
 
-def test_a_host_that_is_not_known_is_told(told):
+def test_an_unknown_host_is_reported(told):
     """RFC 6761 keeps .invalid from ever being a name."""
     assert told("tcp/robot.invalid:7447").startswith("the host robot.invalid is not known")
 
 
-def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(certificates, told):
+def test_a_missing_or_wrong_certificate_is_reported(certificates, told):
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
     ca, cert, key, other, other_key = (str(certificates / name) for name in files)
     at = f"tls/localhost:{free_port()}"
@@ -363,7 +363,7 @@ def test_a_certificate_that_is_missing_or_of_the_wrong_kind_is_told(certificates
         assert "is the authority's own" in told(at, ca=other)
 
 
-def test_a_refusal_of_who_comes_back_is_told(small_sensor, certificates, eventually, monkeypatch):
+def test_a_refused_reconnection_is_reported(small_sensor, certificates, eventually, monkeypatch):
     """The robot is up again with another certificate; then nothing listens there."""
     monkeypatch.setattr("bubbleviz.live.zenoh_source.WHY_EVERY_S", 0.2)
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
@@ -382,7 +382,7 @@ def test_a_refusal_of_who_comes_back_is_told(small_sensor, certificates, eventua
             eventually(lambda: stream.source.problem == "")
 
 
-def test_a_camera_of_another_size_that_comes_back_is_told(small_sensor, eventually):
+def test_a_reconnected_camera_of_another_size_is_reported(small_sensor, eventually):
     port = free_port()
     with open_session(str(port)) as camera, stream_of(port, small_sensor, "?depth=/q") as stream:
         first_frame(stream, lambda: camera.put("q", image(time.time_ns())))

@@ -21,7 +21,7 @@ def test_a_linear_field_has_its_level_all_along_one_line(share):
     assert sorted(count)[:3] == [1, 1, 2] and count.max() == 2
 
 
-def test_a_circle_is_as_long_as_it_is():
+def test_the_level_line_of_a_radial_field_is_a_circle():
     radius = np.linalg.norm(MESH.nodes[:, :2], axis=1)
     pieces = level_line(MESH.nodes, MESH.corners, radius, 0.5 * RADIUS_M)
     length = np.linalg.norm(pieces[:, 1, :2] - pieces[:, 0, :2], axis=1).sum()

@@ -129,7 +129,7 @@ def test_objects_that_cannot_be_are_refused(pipeline):
         pipeline.follow(RigidObject("flat", 0.0 * obj.vertices + obj.vertices[0], obj.triangles))
 
 
-def test_nobody_asks_nothing_runs(pipeline, source):
+def test_without_requests_nothing_runs(pipeline, source):
     pipeline.follow(source.obj, source.poses[0])
     result = pipeline.process(source[0], frozenset({"patch"}))
     assert result.pose is None

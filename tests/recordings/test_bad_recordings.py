@@ -137,7 +137,7 @@ def test_a_frame_of_another_size(tmp_path):
 
 
 @pytest.mark.parametrize("logged", [0, 2**62])
-def test_a_log_time_that_is_garbage_moves_nothing(tmp_path, logged):
+def test_an_implausible_log_time_changes_no_frame_time(tmp_path, logged):
     bag = BagMaker("mcap file")
     for k in range(6):
         stamp = START + k * PERIOD
@@ -341,7 +341,7 @@ def test_unreadable_file(tmp_path):
     refusal(path)
 
 
-def test_a_folder_whose_file_is_gone(tmp_path):
+def test_a_recording_folder_with_a_missing_file(tmp_path):
     path = fill(BagMaker("mcap folder")).write(tmp_path)
     next(path.glob("*.mcap")).unlink()
     refusal(path)

@@ -38,5 +38,5 @@ def test_noise_is_of_the_camera_and_new_every_round(rounds):
         assert abs(np.corrcoef((a - a.mean()).ravel(), (b - b.mean()).ravel())[0, 1]) < 0.1
 
 
-def test_a_frame_that_is_looked_at_again_stays_as_it_is(rounds):
+def test_a_frame_shown_again_has_the_same_result(rounds):
     np.testing.assert_array_equal(rounds[1].depth_m, rounds[1].depth_m)

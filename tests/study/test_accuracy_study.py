@@ -108,7 +108,7 @@ def test_structure(study):
     assert {row.held_out for row in study.rows if row.object_name == "hex_nut"} == {True}
 
 
-def test_a_solver_that_breaks_is_left_out_by_name(sensor, tmp_path):
+def test_a_failing_solver_is_left_out_and_named(sensor, tmp_path):
     grid = replace(GRID, objects=("sphere",), noises=(NONE,), setups=(Setup("magic"),))
     found = accuracy_study(sensor, grid).run(tmp_path)
     assert json.loads((tmp_path / "accuracy.json").read_text())["rows"] == []
@@ -126,7 +126,7 @@ def test_a_stopped_study_goes_on(sensor, tmp_path):
         accuracy_study(sensor, replace(grid, seed=8), tmp_path).run()
 
 
-def test_a_truth_that_takes_too_long_is_left_out_by_name(sensor):
+def test_a_simulation_that_takes_too_long_is_left_out_and_named(sensor):
     grid = replace(GRID, objects=("sphere",), noises=(NONE,), limit_s=0.0)
     found = accuracy_study(sensor, grid).run()
     assert found.rows == []

@@ -81,7 +81,7 @@ def test_force_has_its_interval_everywhere_and_the_measured_one_beside_it(drive)
     assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
 
 
-def test_what_is_not_to_be_trusted_has_dashes_a_reason_and_a_colour(drive):
+def test_untrusted_numbers_have_dashes_a_reason_and_a_colour(drive):
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
     window, result = driver.window, driver.result
     assert result.estimate.status == "implausible"

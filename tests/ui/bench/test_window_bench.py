@@ -41,7 +41,7 @@ def monkey(seconds, seed, before=""):
     return actions, problems
 
 
-def test_a_monkey_breaks_nothing():
+def test_random_clicks_and_keys_raise_no_exception():
     """A short run; the long one is `python -m benchmarks.window monkey`."""
     actions, problems = monkey(FULL_S if "TEST_ALL" in os.environ else SHORT_S, seed=7)
     assert not problems, problems[0]

@@ -86,7 +86,7 @@ def test_progress_is_told_and_ends_a_function_that_is_cancelled(wait, jobs):
     assert ended == ["new"]
 
 
-def test_an_answer_that_comes_too_late_is_let_go(jobs):
+def test_a_late_answer_is_dropped(jobs):
     began, go = Event(), Event()
     ended, unwanted = [], list[str]()
 
@@ -330,7 +330,7 @@ def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot, wait):
     giving.close()
 
 
-def test_of_kept_estimates_the_oldest_is_let_go_first_and_a_finer_mesh_counts():
+def test_the_oldest_kept_estimate_is_dropped_first_and_finer_meshes_count():
     nothing = np.zeros(1000)
     estimate = Estimate("no_contact", nothing, nothing.copy(), 0.0, 0.0, 0.0)
     size = 2 * nothing.nbytes

@@ -151,7 +151,7 @@ def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
     assert client.inspection.kappa_curve is not None and client.settled
 
 
-def test_a_look_at_a_frame_that_did_not_come_is_asked_for_again(client, state):
+def test_a_diagnostic_that_did_not_arrive_is_requested_again(client, state):
     """Looks are left out of most frames while playing, but not because of one that never came."""
     state.open(client.facts, 3, playing=True, history=client.history)
     client.ask_newest(LOOKING)

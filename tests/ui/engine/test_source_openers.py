@@ -94,7 +94,7 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     driver.told("cut.mcap ends early")
 
 
-def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another_s(
+def test_a_truth_file_named_after_the_recording_is_found_or_reported_as_another_s(
     drive, sensor, files, tmp_path
 ):
     shutil.copy(files / "sim.mcap", tmp_path)
@@ -108,7 +108,7 @@ def test_a_truth_named_after_the_recording_is_found_and_told_where_it_is_another
     driver.wait(lambda: not says_iou(driver))
 
 
-def test_a_truth_of_something_else_is_a_message_and_what_is_open_stays(
+def test_a_truth_file_of_another_recording_is_refused_and_the_source_stays_open(
     drive, sensor, files, tmp_path, monkeypatch
 ):
     menu, name = "File › Open ground truth", str(files / "what_is_true.npz")

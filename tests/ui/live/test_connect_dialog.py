@@ -49,7 +49,7 @@ def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench):
     assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
 
 
-def test_a_refused_certificate_is_told_in_the_dialog_and_in_the_bar(open_bench, certificates):
+def test_a_refused_certificate_is_reported_in_dialog_and_bar(open_bench, certificates):
     bench = open_bench()
     ca, other, cert, key = (
         str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")

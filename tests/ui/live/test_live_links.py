@@ -50,7 +50,7 @@ def test_what_cannot_be_connected_or_ends_is_a_sentence_and_the_rest_goes_on(ope
     live.wait(lambda: live.shown == 0)
 
 
-def test_a_robot_that_is_killed_is_seen_and_comes_back(open_bench):
+def test_a_killed_robot_is_noticed_and_reconnects(open_bench):
     """Once or three times; `python -m benchmarks.window restarts` does it twenty times."""
     bench = open_bench()
     port, name = free_port(), sensor_file(bench.folder)

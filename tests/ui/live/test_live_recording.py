@@ -75,7 +75,7 @@ def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_who
     assert len(contents(path)[IMAGE]) > 1
 
 
-def test_a_full_disk_is_said_and_results_go_out_only_when_asked_for(open_bench):
+def test_a_full_disk_is_reported_and_results_are_published_only_on_request(open_bench):
     live = connected(open_bench)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     former = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -146,7 +146,7 @@ def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
     assert driver.window.sensor.file.text() == "preset"
 
 
-def test_a_file_that_changes_meanwhile_is_told_and_read_anew(bench, left):
+def test_a_changed_sensor_file_is_reported_and_read_again(bench, left):
     message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
     new = left.with_suffix(".new")

@@ -156,7 +156,7 @@ def test_a_session_file_connects_to_other_computers_only_where_the_user_agrees(
 
 
 @pytest.mark.parametrize("up", [[0, 0, 0], [0, 0, 1], [1e308, 0, 0]])
-def test_a_point_of_view_that_is_none_is_refused(tmp_path, up):
+def test_an_invalid_viewpoint_is_refused(tmp_path, up):
     camera = {"position": [0, 0, 1], "focal_point": [0, 0, 0], "up": up, "view_angle": 30}
     (tmp_path / "a.json").write_text(json.dumps({"camera": camera}))
     with pytest.raises(InputError, match=r"a\.json: not a bubbleviz session"):

@@ -53,7 +53,7 @@ def test_traction_is_asked_for_by_what_shows_it():
         assert Demand.of(choices).covers(other) is same
 
 
-def test_hidden_nothing_of_it_runs_and_its_scene_opens_it(drive, rubber):
+def test_a_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
     driver, source = opened(drive, rubber)
     driver.seek(3)
     counts = driver.pipeline.counts
