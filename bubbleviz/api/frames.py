@@ -150,7 +150,7 @@ def open(
 
 
 def parse_frames(text: str | None, count: int, name: str, option: str = "--frames") -> range:
-    """Frames of `A:B` or `A:B:STEP` with B left out, of so many; all when None.
+    """Range of frames `A:B` or `A:B:STEP`, B excluded, out of `count`; all if None.
 
     A, B or both may be empty: the first, and the last, frame. Errors name recording and option.
     """

@@ -110,7 +110,7 @@ def _libraries() -> dict[str, str]:
 
 
 def _answer(program: str, extra: str) -> str:
-    """The last line that a short Python program says, in a process of its own."""
+    """Last line printed by a short Python program in a separate process."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", program],

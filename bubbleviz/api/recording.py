@@ -149,7 +149,7 @@ def _wait(
 def _looks(
     stop: threading.Event, duration_s: float | None, began: Callable[[], bool]
 ) -> Iterator[float | None]:
-    """Yield at every look when messages began (`time.monotonic`), or None before they did.
+    """Yield at every poll when messages began (`time.monotonic`), or None before.
 
     Ends by `stop`, or `duration_s` after they began.
     """

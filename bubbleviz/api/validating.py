@@ -28,7 +28,7 @@ _PICTURES = (".png", ".svg", ".pdf")
 
 @dataclass(frozen=True)
 class ValidationSummary(Summary):
-    """How the estimated force follows a measured one; nothing of it is applied.
+    """Comparison of the estimated with a measured force; the sensor is not changed.
 
     Attributes
     ----------

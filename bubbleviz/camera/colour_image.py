@@ -112,7 +112,7 @@ class ColourCamera:
 
 @dataclass(frozen=True)
 class ColourImage:
-    """A colour image of one moment; nothing of it is read before it is asked for."""
+    """A colour image, read and decoded on demand."""
 
     # reads what the message has; InputError when it cannot be read
     read: Callable[[], EncodedImage]

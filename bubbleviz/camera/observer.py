@@ -346,7 +346,7 @@ class RangeObserver:
         return max(1.0, scatter / self._gaussian_scatter)
 
     def observe_everything(self) -> Observation:
-        """The untouched membrane seen without noise by every pixel in use."""
+        """The noise-free observation of the untouched membrane by every pixel in use."""
         return Observation(np.zeros_like(self._total), self._weight(self._total), 1.0)
 
     def _weight(self, precision: np.ndarray) -> np.ndarray:

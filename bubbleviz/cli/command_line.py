@@ -120,7 +120,7 @@ class AllCommands(OneLineErrors):
         return sorted({*self.commands, *entry_points(group=WINDOW_GROUP).names})
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        """Load a command; None where there is none of that name.
+        """Load a command; None if it does not exist.
 
         Raises InputError: it is a command of the window, which is not installed, or one that is
         elsewhere now.

@@ -40,7 +40,7 @@ def _moved(name: str) -> NoReturn:
 
 
 def _elsewhere(option: str) -> Callable[..., Any]:
-    """A hidden option that is elsewhere now."""
+    """A hidden option for a study that was moved to `benchmarks`."""
 
     def say(_context: click.Context, _option: click.Parameter, given: bool) -> None:
         if given:

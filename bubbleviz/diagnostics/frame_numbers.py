@@ -42,7 +42,7 @@ class ShearNumbers:
 
     @classmethod
     def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
-        """Numbers of a frame; by depth alone nothing is known of what is tangential."""
+        """Numbers of a frame; depth alone gives no tangential ones."""
         along = traction.normal_force_n.sum(axis=0)
         size, force = float(np.linalg.norm(along)), traction.force_n
         if traction.status == "no_contact":
@@ -78,7 +78,7 @@ class ShearEllipse:
 
     @classmethod
     def of(cls, traction: Traction) -> ShearEllipse | None:
-        """That of a frame; None where nothing is known of friction."""
+        """Ellipse of a frame; None if friction is unknown."""
         along = traction.normal_force_n.sum(axis=0)
         if traction.status != "ok" or not along.any():
             return None

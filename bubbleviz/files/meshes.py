@@ -201,7 +201,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Binary or ASCII STL: three vertices of its own a triangle."""
+    """Binary or ASCII STL: three separate vertices per triangle."""
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little")
     if len(data) == _STL_HEAD + count * _STL_FACET.itemsize:
@@ -219,7 +219,7 @@ def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of an OBJ, polygons as fans; whatever else it has is left."""
+    """Vertices and faces of an OBJ, polygons as fans; other content is ignored."""
     vertices, triangles = list[list[float]](), list[tuple[int, int, int]]()
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         words = line.split()

@@ -257,7 +257,7 @@ def write_csv(path: Path, rows: Sequence[Any]) -> None:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """CSV of rows by column, in UTF-8 with a header line; `nan` for NaN, nothing for None.
+    """CSV of rows by column, in UTF-8 with a header line; `nan` for NaN, empty for None.
 
     Give the temporary path of `whole_file`.
     """

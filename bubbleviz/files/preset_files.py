@@ -21,7 +21,7 @@ def preset_names(kind: str) -> list[str]:
 
 
 def _shipped(name: str) -> Path:
-    """A folder of the package where it is installed, else of the checkout."""
+    """Folder in the installed package, else in the checkout."""
     installed = _HERE / name
     return installed if installed.is_dir() else _HERE.parent / name
 

@@ -52,7 +52,7 @@ class LiveSource:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; nothing is delivered after it returned."""
+        """Stop; nothing is delivered after it returns."""
         self._stopped.set()
         if self._thread not in (None, threading.current_thread()):
             self._thread.join(self.closing_s)

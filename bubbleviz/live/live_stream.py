@@ -42,7 +42,7 @@ class Status:
 
     @property
     def silence(self) -> str:
-        """For how long nothing has come, in a few words; empty where images come."""
+        """Text: how long no image has arrived; empty while images arrive."""
         if self.state == "connecting":
             return self.problem or "waiting for the first depth image"
         if self.state == "live" or self.silent_s is None:

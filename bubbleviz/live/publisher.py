@@ -125,7 +125,7 @@ NUMBER = "std_msgs/msg/Float64"
 
 
 def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]]:
-    """Name, type and message of what is known of friction in a result; of depth alone, nothing.
+    """Name, type and message of the friction results; none for depth alone.
 
     The torque is about B's origin, as transform libraries take it to be; the contact's centre goes
     out beside it. The standard deviation of a wrench is a message like the wrench itself.

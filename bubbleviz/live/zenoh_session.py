@@ -21,7 +21,7 @@ from bubbleviz.live.live_source import SourceUri
 
 @dataclass(frozen=True)
 class Credentials:
-    """Files by which two sides know each other; each may be left out."""
+    """Files for encryption and login; each is optional."""
 
     ca: str | None = None  # certificate of the authority that the other side's must be of
     # cert, key: own certificate and its private key: of who listens at `tls/…`, and of who connects
@@ -97,7 +97,7 @@ def _absence(error: OSError, host: str, port: int) -> str:
 
 
 def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
-    """What is wrong with the certificates of either side; empty where nothing is."""
+    """Problem with the certificates of either side; empty for none."""
     context = ssl.create_default_context()
     context.verify_flags &= ~ssl.VERIFY_X509_STRICT  # on from Python 3.13; Zenoh is not strict
     try:
@@ -161,7 +161,7 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor"
 
 
 class NotConnectedError(InputError):
-    """Nobody answers at the endpoint, or who does accepts no session."""
+    """The endpoint does not answer, or refuses the session."""
 
     def __init__(self, options: SessionOptions, why: str) -> None:
         super().__init__(f"{options.text}: no Zenoh session: {why}")

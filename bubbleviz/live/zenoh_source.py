@@ -100,7 +100,7 @@ class ZenohSource(LiveSource):
         super().stop()
 
     def follow_colour(self, on: bool = True) -> None:
-        """Subscribe to topics of colour images, too, at the next look, or no more."""
+        """Subscribe to colour topics, or unsubscribe, at the next poll."""
         self._names = replace(self._names, with_colour=on)
 
     def _named(self) -> list[tuple[str, str]]:

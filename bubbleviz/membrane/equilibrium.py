@@ -173,7 +173,7 @@ class Equilibrium:
         return self._factoriser.factor(self.membrane.tangent(x, self.gas_at(x)[0]).data)
 
     def _residual(self, x: np.ndarray, pressure: float) -> np.ndarray:
-        """Force that something else must exert, (n, 3), N."""
+        """External force needed for equilibrium, (n, 3), N."""
         left = self.membrane.residual(x, pressure)
         if self._rest_force is not self.membrane.rest_force:
             left += self.membrane.rest_force - self._rest_force

@@ -247,7 +247,7 @@ def _ring_sizes(lengths: np.ndarray, nodes: int) -> np.ndarray:
 
 
 def _counter_clockwise(plane: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Triangles of a plane triangulation turned counter-clockwise, slivers of no area left out."""
+    """Triangles of a plane triangulation, counter-clockwise, without degenerate ones."""
     a, b, c = (plane[triangles[:, k]] for k in range(3))
     e, f = b - a, c - a
     area = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]

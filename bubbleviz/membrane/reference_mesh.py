@@ -35,7 +35,7 @@ def build_mesh(
 
 @lru_cache(maxsize=8)
 def _meshed(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
-    """The same mesh for every recording of a sensor; nothing changes a mesh."""
+    """Mesh of a sensor, cached, as meshes are never modified."""
     return mesh_cap(cap, nodes)
 
 
@@ -57,7 +57,7 @@ def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
 
 
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
-    """Tension γ0 in N/m: the sensor file's, else what holds the gauge pressure (Eq. 2).
+    """Tension γ0 in N/m: the sensor file's, else that balancing the gauge pressure (Eq. 2).
 
     Raises InputError: the surface is flat or hollow, so that no tension holds it.
     """

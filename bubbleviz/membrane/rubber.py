@@ -202,7 +202,7 @@ class RubberMembrane:
         # the gas less that of a contact
         pressure_pa: float | np.ndarray,
     ) -> np.ndarray:
-        """∂W/∂x − p ∂V/∂x − f_rest, (n, 3), N: the force that something else must exert."""
+        """∂W/∂x − p ∂V/∂x − f_rest, (n, 3), N: the external force needed for equilibrium."""
         facets = self._facets(x)
         parts = self._by_area(facets)
         parts -= np.broadcast_to(pressure_pa, len(x))[self._corners] * facets.volume_gradient()

@@ -111,7 +111,7 @@ def open_mp4(
     path: str | Path,  # must not exist
     fps: float,  # pictures a second
 ) -> Iterator[Mp4Writer]:
-    """Writer of a video that is there when the block ends without an error, and else is not.
+    """Writer of a video that is kept only if the block ends without an error.
 
     Raises InputError: `path` exists, does not end in .mp4 or cannot be written, or no picture came.
     """

@@ -390,7 +390,7 @@ class Registration:
 def _parted(
     contact: ContactPoints, looked: ObjectDistance
 ) -> tuple[ObjectDistance, ObjectDistance]:
-    """What was looked at of the contact points, and of the free ones."""
+    """Contact points and free points that were compared."""
     count = len(contact.points)
     return looked.of(slice(count)), looked.of(slice(count, None))
 

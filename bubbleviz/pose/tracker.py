@@ -81,7 +81,7 @@ class PoseTracker:
         return self._accepted(frame, contact, solution)
 
     def _predicted(self, frame: Frame, contact: ContactPoints) -> Motion | None:
-        """Where the object should be now; None where nothing is known."""
+        """Predicted pose of the object; None if unknown."""
         if self._motion is None:
             if self._start is None:
                 return None
@@ -117,7 +117,7 @@ class PoseTracker:
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
-        """Coarse starts that were not tried yet: more at first, when nothing is known."""
+        """Coarse initial poses not tried yet: more at first, without any pose."""
         if not len(self._waiting):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._good is None and self._tried == 0
@@ -135,7 +135,7 @@ class PoseTracker:
         return solution.as_pose(contact)
 
     def _without(self, frame: Frame, why: PoseStatus) -> Pose:
-        """A frame without a pose of its own; the last good one is kept."""
+        """Result of a frame without a new pose; the last good one is kept."""
         if self._good is None:
             return Pose(why, np.full((4, 4), np.nan))
         self._tried = max(self._tried, 1)

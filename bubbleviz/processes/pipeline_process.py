@@ -22,7 +22,7 @@ PATIENCE_S = 5.0  # a frame takes longer than this only in a process that hangs;
 
 
 class PipelineProcess:
-    """Solves frames of a live source in another process, which this one's threads do not slow down.
+    """Solves frames of a live source in another process, independent of this one's threads.
 
     The process is started with the first frame. Frames are solved here until it is built, whenever
     something is asked for that depth alone does not tell, and for good once it has died or hung.
@@ -46,7 +46,7 @@ class PipelineProcess:
 
     @property
     def pid(self) -> int | None:
-        """Number of the process once frames are solved there; else None."""
+        """Process id once frames are solved there; else None."""
         return self._worker.pid if self._built else None
 
     def process(

@@ -174,7 +174,7 @@ def _folder_reader() -> Any:
 
 
 class Messages:
-    """Messages of one topic, by position in log-time order; nothing is kept."""
+    """Messages of one topic by index in log-time order, without a cache."""
 
     def __init__(self, bag: Bag, topic: Topic, parts: list[tuple[Storage, np.ndarray]]) -> None:
         self.topic = topic
@@ -210,7 +210,7 @@ class Messages:
         return int(self.log_ns[k]) if stamp == UNREADABLE else stamp
 
     def first(self, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
-        """The first message that can be read and is as wanted; else message 0, or its error."""
+        """The first readable message that satisfies a condition; else message 0, or its error."""
         for k in range(min(len(self), MOST_BAD)):
             with suppress(InputError):
                 message = self.message(k)

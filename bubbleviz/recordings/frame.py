@@ -114,11 +114,11 @@ class FrameSource(Protocol):
         """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
 
     def close(self) -> None:
-        """Let go of files."""
+        """Close files."""
 
 
 def shown_name(source: FrameSource) -> str:
-    """What messages call a source: the path of a file, else its name."""
+    """Name of a source in messages: the path of a file, else its name."""
     return str(getattr(source, "path", None) or source.name)
 
 

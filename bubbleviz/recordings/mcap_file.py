@@ -121,7 +121,7 @@ class McapFile:
             (self._folder / "metadata.yaml").write_text(text, "utf-8")
 
     def discard(self) -> None:
-        """Remove the file: nothing was worth recording."""
+        """Remove the file, as nothing was recorded."""
         self._stream.close()
         self._file.unlink()
         if self._folder is not None:

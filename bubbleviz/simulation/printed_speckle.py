@@ -22,7 +22,7 @@ _NOISE_STREAM = 3  # of the seed; those of `DepthNoise` come before
 
 @dataclass(frozen=True)
 class Speckle:
-    """How the membrane is printed and seen."""
+    """Parameters of the printed speckle and of its images."""
 
     blot_m: float | None = None  # size of a blot, m; by default 8 pixels wide in the image
     noise: float = 2.0  # σ of the grey levels (0 … 255)

@@ -73,7 +73,7 @@ class KnownRecording:
         return Truth(**{name: self._truth[name][index] for name in known})
 
     def close(self) -> None:
-        """Let go of files."""
+        """Close files."""
         self._recording.close()
 
 

@@ -127,7 +127,7 @@ class Report:
         return to_json(self.to_dict())
 
     def to_text(self) -> str:
-        """Tables, targets, what was left out and what was written."""
+        """Tables, targets, skipped cases and written files."""
         parts = [each.to_text() for each in self.tables]
         lines = [
             (t.name, f"{t.value:.3g}", t.limit, "met" if t.met else "NOT met") for t in self.targets

@@ -135,7 +135,7 @@ def contact_runs(recording: Path | None, frames: int) -> list[Run]:
 
 
 def speed_study(sensor: Sensor, runs: list[Run]) -> Study:
-    """Every measurement in a process of its own; one that breaks says why."""
+    """Run every measurement in a separate process; a failing one gives its reason."""
     cases = [
         Case(
             f"{run.sweep} {run.setup.label}",
