@@ -62,10 +62,11 @@ def object_mesh(
     size = float(np.ptp(vertices, axis=0).max())
     if size > LARGEST_M:
         raise InputError(
-            f"{path}: the object is {size:.4g} m long; if the file is in millimetres, set its "
-            "unit to mm (--unit mm) or let its name end in _mm"
+            f"{path}: the object is {size:.4g} m long; if the file is in millimetres, choose "
+            "millimetres next to it in the window, give pose --unit mm, or end its name in _mm"
         )
     if size < SMALLEST_M:
-        advice = "its name ends in _mm but is it in metres?" if in_mm else "is it in kilometres?"
-        raise InputError(f"{path}: the object is only {size:.3g} m long; {advice} scale it")
+        metres = "if the file is in metres, set its unit to m, or rename it without _mm"
+        advice = metres if in_mm else "scale the mesh to metres"
+        raise InputError(f"{path}: the object is only {size:.3g} m long; {advice}")
     return vertices, triangles

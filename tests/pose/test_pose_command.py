@@ -97,7 +97,7 @@ def test_bad_input_is_one_line(folder, tmp_path):
     cases = [
         (command(folder, "there.csv"), "exists already"),
         (command(folder, "a.csv", obj=flat), "no area"),
-        (command(folder, "b.csv", obj=big), "is it in millimetres"),
+        (command(folder, "b.csv", obj=big), "if the file is in millimetres"),
         (command(folder, "c.csv", "--init", "1 2"), "give seven numbers"),
         (command(folder, "d.csv", "--frames", "0:1"), "nothing touches the membrane"),
         (command(folder, "e.csv", obj="teapot"), "no such object"),
