@@ -97,7 +97,7 @@ class LeRobotDataset(Exporter):
     def _write_tables(
         self, columns: dict[str, np.ndarray], stats: dict[str, dict[str, Any]], frames: int
     ) -> None:
-        import pyarrow
+        import pyarrow  # an optional extra, see `require_parquet`
         from pyarrow.parquet import write_table
 
         data = pyarrow.table({name: _stored(values) for name, values in columns.items()})
@@ -142,7 +142,7 @@ def _stats(values: np.ndarray) -> dict[str, Any]:
 
 def _stored(values: np.ndarray) -> Any:
     """A column of Parquet: numbers, or lists of one length."""
-    import pyarrow
+    import pyarrow  # an optional extra, see `require_parquet`
 
     if values.ndim == 1:
         return pyarrow.array(values)

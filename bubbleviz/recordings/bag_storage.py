@@ -317,7 +317,7 @@ class McapStorage:
 
     def _take_summary(self, file: BinaryIO, counts: dict[int, int]) -> bool:
         """Take chunks, topics and counts from the end of a file; whether they are all there."""
-        from mcap.reader import SeekingReader
+        from mcap.reader import SeekingReader  # loaded with the first MCAP file
 
         file.seek(0)  # where the library looks for what an MCAP file begins with
         summary = SeekingReader(file, record_size_limit=MAX_SIZE).get_summary()

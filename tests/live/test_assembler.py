@@ -116,8 +116,8 @@ def test_duplicates_and_old_frames_are_counted_and_left_out():
     ("stamp", "said"),
     [
         (0, "no time stamp"),
-        (NOW - 1169 * 86400 * SECOND, "1169 days behind this clock"),
-        (NOW + 800 * 86400 * SECOND, "800 days ahead of this clock"),
+        (NOW - 1169 * 86400 * SECOND, "1169 days behind this computer's clock"),
+        (NOW + 800 * 86400 * SECOND, "800 days ahead of this computer's clock"),
     ],
 )
 def test_a_garbage_stamp_is_counted_and_the_frame_is_timed_by_its_arrival(stamp, said):

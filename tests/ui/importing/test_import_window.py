@@ -131,7 +131,7 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, imag
     bench.choose_times(RATE)
     assert not bench.dialog.problem.text() and not bench.dialog.problem.isVisible()
     bench.choose_file(bench.dialog.images.wrench, images / "intrinsics.json")
-    assert "intrinsics.json: wants rows of 7 finite numbers" in bench.run()
+    assert "intrinsics.json: expected rows of 7 finite numbers" in bench.run()
     assert not bench.dialog.open_made.isVisible()
     assert sorted(images.parent.rglob("*")) == before
     bench.dialog.images.wrench.line.clear()

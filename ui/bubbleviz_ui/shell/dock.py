@@ -260,7 +260,7 @@ class BarLayout(QLayout):
             return [[(text, rest), *((item, item.sizeHint().width()) for item in controls)]]
         rows, left = list[list[QLayoutItem]](), 0
         for item in controls:
-            if left < item.minimumSize().width():
+            if not rows or left < item.minimumSize().width():
                 rows.append([])
                 left = room
             rows[-1].append(item)
