@@ -27,8 +27,7 @@ from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.importing.import_dialog import RATE, ImportDialog
 from bubbleviz_ui.model.choices import Choices, ImageName, Setting
-from bubbleviz_ui.model.registry import PLOTS
-from bubbleviz_ui.model.registry import PANELS
+from bubbleviz_ui.model.registry import PANELS, PLOTS
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.panels.status_bar import CostsPopup
 from bubbleviz_ui.shell.command_palette import CommandPalette
