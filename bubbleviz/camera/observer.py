@@ -44,7 +44,7 @@ class BlockSquares:
         # (B,) int, number of the square of each
         self.of_block = (row // self._side) * columns + column // self._side
 
-    def noise_left(
+    def noise_factor(
         self,
         block: np.ndarray,  # (k,) int, positions in `blocks`
         z: np.ndarray,  # (k,), errors in standard deviations; 0 where nothing was measured
@@ -356,8 +356,8 @@ class RangeObserver:
     def _known_at_rest(self, hits: Hits) -> Hits:
         return hits.of(np.isfinite(self._rest_range[hits.ray]))
 
-    def left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
-        """Residual that errors (k,) of some blocks leave."""
+    def misfit(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
+        """Statistics of the residuals (k,) of some blocks."""
         weight = observation.weight[block] / observation.trusted
         total = float(weight.sum())
         if total == 0.0:
@@ -371,13 +371,15 @@ class RangeObserver:
             clumping=float(sums @ sums) / max(square, 1e-300),
         )
 
-    def noise_left(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> float:
-        """Size of errors (k,) of some blocks over the noise, see `BlockSquares.noise_left`.
+    def noise_factor(
+        self, observation: Observation, block: np.ndarray, error_m: np.ndarray
+    ) -> float:
+        """Size of errors (k,) of some blocks over the noise, see `BlockSquares.noise_factor`.
 
         Below 1 it is what they surely stay within, and not less than the mesh's facets miss.
         """
         weight = observation.weight[block] / observation.trusted
-        found = self._squares.noise_left(block, error_m * np.sqrt(weight))
+        found = self._squares.noise_factor(block, error_m * np.sqrt(weight))
         if found >= 1.0:
             return found
         facets = self._facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))

@@ -6,8 +6,8 @@ from .contact_problem import (
     Ranges as Ranges,
     Selection as Selection,
     SupportProblem as SupportProblem,
-    evident as evident,
     friction_loads as friction_loads,
+    significant_contact as significant_contact,
 )
 from .contact_refiner import (
     ContactRefiner as ContactRefiner,
@@ -26,10 +26,10 @@ from .estimator import (
     EstimatorOptions as EstimatorOptions,
 )
 from .gauss_newton import (
-    FAR as FAR,
+    CONVERGED_MOTION as CONVERGED_MOTION,
+    LARGE_MOTION as LARGE_MOTION,
     MODEL_ERROR as MODEL_ERROR,
-    NEAR as NEAR,
-    SERVES as SERVES,
+    TANGENT_REUSE as TANGENT_REUSE,
     GaussNewton as GaussNewton,
     Start as Start,
 )

@@ -1,12 +1,12 @@
-"""The contact pressure that explains a range image, around a shape of the exact membrane.
+"""The contact pressure that explains a range image, linearised at a shape of the membrane.
 
     min  ½ ‖e − D (δ − S Δp) − R c‖²_W + ½ λ pᵀ L p + ½ cᵀ Σ⁻¹ c + τᵀ p   over p = p₀ + Δp ≥ 0
 
-with e the ranges that the shape leaves unexplained, D their derivative by the nodes and δ the
+with e the range residual of the shape, D the derivative of the ranges by the nodes and δ the
 motion to equilibrium under the present pressure p₀. The nuisance amplitudes c (errors of a measured
 gas pressure and of the whole image, friction of each contact) change the ranges by R c; they have a
-prior and are eliminated from the misfit. First with the L1 term to find where there is contact,
-then on the likeliest support there without it, which takes out its bias.
+prior and are eliminated from the misfit. The problem is solved with the L1 term first, to find
+where there is contact, then without it on the support of maximal evidence, which removes its bias.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from bubbleviz.membrane import (
     grown,
 )
 
-# Which nodes touch: the support that explains a frame best, whatever support it was started from.
+# Which nodes touch: the support of maximal evidence, independent of the initial one.
 #
 # The pressure p on a support S has the prior N(0, (λ L_SS)⁻¹), so that the evidence of S (MacKay
 # 1992) is, but for a constant,
@@ -45,10 +45,10 @@ from bubbleviz.membrane import (
 # one that gains most first, until none gains.
 
 
-_CUT = 0.5 * log(2.0)
-"""β: a boundary has some two ways to go on at every node, and two mesh edges cut beside it."""
-_GAIN = 1e-6
-"""Least gain of an exchange, so that rounding does not repeat one for ever."""
+_BOUNDARY_COST = 0.5 * log(2.0)
+"""β: a boundary has about two ways to continue at every node, and cuts two mesh edges there."""
+_MIN_GAIN = 1e-6
+"""Least gain of an exchange: rounding must not repeat one for ever."""
 
 
 @dataclass(frozen=True)
@@ -73,58 +73,62 @@ class SupportProblem:
     neighbours: np.ndarray
     degree: np.ndarray
 
-    def likeliest(self, start: np.ndarray) -> tuple[np.ndarray, int, bool]:
-        """Support (c,) bool that no exchange of a node betters, pivots, and whether it converged.
+    def max_evidence(self, start: np.ndarray) -> tuple[np.ndarray, int, bool]:
+        """Support (c,) bool that no exchange of a node improves, pivots, and whether it converged.
 
         Parameters
         ----------
         start : (c,) bool array
         """
-        support, pivots, solved = self._pressed(start)
-        posterior = _Swept(np.block([[self.hessian, self.linear[:, None]], [self.linear, 0.0]]))
-        prior = _Swept(self.smoothness)
+        support, pivots, solved = self._nonnegative(start)
+        posterior = _SweepOperator(
+            np.block([[self.hessian, self.linear[:, None]], [self.linear, 0.0]])
+        )
+        prior = _SweepOperator(self.smoothness)
         for _ in range(len(start)):
             if not (solved and support.any()):
                 break
             posterior.sweep(support)
             prior.sweep(support)
-            if (posterior.matrix[:-1, -1][support] >= 0.0).any():  # −p: some do not press
-                support, count, solved = self._pressed(support)
+            if (
+                posterior.matrix[:-1, -1][support] >= 0.0
+            ).any():  # −p: some pressures are not positive
+                support, count, solved = self._nonnegative(support)
                 pivots += count
                 continue
             gain = self._gain(support, posterior.matrix, prior.matrix)
             best = int(np.argmax(gain))
-            if gain[best] <= _GAIN:
+            if gain[best] <= _MIN_GAIN:
                 break
             support = support.copy()
             support[best] ^= True
             pivots += 1
         return support, pivots, solved
 
-    def _pressed(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
+    def _nonnegative(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Nodes of a support (c,) bool under pressure, pivots, and whether it converged."""
         nodes = np.flatnonzero(support)
         H = part(self.hessian, nodes)
         p, pivots, solved = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
-        pressed = np.zeros_like(support)
-        pressed[nodes[p > 0.0]] = True
-        return (pressed if solved else support), pivots, solved
+        positive = np.zeros_like(support)
+        positive[nodes[p > 0.0]] = True
+        return (positive if solved else support), pivots, solved
 
     def _gain(self, support: np.ndarray, posterior: np.ndarray, prior: np.ndarray) -> np.ndarray:
-        """By how much the evidence rises where a node (c,) is taken out of the support or in."""
+        """Gain of evidence by removing each node (c,) from the support or adding it."""
         slope = posterior[:-1, -1]  # −p of the support, the gradient of the others
         precision, prior_precision = np.diag(posterior)[:-1], np.diag(prior)
-        # Both are negative on the support; of different signs only where rounding lost them.
-        sound = (prior_precision > 0.0) == (precision > 0.0)
-        shrink = np.where(sound, prior_precision / precision, 1.0)
+        # Both are negative on the support; their signs differ by rounding only.
+        valid = (prior_precision > 0.0) == (precision > 0.0)
+        shrink = np.where(valid, prior_precision / precision, 1.0)
         gain = 0.5 * np.log(shrink) + 0.5 * slope**2 / precision
-        gain[~sound | (~support & (slope >= 0.0))] = -np.inf
+        gain[~valid | (~support & (slope >= 0.0))] = -np.inf
         added_cuts = self.degree - 2.0 * self.neighbours[:, support].sum(axis=1)
-        return gain + np.where(support, _CUT, -_CUT) * added_cuts
+        return gain + np.where(support, _BOUNDARY_COST, -_BOUNDARY_COST) * added_cuts
 
 
-class _Swept:
-    """A symmetric matrix solved for some of its unknowns, one more or less at a time.
+class _SweepOperator:
+    """Sweep operator: a symmetric matrix inverted for some of its unknowns, updated one by one.
 
     Swept by a set S (Goodnight 1979), M becomes −M_SS⁻¹ there, the Schur complement among the
     others, and M_SS⁻¹ M_S· between.
@@ -139,7 +143,7 @@ class _Swept:
         self._swept = np.zeros(len(matrix), bool)
 
     def sweep(self, unknowns: np.ndarray) -> None:
-        """Have it swept by these (up to c,) bool, and by no others."""
+        """Sweep by exactly these unknowns, (up to c,) bool."""
         wanted = np.zeros_like(self._swept)
         wanted[: len(unknowns)] = unknowns
         if not self._swept.any():
@@ -154,7 +158,7 @@ class _Swept:
         self._swept = wanted
 
     def _sweep_all(self, wanted: np.ndarray) -> None:
-        """The same at once, for a matrix not swept yet."""
+        """Sweep an unswept matrix by all of them at once."""
         S, others = np.flatnonzero(wanted), np.flatnonzero(~wanted)
         between = self.matrix[np.ix_(S, others)]
         inverse = np.linalg.inv(part(self.matrix, S))
@@ -166,19 +170,19 @@ class _Swept:
         self._swept = wanted
 
 
-_LEAST = 40
-"""Nodes that the problem of a frame without contact before it starts with."""
-_SLACK = 1e-6
-"""Pull below zero that counts as zero, over the largest."""
+_COLD_NODES = 40
+"""Nodes of the first working set without a warm start."""
+_GRADIENT_TOLERANCE = 1e-6
+"""Negative gradient that counts as zero, relative to the largest."""
 
 
 TouchRule = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Support (n,) bool and the pressure on it → what of it may be contact."""
+"""Support (n,) bool and the pressure on it → the part of it that may be contact."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of contact pressure before a frame.
+    """Prior of the contact pressure.
 
     Attributes
     ----------
@@ -194,8 +198,8 @@ class Prior:
     threshold: np.ndarray
     rings: np.ndarray
 
-    def around(self, nodes: np.ndarray) -> np.ndarray:
-        """Nodes (n,) bool and those beside them."""
+    def with_neighbours(self, nodes: np.ndarray) -> np.ndarray:
+        """Nodes (n,) bool and their neighbours."""
         return grown(self.rings, nodes)
 
 
@@ -207,16 +211,16 @@ def smoothness(mesh: MembraneMesh, weight: float) -> sparse.csr_array:
 
 @dataclass(frozen=True)
 class Nuisances:
-    """What changes the ranges besides contact pressure, each by an unknown amplitude.
+    """Nuisances, which change the ranges besides contact pressure, by unknown amplitudes.
 
     Attributes
     ----------
     motions : (n, 3, a) array
         B: motion of the membrane under a unit of each, m.
     sigma : (a,) array
-        Standard deviation of each amplitude, known before a frame; 0 for one that is not free.
+        Prior standard deviation of each amplitude; 0 for one that is fixed to zero.
     forces : (n, 3, a) array
-        Contact forces on the nodes that a unit of each stands for, N.
+        Contact forces on the nodes for a unit of each, N.
     errors_m : (k, a) array
         E: error of the measured ranges under a unit of each.
     """
@@ -228,7 +232,7 @@ class Nuisances:
 
     @classmethod
     def none(cls, nodes: int) -> Nuisances:
-        """No amplitudes at all, of a membrane with so many nodes."""
+        """No nuisances, for a membrane of so many nodes."""
         empty = np.zeros((nodes, 3, 0))
         return cls(empty, np.zeros(0), empty, np.zeros((1, 0)))
 
@@ -236,18 +240,18 @@ class Nuisances:
     def of_motions(
         cls, motions: np.ndarray, sigma: np.ndarray, forces: np.ndarray, ranges: int
     ) -> Nuisances:
-        """Motions that so many ranges show without error."""
+        """Nuisances that move the membrane, for so many error-free ranges."""
         return cls(motions, sigma, forces, np.zeros((ranges, len(sigma))))
 
     @classmethod
     def of_image(cls, errors_m: np.ndarray, sigma: np.ndarray, nodes: int) -> Nuisances:
-        """Errors of an image of a membrane with so many nodes."""
-        nothing = np.zeros((nodes, 3, len(sigma)))
-        return cls(nothing, sigma, nothing, errors_m)
+        """Nuisances that are range errors, for a membrane of so many nodes."""
+        zeros = np.zeros((nodes, 3, len(sigma)))
+        return cls(zeros, sigma, zeros, errors_m)
 
     @classmethod
     def joined(cls, parts: Sequence[Nuisances]) -> Nuisances:
-        """All of several, in their order."""
+        """Several nuisances as one, in their order."""
         return cls(
             np.concatenate([part.motions for part in parts], axis=2),
             np.concatenate([part.sigma for part in parts]),
@@ -258,7 +262,7 @@ class Nuisances:
 
 @dataclass(frozen=True)
 class Ranges:
-    """What the camera says of a shape.
+    """Range residuals at a shape, with their derivative, weights and nuisances.
 
     Attributes
     ----------
@@ -302,26 +306,26 @@ class Ranges:
         return np.asarray(sigma @ scaled @ sigma)
 
     def amplitudes(self, unexplained_m: np.ndarray) -> np.ndarray:
-        """Most likely amplitudes (a,) for ranges (k,) that nothing else explains."""
+        """Most likely amplitudes (a,) for unexplained ranges (k,)."""
         return self.nuisance_covariance @ (self.nuisances_weighed.T @ unexplained_m)
 
     def weighed(self, ranges_m: np.ndarray) -> np.ndarray:
-        """Ranges (k,) times the inverse of their covariance, the nuisances in it (Woodbury)."""
+        """Ranges (k,) times the inverse of their covariance with nuisances (Woodbury)."""
         return self.weight * ranges_m - self.nuisances_weighed @ self.amplitudes(ranges_m)
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Where there is contact.
+    """Support of the contact, by the problem with the L1 term.
 
     Attributes
     ----------
     support : (n,) bool array
     pivots : int
-        Of the solver, to find it.
+        Of the solver.
     converged : bool
     complete : bool
-        No node outside it pulls.
+        No node outside it has a negative gradient.
     """
 
     support: np.ndarray
@@ -332,7 +336,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class ContactPressure:
-    """Solution of a problem.
+    """Solution of a `ContactProblem`.
 
     Attributes
     ----------
@@ -365,7 +369,7 @@ class ContactPressure:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """Those under pressure, (s,)."""
+        """Nodes under pressure, (s,)."""
         return np.flatnonzero(self.pressure)
 
     @cached_property
@@ -375,7 +379,7 @@ class ContactPressure:
 
 
 class ContactProblem:
-    """The problem of one frame around one shape.
+    """The problem of one frame, linearised at one shape.
 
     Parameters
     ----------
@@ -384,7 +388,7 @@ class ContactProblem:
     prior : Prior
     pressure : (n,) array
         p₀, Pa.
-    relaxing : (n, 3) array
+    relaxation : (n, 3) array
         δ, m.
     """
 
@@ -394,28 +398,28 @@ class ContactProblem:
         ranges: Ranges,
         prior: Prior,
         pressure: np.ndarray,
-        relaxing: np.ndarray,
+        relaxation: np.ndarray,
     ) -> None:
         self._membrane, self._ranges, self._prior = membrane, ranges, prior
-        self._before, self._relaxing = pressure, relaxing
-        self._work = self._known = np.empty(0, int)
+        self._p0, self._relaxation = pressure, relaxation
+        self._nodes = self._assembled = np.empty(0, int)
         self._hessian = np.empty((0, 0))
-        self._place = np.full(len(pressure), -1)
-        self._among_known = np.empty((0, 0))
+        self._position = np.full(len(pressure), -1)
+        self._data_hessian = np.empty((0, 0))
         self._by_nuisances = np.empty((0, len(ranges.nuisances.sigma)))
-        """Jᵀ W R of the known nodes, with J = D S, (known, a)."""
+        """Jᵀ W R of the assembled nodes, with J = D S, (assembled, a)."""
         self._weighed: np.ndarray | None = None
-        """Of the known nodes, see `_halves`."""
+        """Of the assembled nodes, see `_hessian_factors`."""
 
     @cached_property
-    def _at_before(self) -> np.ndarray:
+    def _gradient_at_p0(self) -> np.ndarray:
         """Gradient of the misfit at p₀, (n,), 1/Pa."""
-        relaxed = self._ranges.jacobian @ self._relaxing.ravel()
+        relaxed = self._ranges.jacobian @ self._relaxation.ravel()
         return self._pull(self._ranges.error_m - relaxed)
 
-    def nothing_pulls(self) -> bool:
-        """Whether no contact pressure at all is the solution; for p₀ = 0."""
-        return bool((self._at_before + self._prior.threshold >= 0.0).all())
+    def zero_is_optimal(self) -> bool:
+        """Whether zero contact pressure is the solution; for p₀ = 0."""
+        return bool((self._gradient_at_p0 + self._prior.threshold >= 0.0).all())
 
     def select(self, start: np.ndarray, rounds: int) -> Selection:
         """Solve with the L1 term.
@@ -425,40 +429,42 @@ class ContactProblem:
         start : (n,) bool array
             Guess of the support.
         rounds : int
-            How often nodes that pull may be added to it; each costs a response of the membrane.
+            How often nodes with a negative gradient may be added; each costs a response of the
+            membrane.
         """
         prior, pivots = self._prior, 0
-        gradient = self.gradient(self._before) + prior.threshold
-        work = prior.around(start | (self._before > 0.0)) | self._strongest(gradient, start)
-        pressure = self._before
+        gradient = self.gradient(self._p0) + prior.threshold
+        work = prior.with_neighbours(start | (self._p0 > 0.0)) | self._steepest(gradient, start)
+        pressure = self._p0
         for _ in range(rounds):
-            self._set(np.flatnonzero(work))
-            guess = (start | (pressure > 0.0))[self._work]
+            self._restrict_to(np.flatnonzero(work))
+            guess = (start | (pressure > 0.0))[self._nodes]
             if not guess.any():
-                slope = gradient[self._work]
+                slope = gradient[self._nodes]
                 guess = slope < 0.5 * slope.min(initial=0.0)
-            linear = self._linear + prior.threshold[self._work]
+            linear = self._linear + prior.threshold[self._nodes]
             x, count, converged = nonnegative_qp(self._hessian, linear, guess)
-            pressure = self._everywhere(x)
+            pressure = self._scatter(x)
             pivots += count
             gradient = self.gradient(pressure) + prior.threshold
-            pulled = (gradient < -_SLACK * np.abs(self._linear).max()) & ~work
-            if not (converged and pulled.any()):
+            added = (gradient < -_GRADIENT_TOLERANCE * np.abs(self._linear).max()) & ~work
+            if not (converged and added.any()):
                 break
-            work |= prior.around(pulled)
-        return Selection(pressure > 0.0, pivots, converged, not pulled.any())
+            work |= prior.with_neighbours(added)
+        return Selection(pressure > 0.0, pivots, converged, not added.any())
 
-    def likeliest(self, selection: Selection) -> Selection:
-        """The likeliest support within one node of a selection, see `SupportProblem`.
+    def max_evidence(self, selection: Selection) -> Selection:
+        """Support of maximal evidence near a selection (its neighbours), see `SupportProblem`.
 
-        The L1 term counts force, not area: it leaves nodes out, and others from another start.
+        The L1 term penalises force, not area: it omits nodes, and which ones depends on the initial
+        support.
         """
         prior = self._prior
-        near = prior.around(selection.support)
-        if not np.isin(np.flatnonzero(near), self._work).all():
-            self._set(np.flatnonzero(near))
-        inner = np.flatnonzero(prior.smoothness.diagonal()[self._work] > 0.0)  # not of the rim
-        work = self._work[inner]
+        near = prior.with_neighbours(selection.support)
+        if not np.isin(np.flatnonzero(near), self._nodes).all():
+            self._restrict_to(np.flatnonzero(near))
+        inner = np.flatnonzero(prior.smoothness.diagonal()[self._nodes] > 0.0)  # not of the rim
+        work = self._nodes[inner]
         problem = SupportProblem(
             part(self._hessian, inner),
             dense_part(prior.smoothness, work),
@@ -466,7 +472,7 @@ class ContactProblem:
             adjacency(prior.rings, work),
             np.count_nonzero(prior.rings[:, work] != work, axis=0),
         )
-        chosen, pivots, solved = problem.likeliest(selection.support[work])
+        chosen, pivots, solved = problem.max_evidence(selection.support[work])
         support = np.zeros_like(selection.support)
         support[work] = chosen
         return replace(
@@ -476,7 +482,7 @@ class ContactProblem:
             converged=selection.converged and solved,
         )
 
-    def refine(self, selection: Selection, touches: TouchRule) -> ContactPressure:
+    def solve_debiased(self, selection: Selection, touches: TouchRule) -> ContactPressure:
         """Solve on a support without the L1 term.
 
         Parameters
@@ -486,11 +492,11 @@ class ContactProblem:
         """
         support, pivots = selection.support, selection.pivots
         missing = support.copy()
-        missing[self._work] = False
+        missing[self._nodes] = False
         if missing.any():
-            self._set(np.flatnonzero(support))
+            self._restrict_to(np.flatnonzero(support))
         while True:
-            pressure, count, solved = self._on(np.flatnonzero(support))
+            pressure, count, solved = self._solve_on(np.flatnonzero(support))
             pivots += count
             kept = touches(support, pressure)
             if np.array_equal(kept, support):
@@ -510,76 +516,81 @@ class ContactProblem:
             self,
         )
 
-    def around(self, nodes: np.ndarray) -> np.ndarray:
-        """Nodes (n,) bool and those beside them that are not held."""
-        return self._prior.around(nodes) & (self._prior.smoothness.diagonal() > 0.0)
+    def with_neighbours(self, nodes: np.ndarray) -> np.ndarray:
+        """Nodes (n,) bool and their neighbours, without the rim."""
+        return self._prior.with_neighbours(nodes) & (self._prior.smoothness.diagonal() > 0.0)
 
     def covariance(self, nodes: np.ndarray) -> np.ndarray:
-        """Of the pressures of nodes (s,) and the amplitudes, if no others touch, (s + a, s + a)."""
-        if not np.isin(nodes, self._work).all():
-            self._set(nodes)
-        alone = self._ranges.nuisance_covariance
-        pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._work, nodes)))
-        slope = alone @ self._by_nuisances[self._place[nodes]].T  # of the amplitudes by pressure
+        """Of pressures of nodes (s,) and amplitudes, if no others touch, (s + a, s + a)."""
+        if not np.isin(nodes, self._nodes).all():
+            self._restrict_to(nodes)
+        amplitude_cov = self._ranges.nuisance_covariance
+        pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._nodes, nodes)))
+        slope = (
+            amplitude_cov @ self._by_nuisances[self._position[nodes]].T
+        )  # of the amplitudes by pressure
         across = slope @ pressures
-        return np.block([[pressures, across.T], [across, alone + across @ slope.T]])
+        return np.block([[pressures, across.T], [across, amplitude_cov + across @ slope.T]])
 
     def variance(self, nodes: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Of a force (3,) of those unknowns with unit forces (s + a, 3), N²."""
-        if not np.isin(nodes, self._work).all():
-            self._set(nodes)
-        alone, by_amplitudes = self._ranges.nuisance_covariance, force[len(nodes) :]
-        hessian = part(self._hessian, np.searchsorted(self._work, nodes))
-        unit = force[: len(nodes)] + self._by_nuisances[self._place[nodes]] @ alone @ by_amplitudes
+        """Of a force (3,), linear in those unknowns with coefficients (s + a, 3), N²."""
+        if not np.isin(nodes, self._nodes).all():
+            self._restrict_to(nodes)
+        amplitude_cov, by_amplitudes = self._ranges.nuisance_covariance, force[len(nodes) :]
+        hessian = part(self._hessian, np.searchsorted(self._nodes, nodes))
+        unit = (
+            force[: len(nodes)]
+            + self._by_nuisances[self._position[nodes]] @ amplitude_cov @ by_amplitudes
+        )
         variance: np.ndarray = (unit * solve(hessian, unit, assume_a="pos")).sum(axis=0)
-        return variance + (by_amplitudes * (alone @ by_amplitudes)).sum(axis=0)
+        return variance + (by_amplitudes * (amplitude_cov @ by_amplitudes)).sum(axis=0)
 
-    def pulled(self, nodes: np.ndarray, ranges_m: np.ndarray) -> np.ndarray:
-        """Gradient of the misfit by the pressures of nodes (s,), for ranges (k,) left, 1/Pa."""
+    def misfit_gradient(self, nodes: np.ndarray, ranges_m: np.ndarray) -> np.ndarray:
+        """Gradient of the misfit by pressures of nodes (s,), for residuals (k,), 1/Pa."""
         S = self._membrane.coordinates(nodes)
         return S.T @ (self._rows.T @ self._ranges.weighed(ranges_m))
 
-    def _on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
-        """Minimise without the L1 term over p ≥ 0 of the support alone."""
-        pressure = np.zeros(len(self._before))
+    def _solve_on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
+        """Minimise without the L1 term over p ≥ 0 of the support only."""
+        pressure = np.zeros(len(self._p0))
         if not len(support):
             return pressure, 0, True
-        where = np.searchsorted(self._work, support)
+        where = np.searchsorted(self._nodes, support)
         H = part(self._hessian, where)
         x, pivots, converged = nonnegative_qp(H, self._linear[where], np.ones(len(where), bool))
         pressure[support] = x
         return pressure, pivots, converged
 
-    def _set(self, work: np.ndarray) -> None:
+    def _restrict_to(self, work: np.ndarray) -> None:
         """Form the Hessian of the nodes `work` (c,) and the linear term."""
-        self._work = work
-        self._know(work[~np.isin(work, self._known)])
-        where = self._place[work]
-        self._hessian = part(self._among_known, where) + dense_part(self._prior.smoothness, work)
+        self._nodes = work
+        self._assemble_columns(work[~np.isin(work, self._assembled)])
+        where = self._position[work]
+        self._hessian = part(self._data_hessian, where) + dense_part(self._prior.smoothness, work)
         by_nuisances = self._by_nuisances[where]
         self._hessian -= by_nuisances @ self._ranges.nuisance_covariance @ by_nuisances.T
-        gradient = self.gradient(self._before)[work]
-        self._linear = gradient - self._hessian @ self._before[work]
+        gradient = self.gradient(self._p0)[work]
+        self._linear = gradient - self._hessian @ self._p0[work]
 
-    def _know(self, nodes: np.ndarray) -> None:
-        """Find what the pressures of some more nodes (c,) do to the ranges."""
+    def _assemble_columns(self, nodes: np.ndarray) -> None:
+        """Add the columns of the ranges' derivative by pressures of more nodes (c,)."""
         if not len(nodes):
             return
         S = self._membrane.coordinates(nodes)
         by_nuisances = S.T @ (self._rows.T @ self._ranges.nuisances_weighed)
         self._by_nuisances = np.concatenate([self._by_nuisances, by_nuisances])
-        half, weighed = self._halves(S)
-        before = len(self._known)
-        self._place[nodes] = before + np.arange(len(nodes))
-        self._known = np.concatenate([self._known, nodes])
-        among = np.empty((len(self._known), len(self._known)))
-        among[:before, :before] = self._among_known
+        half, weighed = self._hessian_factors(S)
+        before = len(self._assembled)
+        self._position[nodes] = before + np.arange(len(nodes))
+        self._assembled = np.concatenate([self._assembled, nodes])
+        among = np.empty((len(self._assembled), len(self._assembled)))
+        among[:before, :before] = self._data_hessian
         among[before:, before:] = half.T @ weighed
         if self._weighed is not None:
             between = half.T @ self._weighed
             among[before:, :before], among[:before, before:] = between, between.T
             weighed = np.hstack([self._weighed, weighed])
-        self._weighed, self._among_known = weighed, among
+        self._weighed, self._data_hessian = weighed, among
 
     @cached_property
     def _rows(self) -> sparse.csr_array:
@@ -594,27 +605,27 @@ class ContactProblem:
             return None
         return (rows.T @ sparse.diags_array(self._ranges.weight) @ rows).tocsr()
 
-    def _halves(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _hessian_factors(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Two matrices (…, c) for motions S (m, c), the first of which times the second is SᵀDᵀWDS.
 
         They are S and DᵀWDS, or twice √W D S: whichever is smaller.
         """
         if self._information is not None:
             return S, self._information @ S
-        seen = self._rows @ S
-        seen *= np.sqrt(self._ranges.weight)[:, None]
-        return seen, seen
+        root = self._rows @ S
+        root *= np.sqrt(self._ranges.weight)[:, None]
+        return root, root
 
-    def _strongest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """As many of the nodes that pull most as the start has; the others come later."""
-        most = min(int(np.count_nonzero(start)) or _LEAST, len(gradient) - 1)
+    def _steepest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """As many nodes with the steepest gradient as `start` has; others are added later."""
+        most = min(int(np.count_nonzero(start)) or _COLD_NODES, len(gradient) - 1)
         return gradient < min(0.0, np.partition(gradient, most)[most])
 
     def gradient(self, pressure: np.ndarray) -> np.ndarray:
         """Gradient of misfit and H1 term, (n,)."""
-        data = self._at_before
-        if pressure is not self._before:
-            moved = self._motion(pressure) - self._relaxing
+        data = self._gradient_at_p0
+        if pressure is not self._p0:
+            moved = self._motion(pressure) - self._relaxation
             data = data - self._pull(self._ranges.jacobian @ moved.ravel())
         return data + self._prior.smoothness @ pressure
 
@@ -623,43 +634,43 @@ class ContactProblem:
         where = pressure > 0.0
         if not where.any():
             return 0.0
-        scale = float(np.abs(self._at_before).max())
+        scale = float(np.abs(self._gradient_at_p0).max())
         gradient = self.gradient(pressure)[where] / scale
         return float(np.abs(np.minimum(pressure[where] / pressure.max(), gradient)).max())
 
     def _kkt(self, pressure: np.ndarray, support: np.ndarray) -> float:
-        gradient = (self._hessian @ pressure[self._work] + self._linear)[support[self._work]]
+        gradient = (self._hessian @ pressure[self._nodes] + self._linear)[support[self._nodes]]
         scale = float(np.abs(self._linear).max())
         share = pressure[support] / max(float(pressure.max()), 1e-300)
         return float(np.abs(np.minimum(share, gradient / scale)).max())
 
     def _motion(self, pressure: np.ndarray) -> np.ndarray:
         """Motion to equilibrium under a pressure (n,), (n, 3)."""
-        change = pressure - self._before
+        change = pressure - self._p0
         if not change.any():
-            return self._relaxing
+            return self._relaxation
         nodes = np.flatnonzero(change)
-        return self._relaxing - self._membrane.moved(
+        return self._relaxation - self._membrane.moved(
             self._membrane.coordinates(nodes) @ change[nodes]
         )
 
     def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
         weighted = self._ranges.transposed @ self._ranges.weighed(ranges_m)
-        return self._membrane.pull(weighted.reshape(-1, 3))
+        return self._membrane.adjoint(weighted.reshape(-1, 3))
 
-    def _everywhere(self, x: np.ndarray) -> np.ndarray:
-        pressure = np.zeros(len(self._before))
-        pressure[self._work] = x
+    def _scatter(self, x: np.ndarray) -> np.ndarray:
+        pressure = np.zeros(len(self._p0))
+        pressure[self._nodes] = x
         return pressure
 
 
-# Which connected parts of an estimated pressure are contact, each by evidence of its own.
+# Which connected parts of an estimated pressure are significant contacts.
 
 
 MISPLACED_LOAD = 0.15
 """Share of the largest contact's load that the exact membrane misplaces on a real sensor while it
 is being loaded: in the one real press, single nodes far from the contact carry up to 0.14 of it in
-frames that are solved by themselves; the rest is margin. The depth camera's temporal filter mixes
+frames solved without a warm start; the rest is margin. The depth camera's temporal filter mixes
 images of a moving membrane, which no shape in equilibrium explains."""
 
 
@@ -672,10 +683,10 @@ def _substantial(mesh: MembraneMesh, pressure: np.ndarray) -> np.ndarray:
     return touching
 
 
-def evident(mesh: MembraneMesh, contact: ContactPressure) -> np.ndarray:
-    """Nodes (n,) bool of the parts that are contact; the part with the largest load always is one.
+def significant_contact(mesh: MembraneMesh, contact: ContactPressure) -> np.ndarray:
+    """Nodes (n,) bool of the significant parts; the part with the largest load always is one.
 
-    Another one has to be substantial, and to carry more than noise puts at any of the n nodes.
+    Others must carry more than `MISPLACED_LOAD` and more than noise does at any of the n nodes.
     """
     found = _substantial(mesh, contact.pressure)
     count, part = connected_parts(mesh.rings, found)
@@ -696,7 +707,7 @@ def evident(mesh: MembraneMesh, contact: ContactPressure) -> np.ndarray:
     return found
 
 
-# Friction of contacts that a depth image alone determines.
+# Friction of contacts, estimated from a depth image alone.
 #
 # A depth image does not show friction, but friction moves the membrane: without it, the estimate
 # would explain that motion by pressure where nothing touches. Each contact has three unknowns:
@@ -710,7 +721,7 @@ FRICTION = 1.0
 between 0.5 and 1.5. On rubber dragged and twisted by another solver, half and twice of it change
 the force by 0.2 % in the median and 2.4 % at most at 1 % of depth noise."""
 
-_LEAST_SHARE = 0.25
+_MIN_LOAD_SHARE = 0.25
 """Share of the largest contact's load from which a contact has amplitudes of its own. While the
 real press is being loaded, those of single nodes with a tenth of it fitted what the model misses
 there, and the solution alternated between two supports."""
@@ -719,7 +730,7 @@ there, and the solution alternated between two supports."""
 def friction_loads(
     x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray, rings: np.ndarray
 ) -> np.ndarray:
-    """Forces on the nodes under a unit of each amplitude, (n, 3, 3 contacts), N.
+    """Forces on the nodes for a unit of each amplitude, (n, 3, 3 contacts), N.
 
     Contacts that are small beside the largest have no amplitudes.
 
@@ -739,7 +750,7 @@ def friction_loads(
     nodes = np.flatnonzero(touching)
     load = pressure[nodes] * np.linalg.norm(area_vectors[nodes], axis=1)
     loads = np.bincount(contact, load, minlength=count)
-    large = np.flatnonzero(loads >= _LEAST_SHARE * loads.max())
+    large = np.flatnonzero(loads >= _MIN_LOAD_SHARE * loads.max())
     forces = np.zeros((len(x), 3, 3 * len(large)))
     for k, number in enumerate(large):
         own = nodes[contact == number]

@@ -1,8 +1,8 @@
-"""The contact on a finer mesh, where the mesh and not the noise limits how sharp it is.
+"""The contact on a finer mesh, where the mesh and not the noise limits its resolution.
 
-Only the triangles around the contact are cut into four, and only the part of the membrane around
-them is solved for: beyond some rings it stays where the estimate has it, as does the gas pressure
-(submodelling). The cost follows the contact, not the membrane.
+Only the triangles around the contact are refined (cut into four), and only the part of the membrane
+around them is solved for: shape beyond some rings and gas pressure are fixed to the estimate
+(submodelling). The cost depends on the size of the contact, not of the membrane.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bubbleviz.inverse.contact_problem import (
     smoothness,
 )
 from bubbleviz.inverse.estimator import Estimator
-from bubbleviz.inverse.gauss_newton import SERVES
+from bubbleviz.inverse.gauss_newton import TANGENT_REUSE
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
 from bubbleviz.inverse.response import Bubble, ConstantTension, RubberBubble
 from bubbleviz.membrane import MembraneMesh, Refined, grown, parts_with, refined_part
@@ -31,28 +31,28 @@ from bubbleviz.sensor_model import SensorModel
 
 _SENSOR_LIMIT, _FRAME_LIMIT = 0.42, 0.65
 """Resolution at the noise of the camera, in mesh edges, below which the mesh limits a sensor's
-patches; and that of a frame, with all that its model does not explain, up to which it is refined.
-Chosen on presses of 14 objects: they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or
-nothing from 0.45 on, those into rubber up to 0.6 of the latter. Shipped sensors are not refined.
+patches; and that of a frame, at its noise factor, up to which it is refined. Chosen on presses of
+14 objects: they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or nothing from 0.45 on,
+those into rubber up to 0.6 of the latter. Shipped sensors are not refined.
 """
 _MOST_NODES = 100
-"""Most nodes of a contact that is refined: the time grows with the square of their number."""
+"""Most nodes of a refined contact: the time grows with the square of their number."""
 _FINER_RINGS, _MOVING_RINGS = 2, 6
-"""Rings of nodes around the contact that are finer, and rings around those that may move, too. In
-the hold of the real press the area depends on the number of the latter at 4, not at 6."""
+"""Rings of nodes around the contact that are refined, and rings around those that may move. In the
+hold of the real press, 4 of the latter change the area, 6 do not."""
 _STEPS = 2
-"""Gauss–Newton steps: the first with the noise that the estimate was solved with, in which is what
-its mesh misses; the second with what that one leaves."""
+"""Gauss–Newton steps: the first with the noise factor of the estimate, which includes errors of its
+mesh; the second with that by the residual of the first."""
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What is solved for around one contact.
+    """Submodel around one contact.
 
     Attributes
     ----------
     cut : (n,) bool array
-        Nodes of the whole mesh whose triangles are finer.
+        Nodes of the whole mesh whose triangles are refined.
     finer : Refined
     observer : RangeObserver
     bubble : Bubble
@@ -70,9 +70,7 @@ class _Part:
 
 
 class ContactRefiner:
-    """Solves frames once more around their contact, on triangles cut into four.
-
-    See `mesh_limits` for when that helps.
+    """Solves frames again around their contact, on a refined mesh; useful if `mesh_limits`.
 
     Parameters
     ----------
@@ -83,11 +81,11 @@ class ContactRefiner:
 
     def __init__(self, model: SensorModel, estimator: Estimator) -> None:
         self._model, self._estimator = model, estimator
-        self._serves_m = SERVES * 0.5 * model.mesh.edge_length
+        self._reuse_m = TANGENT_REUSE * 0.5 * model.mesh.edge_length
         self._last: _Part | None = None
 
     def refine(self, depth_m: np.ndarray, estimate: Estimate) -> FineContact | None:
-        """Contact of a frame on a finer mesh; None where that would tell no more.
+        """Contact of a frame on a finer mesh; None where that would not improve it.
 
         Parameters
         ----------
@@ -96,8 +94,8 @@ class ContactRefiner:
         estimate : Estimate
             Of this frame.
         """
-        usual = self._estimator.resolution_m
-        resolution = estimate.resolution_m or usual
+        nominal = self._estimator.resolution_m
+        resolution = estimate.resolution_m or nominal
         if resolution > _FRAME_LIMIT * self._model.mesh.edge_length:
             return None
         pressure = estimate.contact_pressure_pa
@@ -105,18 +103,18 @@ class ContactRefiner:
         touching = parts_with(self._model.mesh.rings, pressure >= gas, pressure > 0.0)
         if not 0 < np.count_nonzero(touching) <= _MOST_NODES:
             return None
-        noise = noise_at(resolution, usual)
+        noise = noise_at(resolution, nominal)
         try:
             return self._solve(self._part(touching), depth_m, estimate, noise)
         except (RuntimeError, np.linalg.LinAlgError, InputError):
             return None  # a singular tangent, or Hessian; or no pixel sees the part
 
     def _gas_pressure(self, estimate: Estimate) -> float:
-        """Over that outside, which a contact carries somewhere, Pa."""
+        """Gauge pressure of the gas, Pa, which every contact carries somewhere."""
         return self._estimator.held_pressure_pa + estimate.gas_pressure_change_pa
 
     def _part(self, touching: np.ndarray) -> _Part:
-        """The part around nodes (n,) bool that touch: the last one, where it is the same."""
+        """Submodel around nodes (n,) bool in contact; the last one is reused if it is the same."""
         cut = _within(self._model.mesh.rings, touching, _FINER_RINGS)
         if self._last is None or not np.array_equal(cut, self._last.cut):
             self._last = self._built(cut)
@@ -130,14 +128,14 @@ class ContactRefiner:
         prior = Prior(
             smoothness(mesh, estimator.prior_weight), np.zeros(len(mesh.nodes)), mesh.rings
         )
-        seen = float(observer.observe_everything().weight.sum() / mesh.facet_areas.sum())
+        information = float(observer.observe_everything().weight.sum() / mesh.facet_areas.sum())
         return _Part(
             cut,
             finer,
             observer,
             self._bubble(finer),
             prior,
-            resolution_m(estimator.prior_weight, self._model.tension_n_per_m, seen),
+            resolution_m(estimator.prior_weight, self._model.tension_n_per_m, information),
         )
 
     def _bubble(self, finer: Refined) -> Bubble:
@@ -148,7 +146,7 @@ class ContactRefiner:
         return ConstantTension(finer.mesh, whole.tension_n_per_m, whole.gas.behind(finer.mesh))
 
     def _observer(self, mesh: MembraneMesh, inside: np.ndarray) -> RangeObserver:
-        """Of the pixels that see some triangles (m,) bool of the whole mesh at rest."""
+        """Observer of the pixels that see triangles (m,) bool of the whole mesh at rest."""
         model, camera = self._model, self._model.camera
         at_rest = model.view.at_rest
         pixels = np.flatnonzero(np.append(inside, False)[at_rest])
@@ -173,7 +171,7 @@ class ContactRefiner:
         support &= ~finer.mesh.rim
         pressure = np.where(support, finer.values(estimate.contact_pressure_pa), 0.0)
         friction = np.zeros_like(x)
-        if estimate.friction_n is not None:  # that of the estimate, as a traction
+        if estimate.friction_n is not None:  # interpolated as a traction
             areas = self._model.mesh.areas[:, None]
             friction = finer.values(estimate.friction_n / areas) * finer.mesh.areas[:, None]
         measured, view, response = observer.measure(depth_m), None, None
@@ -187,17 +185,17 @@ class ContactRefiner:
             error = observation.residual_m[view.block] - expected[view.block]
             weight = observation.weight[view.block] / noise**2
             ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(x)))
-            if response is None or float(np.abs(x - response.x).max()) > self._serves_m:
+            if response is None or float(np.abs(x - response.x).max()) > self._reuse_m:
                 response = bubble.linearised(x, pressure, gas)
             relaxing = response.motion(friction - bubble.residual(x, pressure, gas))
             problem = ContactProblem(response, ranges, part.prior, pressure, relaxing)
-            contact = problem.refine(problem.likeliest(Selection(support)), touches)
+            contact = problem.solve_debiased(problem.max_evidence(Selection(support)), touches)
             near = float(np.abs(contact.motion).max()) <= self._model.mesh.edge_length
             if not (near and contact.converged and contact.pressure.any()):
                 return None
             x, pressure, support = x + contact.motion, contact.pressure, contact.support
-            left = error - view.jacobian @ contact.motion.ravel()
-            noise = observer.noise_left(observation, view.block, left)
+            residual = error - view.jacobian @ contact.motion.ravel()
+            noise = observer.noise_factor(observation, view.block, residual)
         return FineContact(
             finer.mesh,
             finer.ends,
@@ -213,7 +211,7 @@ def mesh_limits(estimator: Estimator) -> bool:
 
 
 def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:
-    """Nodes (n,) bool within so many rings of some."""
+    """Nodes (n,) bool within `count` rings of a set."""
     for _ in range(count):
         nodes = grown(rings, nodes)
     return nodes

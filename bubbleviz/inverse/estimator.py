@@ -52,12 +52,12 @@ DROPPED = {
     "osqp-cold": "it was renamed to paper in 0.3; use paper",
     "clarabel": "it was removed in 0.3; use linear, which solves the same problem",
 }
-"""What became of solvers of version 0.2."""
+"""Solvers of version 0.2 and what replaces them."""
 
 
 @dataclass(frozen=True)
 class EstimatorOptions:
-    """Choices that a study varies and an operator may.
+    """Options of the estimator.
 
     Attributes
     ----------
@@ -65,22 +65,22 @@ class EstimatorOptions:
         `rubber`, `linear` or `paper`; None for rubber where the sensor's pre-stretch is known and
         `linear` where it is not.
     nodes : int or None
-        Size of the mesh of an analytic dome; None for the sensor file's.
+        Number of nodes of the mesh of an analytic dome; None for the sensor file's.
     pressure_scale : float
         Contact pressure in gauge pressures that the prior expects, see `PRESSURE_SCALE`.
     block : int or None
         Side of the squares of pixels that are averaged; None for half a mesh edge.
     rim_slack_m : float
-        How far the rim of the exact membrane gives, see `RIM_SLACK_M`.
+        Compliance of the rim of the exact membrane, see `RIM_SLACK_M`.
     fine_contact : bool
-        Whether the contact is solved for on a finer mesh where the mesh limits how sharp it is,
-        see `contact_refiner`; never with the paper's QP.
+        Whether the contact is solved on a finer mesh where the mesh limits its resolution, see
+        `contact_refiner`; never with the paper's QP.
     friction : float
         Standard deviation of the coefficients of friction of contacts with the exact membrane, see
         `friction_loads`; 0 for contacts without friction.
     image_error : float
-        Standard deviation, over the depth, of what a whole depth image is off by since calibration:
-        an offset, a scale and tilts. 0 for a camera that measures as it did then.
+        Standard deviation, over the depth, of errors common to a whole depth image since
+        calibration: an offset, a scale and tilts. 0 for none.
     """
 
     solver: str | None = None
@@ -116,12 +116,13 @@ class EstimatorOptions:
 
 
 class Estimator:
-    """Solves the inverse problem frame by frame, each started from the last.
+    """Solves the inverse problem frame by frame, with warm starts.
 
-    Contact presses along the current normals on the likeliest support, and drags along the membrane
-    as `friction_loads` says; everywhere else the membrane is in equilibrium by construction. A
-    connected part of the support that nowhere reaches the gas pressure is no contact: what lies on
-    something flat or convex carries that. Nor is one without `evident` load.
+    Contact acts along the current normals on the support of maximal evidence, and friction along
+    the membrane, see `friction_loads`; everywhere else the membrane is in equilibrium by
+    construction. A connected part of the support whose pressure is below the gas pressure
+    everywhere is not contact, as any part that lies on a flat or convex object carries that
+    pressure. Nor is one that is not significant, see `significant_contact`.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ class Estimator:
     size_m : float
         Radius of a disc of the membrane's area, m.
     held_pressure_pa : float
-        Gauge pressure of the reference configuration, which a contact carries that flattens it.
+        Gauge pressure of the reference configuration; a contact that flattens it carries that.
     prior_weight : float
         λ of the H1 term, 1/Pa².
     smoothness : (n, n) sparse array
@@ -144,8 +145,8 @@ class Estimator:
     information : float
         Weight of all ranges over the membrane's area, 1/m⁴.
     resolution_m : float
-        Width of the estimate's response to a point load, m, at the noise of the camera; that of a
-        frame is in its estimate.
+        Width of the estimate's response to a point load, m, at the noise of the camera; estimates
+        contain that of their frame.
     """
 
     def __init__(
@@ -183,7 +184,7 @@ class Estimator:
         start: Start | None = None,
         gas_sigma_pa: float = 0.0,
     ) -> tuple[Estimate, Start]:
-        """Solve one frame; also what the next one starts from.
+        """Estimate of one frame, and the warm start of the next one.
 
         Parameters
         ----------
@@ -192,7 +193,7 @@ class Estimator:
         gas_pressure_pa : float, optional
             Measured absolute gas pressure.
         start : Start, optional
-            Of the frame before; from rest when None.
+            Of the previous frame; None: solve from rest.
         gas_sigma_pa : float
             Standard deviation of the zero of the gas pressure, Pa.
         """
@@ -209,19 +210,19 @@ class Estimator:
             answer = FailedFrame("not_converged")
         if isinstance(answer, FailedFrame):
             nothing = no_estimate(self.mesh, answer.status, STATUS_REASONS[answer.status])
-            return nothing, Start(reached=answer.reached, measured=measured)
+            return nothing, Start(final_state=answer.final_state, measured=measured)
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
         doubt = doubt or reason_against_gas(answer.step.state.gas, behind)
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m):
             nothing = no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m)
-            return nothing, Start(reached=answer.step.state, measured=measured)
+            return nothing, Start(final_state=answer.step.state, measured=measured)
         state, tangent = answer.step.state, answer.step.tangent
         touching = state if state.pressure.any() else None
         start = Start(touching, tangent, answer.noise, state, measured, answer.view)
         return self._report(answer), start
 
     def is_untouched(self, depth_m: np.ndarray) -> bool:
-        """Whether an image alone (H, W), without the gas pressure, says that nothing touches."""
+        """Whether an image (H, W), without the gas pressure, is explained without contact."""
         try:
             return self._newton.is_untouched(self.observer.measure(depth_m))
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
@@ -251,7 +252,7 @@ class Estimator:
             force_sigma_n=answer.sigma_n,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
-            seen_share=answer.seen_share,
+            seen_share=answer.visible_share,
             image_errors=state.image_errors if state.image_errors.any() else None,
         )
 
@@ -259,7 +260,7 @@ class Estimator:
 def no_estimate(
     mesh: MembraneMesh, status: Status, reason: str, misfit_m: float = np.nan
 ) -> Estimate:
-    """Of a frame about which nothing is known."""
+    """Estimate of a frame that was not solved."""
     zero, three = np.zeros(len(mesh.nodes)), np.full(3, np.nan)
     return Estimate(
         status,

@@ -27,8 +27,8 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Ranges,
     Selection,
-    evident,
     friction_loads,
+    significant_contact,
 )
 from bubbleviz.inverse.plausibility import (
     IMPLAUSIBLE_MISFIT,
@@ -41,52 +41,53 @@ from bubbleviz.inverse.response import Bubble, Tangent
 from bubbleviz.membrane import Gas, parts_with
 from bubbleviz.result import Status
 
-NEAR, SERVES, FAR = 0.05, 0.2, 0.5
-"""Shares of a mesh edge. A frame is done when a step moves the shape by less than the first, or the
-first step from the frame before by less than the second; beyond the last a step is far from done. A
-tangent serves while the shape is nearer than the second to where it was taken: the exact residual
-puts the rest right."""
-_STEPS, _FAR_STEPS = 16, 8
-"""Gauss–Newton steps of a frame, and how many of them may be far, though shorter than `_LONGEST`:
-by then the shape stands, or model and data contradict each other."""
-_ASTRAY = 3
-"""Far steps in a row that end no nearer to the image than the nearest shape so far, after which a
-frame counts as failed. Frames that were solved had one at most: on the real press, and on rubber
-dragged and twisted by another solver."""
-_SELECTIONS, _ROUNDS = 2, 6
-"""Times that the support is looked for anew where the shape stands, and how often nodes that pull
-are added to it each time."""
+CONVERGED_MOTION, TANGENT_REUSE, LARGE_MOTION = 0.05, 0.2, 0.5
+"""Motions of the nodes over the mesh edge. A frame has converged when a step moves it by less than
+`CONVERGED_MOTION`, or the first step from a warm start by less than `TANGENT_REUSE`; a step is
+large beyond `LARGE_MOTION`. A tangent is used again within `TANGENT_REUSE` of the shape that it was
+computed at: the residual is always exact."""
+_MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
+"""Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
+`_MAX_STEP`: a frame that has not converged by then contradicts the model."""
+_MAX_DIVERGING = 3
+"""Consecutive large steps without a smaller misfit than the smallest so far, after which a frame
+counts as failed. Frames that converged had one at most: on the real press, and on rubber dragged
+and twisted by another solver."""
+_MAX_SELECTIONS, _SELECTION_ROUNDS = 2, 6
+"""Selections of the support at a converged shape, and how often each may add nodes with a negative
+gradient."""
 MINIMUM_BLOCKS = 3
-"""A plane's worth of blocks: with fewer, no dent can be told from a shift of the sensor."""
-_LIKELIEST = 300
-"""Nodes of a contact up to which the likeliest support is looked for: an exchange of one node costs
-the square of them, and the edge of a larger contact is a small part of it. Chosen."""
-_LONGEST = 2.0
+"""Blocks that a plane needs: with fewer, a dent cannot be distinguished from a shift of the
+sensor."""
+_MAX_EXCHANGE_NODES = 300
+"""Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
+the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
+_MAX_STEP = 2.0
 """Longest step in mesh edges."""
 MODEL_ERROR = 0.02
-"""Standard deviation of the force over its size by what triangles, material law and the three
-amplitudes of friction miss. Chosen on balls and pucks that stick to a membrane of another mesh and
-are dragged and twisted: forces are off by 1.8 % in the median of 42 frames, by up to 9 % where a
-puck is twisted by 15° and dragged at once; of frictionless presses by 1.4 % at most."""
+"""Relative standard deviation of the force due to mesh, material law and friction model. Chosen on
+balls and pucks that stick to a membrane of another mesh and are dragged and twisted: forces are
+off by 1.8 % in the median of 42 frames, by up to 9 % where a puck is twisted by 15° and dragged at
+once; of frictionless presses by 1.4 % at most."""
 IMAGE_ERROR = 1e-3
-"""Standard deviation of the errors of a whole depth image over the depth: 0.1 mm at 100 mm; where
-more than noise is left it is as much larger. Chosen on rubber dragged by another solver, whose
+"""Standard deviation of the errors of a whole depth image over the depth: 0.1 mm at 100 mm; scaled
+by the noise factor of a frame. Chosen on rubber dragged by another solver, whose
 images have no such errors: with 1e-2 an offset and an opposite scale imitate a change of gas
 pressure, and forces are 4 to 8 % off; with 1e-3 or less they are within 1 %. The prior is weak
 against thousands of blocks: an offset of 1 mm is still found."""
-_FREE_SHARE = 0.5
-"""Share of the image that has to see the membrane where nothing touches it for errors of the whole
-image to be looked for: most of what is fitted should not be the contact itself. Chosen."""
-_NOISE_STEP, _NOISES = 1.1, 8
-"""Factor between the noises that frames are solved with, and how many are tried in one. From a
-continuum a frame would stop at one that hangs on where it began. Half a step is about a standard
-deviation: an image of correlated noise is worth some 650 samples, which tell it to 5 %. Less noise
-than the sensor's is told by squares alone, and the factor is their `SURELY`."""
+_MIN_CONTACT_FREE = 0.5
+"""Least share of the image outside the contact for errors of the whole image to be fitted: they
+should mostly be determined by the contact-free membrane. Chosen."""
+_NOISE_RATIO, _MAX_NOISES = 1.1, 8
+"""Ratio of successive noise factors on the grid of those that frames are solved with, and how many
+are tried in a frame. Without a grid, the result would depend on the first one. Half a step is about
+a standard deviation: an image of correlated noise is worth some 650 samples, which determine it to
+5 %. Factors below 1 are less certain, and their ratio is `SURELY`."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Where one frame ended and the next may begin.
+    """Solution of a frame, and a warm start of the next.
 
     Attributes
     ----------
@@ -119,24 +120,24 @@ class Start:
     Attributes
     ----------
     state : State or None
-        None: the frame had no contact, or nothing is known of it.
+        None: the frame had no contact, or was not solved.
     tangent : Tangent or None
-        Tangent that was used last.
+        Last tangent used.
     noise : float
-        By how much more than its noise the frame before was missed, a first guess for the next.
-    reached : State or None
-        Where the steps of this frame ended, be it to be trusted or not: a place to go on from for
-        who knows more of the frame. None where they did not begin.
+        Noise factor of the frame, a first guess for the next one.
+    final_state : State or None
+        State after the last step, plausible or not: the traction estimator continues from it. None
+        if there was no step.
     measured : Measured or None
-        What this frame's image told; None where none was looked at.
+        Measurements of this frame's image; None if it was not evaluated.
     view : ShapeRanges or None
-        The camera's model at the last shape that it was found at.
+        Camera model at the last shape at which it was computed.
     """
 
     state: State | None = None
     tangent: Tangent | None = None
     noise: float = 1.0
-    reached: State | None = None
+    final_state: State | None = None
     measured: Measured | None = None
     view: ShapeRanges | None = None
 
@@ -148,22 +149,21 @@ class FailedFrame:
     Attributes
     ----------
     status : Status
-    reached : State or None
-        Where the steps ended.
+    final_state : State or None
+        State after the last step.
     """
 
     status: Status
-    reached: State | None = None
+    final_state: State | None = None
 
 
 @dataclass(frozen=True)
-class _Sight:
-    """What an image tells of a shape.
+class _Linearisation:
+    """Camera model linearised at a shape, and the residual of an image there.
 
     Attributes
     ----------
     view : ShapeRanges
-        The camera's model of the shape.
     observation : Observation
     error_m : (k,) array
         Measured minus modelled ranges of the blocks in `view`.
@@ -178,20 +178,20 @@ class _Sight:
 
     @property
     def weight(self) -> np.ndarray:
-        """Of the blocks in `view`, (k,), 1/m²."""
+        """1/σ² of the blocks in `view`, (k,), 1/m²."""
         return self.observation.weight[self.view.block]
 
     def misfit(self, error_m: np.ndarray) -> float:
-        """χ² of errors (k,), with the errors of the whole image that suit them best."""
+        """χ² of errors (k,), minimised over the errors of the whole image."""
         return float(error_m @ self._by_image.weighed(error_m))
 
-    def is_nearer_at_rest(self, error_m: np.ndarray) -> bool:
-        """Whether the image is more like the membrane at rest than what leaves errors (k,)."""
+    def fits_rest_better(self, error_m: np.ndarray) -> bool:
+        """Whether the membrane at rest has a smaller misfit than errors (k,)."""
         at_rest = self.observation.residual_m[self.view.block]
         return self.misfit(error_m) > self.misfit(at_rest)
 
     def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
-        """Errors (k,) less what those of the whole image explain of them."""
+        """Errors (k,) less the fitted errors of the whole image."""
         explained: np.ndarray = self.image.errors_m @ self._by_image.amplitudes(error_m)
         return error_m - explained
 
@@ -207,33 +207,33 @@ class Step:
     Attributes
     ----------
     state : State
-        Where it ends.
+        State after it.
     balanced : bool
         Whether that is an equilibrium.
-    moved_m, seen_m : float
-        Its longest motion along an axis, and along the membrane's normals: a depth image shows
-        nothing of motion along the membrane.
+    motion_m, normal_motion_m : float
+        Largest motion of a node along an axis, and along the membrane's normals: a depth image
+        does not show motion along the membrane.
     contact : ContactPressure
     tangent : Tangent
     ranges : Ranges
-    left_m : (k,) array
-        Errors of the ranges that it leaves, to first order.
+    residual_m : (k,) array
+        Errors of the ranges after it, to first order.
     solve_ms : float
     """
 
     state: State
     balanced: bool
-    moved_m: float
-    seen_m: float
+    motion_m: float
+    normal_motion_m: float
     contact: ContactPressure
     tangent: Tangent
     ranges: Ranges
-    left_m: np.ndarray
+    residual_m: np.ndarray
     solve_ms: float
 
     @property
     def image_error_m(self) -> np.ndarray:
-        """Errors of the ranges (k,) by those of the whole image; 0 where they were not free."""
+        """Range errors (k,) due to those of the whole image; 0 where these were not fitted."""
         errors: np.ndarray = self.ranges.nuisances.errors_m @ self.contact.amplitudes
         return errors
 
@@ -247,18 +247,18 @@ class SolvedFrame:
     step : Step
         The last one.
     view : ShapeRanges
-        The camera's model at the last shape that it was found at.
+        Camera model at the last shape at which it was computed.
     noise : float
-        By how much more than the camera's noise it is missed.
+        Noise factor: σ of the residual over that of the camera's noise.
     misfit : Misfit
     contradicts_gas : bool
-        Whether its shape asks for another p_v than was measured.
+        Whether its shape contradicts the measured p_v.
     contact : (n,) bool array
-        Nodes under pressure that is evidence of contact, see `evident`.
+        Nodes under significant contact pressure, see `significant_contact`.
     sigma_n : (3,) array
         Standard deviation of its force, N.
-    seen_share : float
-        Share of its area that the camera saw; NaN where nothing touches.
+    visible_share : float
+        Share of the contact area visible to the camera; NaN without contact.
     solve_ms : float
         Of all steps.
     """
@@ -270,12 +270,12 @@ class SolvedFrame:
     contradicts_gas: bool
     contact: np.ndarray
     sigma_n: np.ndarray
-    seen_share: float
+    visible_share: float
     solve_ms: float
 
 
 class GaussNewton:
-    """Gauss–Newton steps of single frames, each from where another one ended, or from rest.
+    """Solver of single frames, from a warm start or from rest.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ class GaussNewton:
     smoothness : (n, n) sparse array
         λ L of the H1 term.
     length_m : float
-        Size of the membrane, m: ranges that are off by more are not of it.
+        Size of the membrane, m: ranges with larger errors are not of it.
     friction : float
         Standard deviation of the amplitudes of `friction_loads`; 0 for none.
     image_error : float
@@ -310,8 +310,8 @@ class GaussNewton:
         depth = float(observer.image_errors[:, 3].mean() / observer.image_errors[:, 0].mean())
         self._image_sigma = image_error * np.array([depth, depth, depth, 1.0])
         edge = self.mesh.edge_length
-        self._near_m, self._serves_m = NEAR * edge, SERVES * edge
-        self._far_m, self._longest_m = FAR * edge, _LONGEST * edge
+        self._converged_m, self._reuse_m = CONVERGED_MOTION * edge, TANGENT_REUSE * edge
+        self._large_m, self._max_step_m = LARGE_MOTION * edge, _MAX_STEP * edge
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
         self._rest = State(
@@ -325,13 +325,13 @@ class GaussNewton:
         self._detection_at_rest()
 
     def with_gas(self, gas: Gas) -> GaussNewton:
-        """The same for a gas whose pressure is measured with another error."""
+        """The same solver for a gas pressure measured with another error."""
         other = copy(self)
         other.bubble = self.bubble.with_gas(gas)
         return other
 
     def _detection_at_rest(self) -> None:
-        """τ of the L1 term by what the camera says of the membrane at rest."""
+        """τ of the L1 term, from the precision of the camera at rest."""
         mesh, view = self.mesh, self._view_at_rest
         weight = self.observer.observe_everything().weight[view.block]
         n = len(mesh.free)
@@ -345,26 +345,29 @@ class GaussNewton:
     def solve(
         self, measured: Measured, measured_gas: float | None, start: Start
     ) -> SolvedFrame | FailedFrame:
-        """Steps until the shape stands, on a support found anew while it moves far.
+        """Estimate shape and contact pressure of a frame by Gauss–Newton steps.
 
-        Once it moves by less than a share of an edge the support is kept, for steps between two
-        supports would go on for ever; where the shape then stands it is looked for a last time.
-        A start that the image is less like than the membrane at rest is left for that. A frame
-        is given up whose shape is farther from rest than the membrane is wide, or goes astray.
-        Errors of the whole image are looked for from where the shape is close, lest they explain
-        what the linearisation misses.
-        How much more or less than the noise is left decides how far the image is trusted, but
-        whether there is contact is decided by no less than the noise of the sensor. The first step
-        to an equilibrium tells it roughly, unless that contradicts the gas; until then only those
-        nodes are looked at that pull most. From then on every step to an equilibrium tells it
-        again, and the frame is solved where noise and answer agree: they do not hang on the frames
-        before.
+        1. Observe: model the image at the present shape and linearise the model there. Restart
+           from rest if the rest shape fits the image better than the warm start does; give up if
+           the image cannot be of this membrane, if the shape leaves its surroundings (`length_m`),
+           or if large steps no longer reduce the misfit.
+        2. Step: solve for contact pressure and nuisances, on a support that is selected anew as
+           long as steps are large. After a small step the support is kept, as the solution could
+           alternate between two supports for ever. Errors of the whole image are fitted only near
+           the solution, where they cannot explain errors of the linearisation.
+        3. Once the shape has converged, select the support again, until it is complete.
+        4. Update the noise factor, by which the image is weighted, from the residual of each step
+           to an equilibrium; repeat from 1 until noise and solution agree, so that the result does
+           not depend on the frames before. Whether there is contact is decided with at least the
+           noise of the sensor. Without a warm start the first step to an equilibrium gives a first
+           guess of the factor, unless it contradicts a measured gas pressure; until then, only the
+           nodes with the steepest gradient are selected.
 
         Parameters
         ----------
         measured : Measured
         measured_gas : float or None
-            p_v, Pa; None: it follows from the volume.
+            p_v, Pa; None: computed from the volume.
         start : Start
 
         Raises
@@ -374,67 +377,78 @@ class GaussNewton:
         """
         state, warm = start.state or self._rest, start.state is not None
         view, tangent, noise = start.view, start.tangent, start.noise
-        noises: list[float] = []  # that the frame was solved with; inf: for a first guess
-        selecting, chosen, far_steps, steps, solve_ms = True, 0, 0, 0, 0.0
-        ahead = self._look(measured, state, view) if warm else None
-        close, clear = warm, ahead is None or self._is_clear(ahead, state.pressure)
-        nearest, astray, far = np.inf, 0, False
-        while steps < _STEPS and astray < _ASTRAY:
+        noises: list[float] = []  # factors solved with; inf: only used for a first guess
+        selecting, selections, large_steps, steps, solve_ms = True, 0, 0, 0, 0.0
+        following = self._observe(measured, state, view) if warm else None
+        near = warm
+        image_shows_rest = following is None or self._shows_rest(following, state.pressure)
+        best_misfit, diverging, large = np.inf, 0, False
+        while steps < _MAX_STEPS and diverging < _MAX_DIVERGING:
             steps += 1
-            sight = ahead or self._look(measured, state, view)
-            ahead = None
-            misfit = sight.misfit(sight.error_m)
-            astray = astray + 1 if far and misfit >= nearest else 0
-            nearest = min(nearest, misfit)
+            observed = following or self._observe(measured, state, view)
+            following = None
+            misfit = observed.misfit(observed.error_m)
+            diverging = diverging + 1 if large and misfit >= best_misfit else 0
+            best_misfit = min(best_misfit, misfit)
             if np.abs(state.x - self.mesh.nodes).max() > self._length_m:
                 break
-            follows = warm and steps == 1 and not noises
-            if follows and self._is_better_from_rest(measured, measured_gas, sight, noise):
+            first_warm = warm and steps == 1 and not noises
+            if first_warm and self._restarts_from_rest(measured, measured_gas, observed, noise):
                 return self.solve(measured, measured_gas, Start())
-            if failure := self._unlike_a_membrane(sight, state):
+            if failure := self._reject_image(observed, state):
                 return failure
-            untouched = state is self._rest and self._nothing_pulls(sight, measured_gas)
-            close = close or untouched
-            known = warm or bool(noises)  # how much more than the noise is left
-            rounds = (_ROUNDS if known else 1) if selecting and not untouched else 0
-            free = close and clear
-            step = self._step(tangent, state, sight, measured_gas, noise, rounds, free)
+            no_contact = state is self._rest and self._fits_without_contact(observed, measured_gas)
+            near = near or no_contact
+            noise_known = warm or bool(noises)
+            rounds = _SELECTION_ROUNDS if noise_known else 1
+            if no_contact or not selecting:
+                rounds = 0
+            fit_image = near and image_shows_rest
+            step = self._step(tangent, state, observed, measured_gas, noise, rounds, fit_image)
             if step is None:
                 break
-            state, view, tangent = step.state, sight.view, step.tangent
+            state, view, tangent = step.state, observed.view, step.tangent
             solve_ms += step.solve_ms
-            far = step.moved_m > self._far_m
-            far_steps += selecting and far and step.moved_m < 0.9 * self._longest_m
-            stands = close and step.balanced and step.seen_m <= self._near_m
-            close = close or not far
-            if close:
-                clear = clear and self._is_clear(sight, step.contact.pressure)
-            if follows and step.balanced and self._near_m < step.seen_m <= self._serves_m:
-                ahead = self._look(measured, state, view)
-                stands = self._was_linear(step, sight, ahead)
-            stands = stands and free == (close and clear)
-            done = stands and ((selecting and step.contact.complete) or chosen > _SELECTIONS)
-            guessed = step.balanced and not known and not self._contradicts(state.gas, measured_gas)
-            if done or guessed or (step.balanced and known and not far):
-                found = self._noise_left(step, sight, noise, clear)
-                if done and _settled(found, noise, noises):
-                    last = (ahead or sight).view
-                    return self._answer(step, sight, last, measured_gas, noise, solve_ms)
-                if done or guessed:
+            large = step.motion_m > self._large_m
+            large_steps += selecting and large and step.motion_m < 0.9 * self._max_step_m
+            converged = near and step.balanced and step.normal_motion_m <= self._converged_m
+            near = near or not large
+            if near:
+                pressure = step.contact.pressure
+                image_shows_rest = image_shows_rest and self._shows_rest(observed, pressure)
+            small = self._converged_m < step.normal_motion_m <= self._reuse_m
+            if first_warm and step.balanced and small:
+                following = self._observe(measured, state, view)
+                converged = self._was_linear(step, observed, following)
+            converged = converged and fit_image == (near and image_shows_rest)
+            done = converged and (
+                (selecting and step.contact.complete) or selections > _MAX_SELECTIONS
+            )
+            first_guess = (
+                step.balanced and not noise_known and not self._contradicts(state.gas, measured_gas)
+            )
+            if done or first_guess or (step.balanced and noise_known and not large):
+                updated = self._updated_noise(step, observed, noise, image_shows_rest)
+                if done and _noise_converged(updated, noise, noises):
+                    last = (following or observed).view
+                    return self._result(step, observed, last, measured_gas, noise, solve_ms)
+                if done or first_guess:
                     noises.append(noise if done else np.inf)
-                    chosen, steps, astray = 0, 0, 0
-                noise = found
-            if stands:
-                selecting, chosen = True, chosen + 1
-            elif far_steps == _FAR_STEPS:
+                    selections, steps, diverging = 0, 0, 0
+                noise = updated
+            if converged:
+                selecting, selections = True, selections + 1
+            elif large_steps == _MAX_LARGE_STEPS:
                 break
             else:
-                selecting = far
-        unlike = noise > IMPLAUSIBLE_MISFIT
-        return FailedFrame("implausible" if unlike else "not_converged", state)
+                selecting = large
+        implausible = noise > IMPLAUSIBLE_MISFIT
+        return FailedFrame("implausible" if implausible else "not_converged", state)
 
-    def _look(self, measured: Measured, state: State, last: ShapeRanges | None) -> _Sight:
-        """The image beside the camera's model of a state, close to a shape seen before."""
+    def _observe(
+        self, measured: Measured, state: State, last: ShapeRanges | None
+    ) -> _Linearisation:
+        """Camera model and residual at a state; `last` is a model at a shape nearby."""
         at_rest = state is self._rest
         view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
         expected = view.model_m + self.observer.image_errors @ state.image_errors
@@ -442,20 +456,20 @@ class GaussNewton:
         error = observation.residual_m[view.block] - view.model_m[view.block]
         errors_m = self.observer.image_errors[view.block]
         image = Nuisances.of_image(errors_m, self._image_sigma, len(state.x))
-        return _Sight(view, observation, error, image)
+        return _Linearisation(view, observation, error, image)
 
-    def _is_clear(self, sight: _Sight, pressure: np.ndarray) -> bool:
-        """Whether the image shows enough of the membrane where nothing touches it."""
-        clear = np.count_nonzero(sight.weight) - _seen_blocks(sight, pressure)
-        return bool(clear >= _FREE_SHARE * len(self._view_at_rest.block))
+    def _shows_rest(self, observed: _Linearisation, pressure: np.ndarray) -> bool:
+        """Whether enough of the image is outside the contact to fit errors of the whole image."""
+        outside = np.count_nonzero(observed.weight) - _contact_blocks(observed, pressure)
+        return bool(outside >= _MIN_CONTACT_FREE * len(self._view_at_rest.block))
 
-    def _unlike_a_membrane(self, sight: _Sight, state: State) -> FailedFrame | None:
-        """Why an image is none of the membrane, if it is not."""
-        seen = sight.weight > 0.0
+    def _reject_image(self, observed: _Linearisation, state: State) -> FailedFrame | None:
+        """Failure if the image does not fit the membrane, or None."""
+        seen = observed.weight > 0.0
         if np.count_nonzero(seen) < MINIMUM_BLOCKS:
             return FailedFrame("no_data")
-        error = sight.error_m[seen]
-        # Contact only pushes inwards: what is far outside the membrane at rest is another surface.
+        error = observed.error_m[seen]
+        # Contact only pushes inwards: a surface far outside the membrane at rest is not of it.
         outside = state is self._rest and np.sqrt(np.mean(np.maximum(error, 0.0) ** 2))
         if (
             outside > IMPLAUSIBLE_SHARE * self._length_m
@@ -464,72 +478,79 @@ class GaussNewton:
             return FailedFrame("implausible", state)
         return None
 
-    def _is_better_from_rest(
-        self, measured: Measured, gas: float | None, sight: _Sight, noise: float
+    def _restarts_from_rest(
+        self, measured: Measured, gas: float | None, observed: _Linearisation, noise: float
     ) -> bool:
-        """Whether a frame is to be solved from rest, and not from the frame before."""
-        # Less noise than the sensor's: by that, nothing may pull at the membrane at rest.
-        if noise < 1.0 and self._nothing_pulls(self._look(measured, self._rest, None), gas):
+        """Whether a frame should be solved from rest instead of its warm start."""
+        # With a noise factor below 1 a contact could persist that the sensor's own noise explains.
+        at_rest = self._observe(measured, self._rest, None) if noise < 1.0 else None
+        if at_rest and self._fits_without_contact(at_rest, gas):
             return True
-        return sight.is_nearer_at_rest(sight.error_m)
+        return observed.fits_rest_better(observed.error_m)
 
     def is_untouched(self, measured: Measured) -> bool:
-        """Whether an image by itself, without a gas pressure, is explained without contact."""
-        sight = self._look(measured, self._rest, None)
-        if self._unlike_a_membrane(sight, self._rest):
+        """Whether an image alone, without a gas pressure, is explained without contact."""
+        observed = self._observe(measured, self._rest, None)
+        if self._reject_image(observed, self._rest):
             return False
-        pulled = not self._nothing_pulls(sight, None)
-        step = self._step(None, self._rest, sight, None, 1.0, int(pulled), not pulled)
+        fits = self._fits_without_contact(observed, None)
+        step = self._step(None, self._rest, observed, None, 1.0, int(not fits), fits)
         if step is None or not step.balanced:
             return False
-        noise = self._noise_left(step, sight, 1.0, self._is_clear(sight, step.contact.pressure))
-        untouched = not pulled or self._nothing_pulls(sight, None, noise)
+        shows_rest = self._shows_rest(observed, step.contact.pressure)
+        noise = self._updated_noise(step, observed, 1.0, shows_rest)
+        untouched = fits or self._fits_without_contact(observed, None, noise)
         return untouched and noise <= IMPLAUSIBLE_MISFIT
 
-    def _nothing_pulls(self, at_rest: _Sight, gas: float | None, noise: float = 1.0) -> bool:
+    def _fits_without_contact(
+        self, at_rest: _Linearisation, gas: float | None, noise: float = 1.0
+    ) -> bool:
         """Whether an image of the membrane at rest is explained without contact."""
         tangent = self._rest_tangent[gas is not None]
         ranges = self._ranges(tangent, self._rest, at_rest, gas, noise)
-        return self._problem(tangent, ranges, self._rest, gas).nothing_pulls()
+        return self._problem(tangent, ranges, self._rest, gas).zero_is_optimal()
 
-    def _noise_left(self, step: Step, sight: _Sight, noise: float, clear: bool) -> float:
-        """By how much more than the camera's noise a frame is missed, after one was assumed."""
+    def _updated_noise(
+        self, step: Step, observed: _Linearisation, noise: float, fit_image: bool
+    ) -> float:
+        """Noise factor by the residual of a step that assumed the factor `noise`."""
         touching = bool(step.contact.pressure.any())
         if step.contact.pivots and not touching:
-            return noise  # contact was looked for in vain, and what it would explain is left
-        left = sight.without_image_errors(step.left_m) if clear else step.left_m
-        found = self.observer.noise_left(sight.observation, sight.view.block, left)
-        return _stepped(found) if touching else max(_stepped(found), 1.0)
+            return noise  # no contact was found: the residual still has what it would explain
+        left = observed.without_image_errors(step.residual_m) if fit_image else step.residual_m
+        factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
+        return _on_noise_grid(factor) if touching else max(_on_noise_grid(factor), 1.0)
 
-    def _answer(
+    def _result(
         self,
         step: Step,
-        sight: _Sight,
+        observed: _Linearisation,
         last: ShapeRanges,
         gas: float | None,
         noise: float,
         solve_ms: float,
     ) -> SolvedFrame | FailedFrame:
-        if _seen_blocks(sight, step.contact.pressure) < np.count_nonzero(step.contact.pressure):
+        pressure = step.contact.pressure
+        if _contact_blocks(observed, pressure) < np.count_nonzero(pressure):
             return FailedFrame("no_data", step.state)
-        touching, left = step.contact.pressure.any(), step.left_m + step.image_error_m
-        if touching and sight.is_nearer_at_rest(left):
-            return FailedFrame("implausible", step.state)  # contact makes it no better than none
+        touching = pressure.any()
+        if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
+            return FailedFrame("implausible", step.state)  # contact does not improve the fit
         if not touching and noise > IMPLAUSIBLE_MISFIT:
-            return FailedFrame("implausible", step.state)  # nor is it the membrane without contact
-        misfit = self.observer.left(sight.observation, sight.view.block, step.left_m)
+            return FailedFrame("implausible", step.state)  # nor does the membrane at rest fit
+        misfit = self.observer.misfit(observed.observation, observed.view.block, step.residual_m)
         contradicts = self._contradicts(step.state.gas, gas)
-        contact = evident(self.mesh, step.contact)
-        sigma, share = self._sigma(step, contact), self._seen_share(sight, contact)
+        contact = significant_contact(self.mesh, step.contact)
+        sigma, share = self._sigma(step, contact), self._visible_share(observed, contact)
         return SolvedFrame(step, last, noise, misfit, contradicts, contact, sigma, share, solve_ms)
 
-    def _seen_share(self, sight: _Sight, contact: np.ndarray) -> float:
-        """Share of the area of nodes (n,) bool that are a corner of a facet with a return."""
-        jacobian, seen = sight.view.jacobian, np.zeros(len(contact), bool)
-        weighed = np.repeat(sight.weight > 0.0, np.diff(jacobian.indptr))
-        seen[jacobian.indices[weighed] // 3] = True
+    def _visible_share(self, observed: _Linearisation, contact: np.ndarray) -> float:
+        """Share of the area of nodes (n,) bool whose facets are visible."""
+        jacobian, visible = observed.view.jacobian, np.zeros(len(contact), bool)
+        weighed = np.repeat(observed.weight > 0.0, np.diff(jacobian.indptr))
+        visible[jacobian.indices[weighed] // 3] = True
         area = self.mesh.areas * contact
-        return float(area @ seen / area.sum()) if contact.any() else np.nan
+        return float(area @ visible / area.sum()) if contact.any() else np.nan
 
     # -- one step -------------------------------------------------------------------------------
 
@@ -537,60 +558,60 @@ class GaussNewton:
         self,
         last: Tangent | None,
         state: State,
-        sight: _Sight,
+        observed: _Linearisation,
         gas: float | None,
         noise: float,
         rounds: int,
-        free: bool,
+        fit_image: bool,
     ) -> Step | None:
-        """A step from a state, with its support found anew in so many rounds; None: no answer.
+        """A step from a state, or None if its problem was not solved.
 
-        Errors of the whole image are `free` or taken for zero.
+        Its support is selected in so many rounds; errors of the whole image are fitted or zero.
         """
         tangent = self._tangent_at(state, gas, last)
-        ranges = self._ranges(tangent, state, sight, gas, noise, free)
+        ranges = self._ranges(tangent, state, observed, gas, noise, fit_image)
         began = time.perf_counter()
         contact = self._contact(tangent, ranges, state, gas, rounds)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
-        ahead, balanced = self._advanced(tangent, state, ranges, contact, gas)
-        motion = ahead.x - state.x
-        left = sight.error_m - sight.view.jacobian @ motion.ravel()
-        left -= ranges.nuisances.errors_m @ contact.amplitudes
+        after, balanced = self._advance(tangent, state, ranges, contact, gas)
+        motion = after.x - state.x
+        residual = observed.error_m - observed.view.jacobian @ motion.ravel()
+        residual -= ranges.nuisances.errors_m @ contact.amplitudes
         size = np.maximum(np.linalg.norm(tangent.area_vectors, axis=1), np.finfo(float).tiny)
         along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
-        moved, seen = float(np.abs(motion).max()), float(np.abs(along).max())
-        return Step(ahead, balanced, moved, seen, contact, tangent, ranges, left, solve_ms)
+        most, normal = float(np.abs(motion).max()), float(np.abs(along).max())
+        return Step(after, balanced, most, normal, contact, tangent, ranges, residual, solve_ms)
 
     def _ranges(
         self,
         tangent: Tangent,
         state: State,
-        sight: _Sight,
+        observed: _Linearisation,
         gas: float | None,
         noise: float = 1.0,
-        free: bool = True,
+        fit_image: bool = True,
     ) -> Ranges:
-        """What an image says near a shape, where it has so many times the camera's noise."""
-        weight = sight.weight / noise**2
-        # What the model misses is not the noise of pixels alone: a barometer and the whole image
-        # are trusted less by as much, or their priors would drag the shape away from the image.
+        """Residual and weights of an image with a noise factor, and its nuisances."""
+        weight = observed.weight / noise**2
+        # A noise factor above 1 is partly an error of the model: the priors of gas pressure and
+        # image errors are widened by it, too, or they would pull the shape away from the image.
         doubt = max(noise, 1.0)
         known = self._nuisances(tangent, state, len(weight), gas, doubt)
-        image = replace(sight.image, sigma=free * doubt * sight.image.sigma)
+        image = replace(observed.image, sigma=fit_image * doubt * observed.image.sigma)
         nuisances = Nuisances.joined([*known, image])
-        return Ranges(sight.view.jacobian, sight.error_m, weight, nuisances)
+        return Ranges(observed.view.jacobian, observed.error_m, weight, nuisances)
 
     def _nuisances(
         self, tangent: Tangent, state: State, ranges: int, gas: float | None, doubt: float
     ) -> list[Nuisances]:
-        """Error of a measured gas pressure, and friction of the contacts that a state has."""
+        """Error of a measured gas pressure, and friction of the contacts of a state."""
         parts = []
         if gas is not None:
             sigma = np.array([doubt * gas_sigma(self.bubble.gas, gas)])
-            bulge, nothing = tangent.bulge[:, :, None], np.zeros((*state.x.shape, 1))
-            parts.append(Nuisances.of_motions(bulge, sigma, nothing, ranges))
+            bulge, no_force = tangent.bulge[:, :, None], np.zeros((*state.x.shape, 1))
+            parts.append(Nuisances.of_motions(bulge, sigma, no_force, ranges))
         if self._friction > 0.0 and state.pressure.any():
             loads = friction_loads(tangent.x, tangent.area_vectors, state.pressure, self.mesh.rings)
             sigma = np.full(loads.shape[2], self._friction)
@@ -598,14 +619,14 @@ class GaussNewton:
         return parts
 
     def threshold(self, ranges: Ranges) -> np.ndarray:
-        """τ of the L1 term (n,) for what an image says, 1/Pa."""
+        """τ of the L1 term (n,) for an image's weights, 1/Pa."""
         return self._tau * np.sqrt(ranges.weight.sum() / self._weight)
 
     def _problem(
         self, tangent: Tangent, ranges: Ranges, state: State, gas: float | None
     ) -> ContactProblem:
         prior = Prior(self._smoothness, self.threshold(ranges), self.mesh.rings)
-        relaxing = self._relaxing(tangent, state, gas)
+        relaxing = self._relaxation(tangent, state, gas)
         return ContactProblem(tangent, ranges, prior, state.pressure, relaxing)
 
     def _contact(
@@ -618,27 +639,27 @@ class GaussNewton:
     ) -> ContactPressure:
         problem = self._problem(tangent, ranges, state, gas)
         selection = Selection(state.support)
-        if rounds and (state.pressure.any() or not problem.nothing_pulls()):
+        if rounds and (state.pressure.any() or not problem.zero_is_optimal()):
             selection = problem.select(state.support, rounds)
         change = self.bubble.gas_at(state.x)[0] if gas is None else gas
-        if self.bubble.gas.zero_sigma_pa:  # what was measured may be far off: as found so far
+        if self.bubble.gas.zero_sigma_pa:  # the measured one may be far off: use the estimate
             change = state.gas
         least = self.bubble.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return parts_with(self.mesh.rings, pressure >= least, support)
 
-        if rounds and 0 < np.count_nonzero(selection.support) <= _LIKELIEST:
-            selection = problem.likeliest(selection)
-        return problem.refine(selection, touches)
+        if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
+            selection = problem.max_evidence(selection)
+        return problem.solve_debiased(selection, touches)
 
-    def _relaxing(self, tangent: Tangent, state: State, gas: float | None) -> np.ndarray:
-        """Motion (n, 3) to equilibrium under a state's pressure, to first order."""
-        if state is self._rest:  # in equilibrium but for a gas pressure that was measured
+    def _relaxation(self, tangent: Tangent, state: State, gas: float | None) -> np.ndarray:
+        """Motion (n, 3) to equilibrium under the pressure of a state, to first order."""
+        if state is self._rest:  # in equilibrium except for a measured gas pressure
             return np.zeros_like(state.x) if gas is None else gas * tangent.bulge
         return tangent.motion(-self.bubble.residual(state.x, state.pressure, gas))
 
-    def _advanced(
+    def _advance(
         self,
         tangent: Tangent,
         state: State,
@@ -646,66 +667,67 @@ class GaussNewton:
         contact: ContactPressure,
         gas: float | None,
     ) -> tuple[State, bool]:
-        """Towards a contact pressure, and to equilibrium under it where that is close.
+        """State after a step, and whether it is an equilibrium.
 
-        Part of a pressure need not have an equilibrium nearby: a dent is held by the object's
-        place. Then the shape goes where the data pull it, and the next step balances it.
+        The shape is moved on to equilibrium under its new pressure where there is one nearby. There
+        need not be one under a part of a pressure (the object prescribes positions, not pressures);
+        the shape is then the linearised one, and the next step balances it.
         """
-        share = min(1.0, self._longest_m / max(float(np.abs(contact.motion).max()), 1e-300))
+        share = min(1.0, self._max_step_m / max(float(np.abs(contact.motion).max()), 1e-300))
         pressure = state.pressure + share * (contact.pressure - state.pressure)
-        ahead, inside = state.x + share * contact.motion, gas
+        linear, inside = state.x + share * contact.motion, gas
         if gas is not None:
             inside = state.gas + share * (gas + float(contact.amplitudes[0]) - state.gas)
         friction = ranges.nuisances.forces @ contact.amplitudes
-        x, balanced = ahead, state is self._rest and not contact.motion.any()
+        x, balanced = linear, state is self._rest and not contact.motion.any()
         if share == 1.0 and not balanced:
-            x, balanced, _ = self.bubble.settled(tangent, ahead, pressure, inside, friction)
-            balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
+            x, balanced, _ = self.bubble.equilibrium(tangent, linear, pressure, inside, friction)
+            balanced = balanced and float(np.abs(x - linear).max()) <= self._large_m
         if not balanced:
-            x = ahead
+            x = linear
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
         image_errors = contact.amplitudes[-len(IMAGE_ERRORS) :]
         return State(x, pressure, contact.support, inside, friction, image_errors), balanced
 
     def _tangent_at(self, state: State, gas: float | None, last: Tangent | None) -> Tangent:
-        """A tangent taken close to a state: the last one, where it still serves."""
+        """Tangent near a state: the last one where it is near enough."""
         measured = gas is not None
         if state is self._rest:
             return self._rest_tangent[measured]
         if (
             last is not None
             and last.with_gas is not measured
-            and float(np.abs(state.x - last.x).max()) <= self._serves_m
+            and float(np.abs(state.x - last.x).max()) <= self._reuse_m
         ):
             return last
         return self.bubble.linearised(state.x, state.pressure, state.gas if measured else None)
 
-    def _contradicts(self, asked_pa: float, measured_pa: float | None) -> bool:
-        """Whether the shape asks for another p_v than was measured, if it was."""
+    def _contradicts(self, shape_pa: float, measured_pa: float | None) -> bool:
+        """Whether p_v of the shape contradicts the measured one, if any."""
         gas, gauge = self.bubble.gas, self.bubble.held_pressure_pa
         return measured_pa is not None and contradicts_measured_gas(
-            asked_pa, measured_pa, gas, gauge
+            shape_pa, measured_pa, gas, gauge
         )
 
-    def _was_linear(self, step: Step, sight: _Sight, ahead: _Sight) -> bool:
-        """Whether the image around a step's end changes its force by less than noise does."""
+    def _was_linear(self, step: Step, observed: _Linearisation, following: _Linearisation) -> bool:
+        """Whether the error of a step's linearisation changes its force by less than noise does."""
         touching = step.contact.pressure > 0.0
         if not touching.any():
             return True
-        predicted = np.full(self.observer.blocks, np.nan)
-        predicted[ahead.view.block] = ahead.error_m
-        left = step.left_m + step.image_error_m
-        beyond = np.nan_to_num(predicted[sight.view.block] - left)
+        exact = np.full(self.observer.blocks, np.nan)
+        exact[following.view.block] = following.error_m
+        linear = step.residual_m + step.image_error_m
+        beyond = np.nan_to_num(exact[observed.view.block] - linear)
         nodes = step.contact.nodes
         force = self._unit_forces(step, touching, nodes)
         change = self._change(step, beyond) @ force
         return bool((change**2 <= step.contact.problem.variance(nodes, force)).all())
 
     def _sigma(self, step: Step, contact: np.ndarray) -> np.ndarray:
-        """Standard deviation by noise, nuisances, material and model of the force (3,), N.
+        """Standard deviation of the force (3,) due to noise, nuisances, material and model, N.
 
-        The support is known to a node: those beside it may touch, too.
+        The support is uncertain by one node: its neighbours may touch, too.
         """
         if not contact.any():
             return np.zeros(3)
@@ -718,52 +740,52 @@ class GaussNewton:
             [step.contact.pressure[step.contact.nodes], step.contact.amplitudes]
         )
         model = MODEL_ERROR * np.linalg.norm(unknowns @ force)
-        around = np.flatnonzero(problem.around(step.contact.pressure > 0.0))
-        force = self._unit_forces(step, problem.around(contact), around)
+        around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
+        force = self._unit_forces(step, problem.with_neighbours(contact), around)
         variance = problem.variance(around, force)
         return np.sqrt(variance + np.square(by_material).sum(axis=0) + model**2)
 
     def _change(self, step: Step, ranges_m: np.ndarray) -> np.ndarray:
-        """Change of pressures and amplitudes (s + a,) where the ranges (k,) change."""
+        """Change of pressures and amplitudes (s + a,) for a change of the ranges (k,)."""
         contact, count = step.contact, len(step.contact.nodes)
-        pull = contact.problem.pulled(contact.nodes, ranges_m)
-        change: np.ndarray = -contact.covariance[:, :count] @ pull
+        gradient = contact.problem.misfit_gradient(contact.nodes, ranges_m)
+        change: np.ndarray = -contact.covariance[:, :count] @ gradient
         change[count:] += step.ranges.amplitudes(ranges_m)
         return change
 
     def _unit_forces(self, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """Force by unit pressures of nodes (s,) and amplitudes, (s + a, 3), where counted (n,)."""
+        """Force of unit pressures of nodes (s,) and unit amplitudes, (s + a, 3), on `counted`."""
         push = -self.bubble.area_vectors(step.state.x) * counted[:, None]
         friction = step.ranges.nuisances.forces[counted].sum(axis=0).T
         return np.concatenate([push[nodes], friction])
 
 
-def _seen_blocks(sight: _Sight, pressure: np.ndarray) -> int:
-    """Blocks of pixels that see a facet with a node under pressure (n,)."""
-    jacobian = sight.view.jacobian
+def _contact_blocks(observed: _Linearisation, pressure: np.ndarray) -> int:
+    """Number of blocks of pixels that see a facet with a node under pressure (n,)."""
+    jacobian = observed.view.jacobian
     touched = (pressure > 0.0)[jacobian.indices // 3]
     row = np.repeat(np.arange(jacobian.shape[0]), np.diff(jacobian.indptr))
     sees = np.bincount(row[touched], minlength=jacobian.shape[0]) > 0
-    return int(np.count_nonzero(sees & (sight.weight > 0.0)))
+    return int(np.count_nonzero(sees & (observed.weight > 0.0)))
 
 
-def _settled(found: float, noise: float, before: list[float]) -> bool:
-    """Whether a frame is solved that was solved with one noise and leaves another one.
+def _noise_converged(updated: float, noise: float, earlier: list[float]) -> bool:
+    """Whether the noise factor has converged that a frame was solved with.
 
-    A step of them apart is the same noise: two standard deviations. Two that are further apart may
-    follow each other for ever, each with its own support: the larger one stays.
+    Neighbours on the grid count as equal: their ratio is two standard deviations. Two factors
+    further apart can alternate for ever, each with its own support: the larger one is taken.
     """
-    same = found == noise or (min(found, noise) >= 1.0 and abs(_steps_from_1(found / noise)) <= 1)
-    alternate = found < noise and found in before
-    return same or alternate or len(before) + 1 >= _NOISES
+    near = min(updated, noise) >= 1.0 and abs(_noise_index(updated / noise)) <= 1
+    alternating = updated < noise and updated in earlier
+    return updated == noise or near or alternating or len(earlier) + 1 >= _MAX_NOISES
 
 
-def _steps_from_1(noise: float) -> int:
-    """Steps of `_NOISE_STEP` nearest to a noise."""
-    return round(log(noise) / log(_NOISE_STEP))
+def _noise_index(noise: float) -> int:
+    """Nearest power of `_NOISE_RATIO` to a noise factor."""
+    return round(log(noise) / log(_NOISE_RATIO))
 
 
-def _stepped(noise: float) -> float:
-    """Nearest of the noises that frames are solved with."""
-    step = _NOISE_STEP if noise >= 1.0 else SURELY
+def _on_noise_grid(noise: float) -> float:
+    """Nearest noise factor on the grid."""
+    step = _NOISE_RATIO if noise >= 1.0 else SURELY
     return step ** round(log(noise) / log(step))

@@ -1,4 +1,4 @@
-"""Eq. 23 as the paper has it: one sparse QP in u, p_c and p_v, solved by OSQP from nothing.
+"""Eq. 23 as the paper has it: one sparse QP in u, p_c and p_v, solved by OSQP without warm start.
 
     min  ½ ‖e − D u‖²_W + ½ λ p_cᵀ L p_c + τᵀ p_c
     s.t. L u = A∘(p_v − p_c),   p_v = −βᵀu or measured,   p_c ≥ 0
@@ -30,7 +30,7 @@ MOST_ITERATIONS = 10_000
 
 
 class PaperEstimator(Estimator):
-    """Sets up, factorises and solves every frame anew: the baseline to compare with.
+    """The paper's estimator as a baseline: sets up, factorises and solves every frame anew.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class PaperEstimator(Estimator):
         start: Start | None = None,
         gas_sigma_pa: float = 0.0,
     ) -> tuple[Estimate, Start]:
-        """Solve one frame; a gas pressure without a zero is left alone."""
+        """Solve one frame; a gas pressure with an uncertain zero is not used."""
         mesh, behind = self.mesh, self.bubble.gas
         gas = None if gas_sigma_pa else behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
@@ -77,11 +77,11 @@ class PaperEstimator(Estimator):
         problem, prior = self._problem(ranges, gas)
         began, iterations, converged = time.perf_counter(), 0, True
         pressure = np.zeros(len(mesh.nodes))
-        if not problem.nothing_pulls():
+        if not problem.zero_is_optimal():
             found, first, selected = self._solved(ranges, gas, prior.threshold, ~mesh.rim)
             slope = (problem.gradient(found) + prior.threshold) / mesh.areas
-            # A first-order iterate is nowhere exactly zero: kept are the nodes that are nearer to
-            # carrying pressure than to having a multiplier.
+            # A first-order iterate is nowhere exactly zero: the support has the nodes whose scaled
+            # pressure exceeds their multiplier.
             scale = found.max(initial=0.0) / max(float(np.abs(slope).max()), 1e-300)
             support = found > np.maximum(slope, 0.0) * scale
             pressure, more, solved = self._solved(ranges, gas, np.zeros_like(found), support)
@@ -91,7 +91,7 @@ class PaperEstimator(Estimator):
         if not (converged and balanced):
             reason = STATUS_REASONS["not_converged"]
             return no_estimate(mesh, "not_converged", reason), Start()
-        misfit = self.observer.left(
+        misfit = self.observer.misfit(
             observation, self._view.block, error - self._view.jacobian @ motion.ravel()
         )
         if doubt := reason_against_fit(misfit, self.observer.white, self.size_m):
@@ -120,11 +120,11 @@ class PaperEstimator(Estimator):
         return estimate, Start()
 
     def _moved(self, pressure: np.ndarray, gas: float | None) -> tuple[np.ndarray, bool]:
-        """Motion (n, 3) under a contact pressure, with the exact gas law; whether it was found."""
+        """Motion (n, 3) under a contact pressure, with the exact gas law; whether it converged."""
         nodes = self.mesh.nodes
         tangent = self.bubble.linearised(nodes, pressure, gas)
         motion = tangent.motion(((gas or 0.0) - pressure)[:, None] * tangent.area_vectors)
-        x, balanced, _ = self.bubble.settled(tangent, nodes + motion, pressure, gas)
+        x, balanced, _ = self.bubble.equilibrium(tangent, nodes + motion, pressure, gas)
         return x - nodes, balanced
 
     def _problem(self, ranges: Ranges, gas: float | None) -> tuple[ContactProblem, Prior]:
@@ -181,7 +181,7 @@ class PaperEstimator(Estimator):
 
 
 def _for_osqp(matrix: sparse.sparray) -> sparse.csc_matrix:
-    """OSQP takes nothing but a `csc_matrix` with 32-bit indices."""
+    """OSQP accepts only a `csc_matrix` with 32-bit indices."""
     csc = sparse.csc_matrix(matrix)
     csc.sort_indices()
     csc.indices, csc.indptr = csc.indices.astype(np.int32), csc.indptr.astype(np.int32)

@@ -22,17 +22,16 @@ def mean_pressure(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> float:
 class PatchFinder:
     """Finds the patch in an estimate.
 
-    By default it is what the estimate has under pressure, with the edge that `PatchEdge` finds.
-    With a factor κ it is the paper's: wherever p_c exceeds κ times its mean over the membrane.
+    By default the patch is the part under contact pressure, with the edge by `PatchEdge`. With a
+    factor κ it is the paper's: wherever p_c exceeds κ times its mean over the membrane.
 
     Parameters
     ----------
     mesh : MembraneMesh
     held_pressure_pa : float
-        γ0 (κ1 + κ2): what the tension holds, the gauge pressure in the reference configuration.
+        γ0 (κ1 + κ2), the gauge pressure of the reference configuration.
     resolution_m : float
-        Width of the response of estimates that do not know their own, see
-        `resolution.resolution_m`.
+        Resolution of estimates without their own, see `resolution.resolution_m`.
     edge_m : float, optional
         As of `PatchEdge`.
     """
@@ -48,10 +47,7 @@ class PatchFinder:
         self._edge, self._resolution_m = PatchEdge(mesh, edge_m), resolution_m
 
     def find(self, estimate: Estimate, kappa: float | None = None) -> Patch:
-        """Patch of an estimate: what carries the gas pressure, or by the paper's threshold κ.
-
-        The former is drawn on the estimate's finer mesh where it has one.
-        """
+        """Patch of an estimate, on its finer mesh if any; or by the paper's threshold κ."""
         if kappa is None and estimate.fine is not None:
             patch = self._on_finer(estimate, estimate.fine)
             if patch.area_m2 > 0.0:
@@ -114,12 +110,12 @@ class PatchFinder:
         _, part[contact > 0.0] = connected_parts(self._mesh.rings, contact > 0.0)
         drawn = np.zeros(part.max(initial=-1) + 2, bool)
         drawn[part[level > 0.0]] = True
-        # A contact smaller than the resolution has no edge to draw: its nodes are the patch.
+        # A contact smaller than the resolution has no contour: its nodes are the patch.
         small = np.flatnonzero((contact > 0.0) & ~drawn[part])
         if len(small):
             edge = self._mesh.edge_length
-            beside = self._mesh.rings[:, small]
-            level[beside] = np.where(level[beside] > 0.0, level[beside], -edge)
+            around = self._mesh.rings[:, small]
+            level[around] = np.where(level[around] > 0.0, level[around], -edge)
             inside = (contact[small] / gas_pa - 0.5) * edge
             level[small] = np.minimum(inside, self._edge.blur_m(resolution_m))
         return level
@@ -135,7 +131,7 @@ def nodal_force(mesh: MembraneMesh, estimate: Estimate) -> np.ndarray:
 def area_and_interval(
     mesh: MembraneMesh, level: np.ndarray, band: float
 ) -> tuple[float, tuple[float, float]]:
-    """Areas in m² within an edge, and within the inner and the outer line of its band if any."""
+    """Areas in m² within the edge, and within the inner and outer line of its band if any."""
     if np.isnan(band):
         return area_above(mesh, level, 0.0), (np.nan, np.nan)
     inner, edge, outer = areas_above(mesh, level, (band, 0.0, -band))
@@ -157,18 +153,18 @@ def areas_above(
     """
     if field.max() <= min(levels):
         return (0.0,) * len(levels)
-    reaching = np.flatnonzero((field > min(levels)).take(mesh.corners).any(axis=0))
-    low, middle, high = np.sort(field[mesh.corners.take(reaching, axis=1)], axis=0)
+    above = np.flatnonzero((field > min(levels)).take(mesh.corners).any(axis=0))
+    low, middle, high = np.sort(field[mesh.corners.take(above, axis=1)], axis=0)
     level = np.asarray(levels, float)[:, None]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         one = (high - level) ** 2 / ((high - low) * (high - middle))
         two = 1.0 - (level - low) ** 2 / ((high - low) * (middle - low))
     part = np.where(middle > level, two, np.where(high > level, one, 0.0))
-    areas = np.where(low > level, 1.0, part) @ mesh.facet_areas[reaching]
+    areas = np.where(low > level, 1.0, part) @ mesh.facet_areas[above]
     return tuple(areas.tolist())
 
 
-# The separate parts of a contact patch, and the patch without those too small to be contact.
+# The connected parts of a contact patch, and the patch without small ones.
 
 
 @dataclass(frozen=True)
@@ -226,7 +222,7 @@ def without_small(
 ) -> Patch:
     """Patch without the parts that are smaller than an area, m².
 
-    The force stays: it is that of the whole contact pressure.
+    The force does not change: it is that of the whole contact pressure.
     """
     parts = components(mesh, estimate, patch)
     kept = [part for part in parts if part.area_m2 >= least_area_m2]
@@ -241,7 +237,7 @@ def without_small(
             level[part.nodes] = -np.abs(level[part.nodes])
     band = patch.edge_half_width_m
     if band > 0.0:
-        _leave_out(mesh, level, band)
+        _remove_empty_bands(mesh, level, band)
     center = np.full(3, np.nan)
     if kept:
         here = np.concatenate([part.nodes for part in kept])
@@ -258,8 +254,8 @@ def without_small(
     )
 
 
-def _leave_out(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
-    """Remove the bands of edges from a level where no patch is left."""
+def _remove_empty_bands(mesh: MembraneMesh, level: np.ndarray, band: float) -> None:
+    """Remove the bands around edges of removed parts from a level."""
     near = level > -band
     count, label = connected_parts(mesh.rings, near)
     empty = np.bincount(label, level[near] > 0.0, minlength=count) == 0.0
@@ -275,28 +271,28 @@ def _component(
     force: np.ndarray,
 ) -> Component:
     pressure = estimate.contact_pressure_pa
-    alone = np.minimum(level, 0.0)
-    alone[here] = level[here]
+    own_level = np.minimum(level, 0.0)
+    own_level[here] = level[here]
     load = mesh.areas[here] * pressure[here]
     total = float(load.sum())
     return Component(
         nodes=here,
-        area_m2=area_above(mesh, alone, 0.0),
+        area_m2=area_above(mesh, own_level, 0.0),
         force_n=force,
         peak_pa=float(pressure[here].max()),
         center_m=load @ nodes[here] / total if total > 0.0 else nodes[here].mean(axis=0),
     )
 
 
-# How much of its cell a node of a contact covers.
+# Share of the cells of nodes that the contact covers.
 
 
 def touching_share(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> np.ndarray:
     """Share (n,) of each node's cell that touches, 0 to 1; the edge is where it is one half.
 
-    A node touches as soon as the object reaches a part of its cell, and carries the load of that
-    part alone. What its whole cell would carry is taken from the nodes beside it that no free node
-    is next to; on a sharp edge it carries a line load on top, and all of its cell counts.
+    A node is in contact as soon as the object touches a part of its cell, and carries the load of
+    that part only. The load of its whole cell is taken from neighbours that are not at the edge. On
+    a sharp edge it also carries a line load, and its whole cell counts.
 
     Parameters
     ----------

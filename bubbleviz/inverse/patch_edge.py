@@ -4,13 +4,13 @@ Noise and prior leave the estimate p̂ blurred by a Gaussian-like kernel of know
 (`resolution.resolution_m`), the mesh by half an edge. The membrane lies on a flat or convex object
 with at least the gauge pressure, and on the edges of a flat face it carries a line load on top, so
 that across the true edge p̂ is a blurred step of height b (the interior) plus a blurred ridge. The
-contour at half the height m beside the edge therefore lies on it where the interior is as high (a
+contour at half the height m inside the edge thus lies on it where the interior is as high (a
 ball), and ever further outside, up to about ℓ √(2 ln 2), where the ridge is all there is (a sharp
-box). m is a mean over nodes that lie inside, above all wholly: those at the edge carry the load of
-the part of their cell that touches, and the highest of all would be noise.
-The contour is drawn there, smoothed over ℓ or as far as the patch is wide, and moved in by that
-much. What smoothing and blur take off where it is curved is given back; what blur adds to contacts
-hardly wider than itself is taken off.
+box). m is a mean over nodes inside, mostly those without a neighbour outside: nodes at the edge
+carry only the load of the part of their cell in contact, and the maximum would be noise.
+The contour is smoothed over ℓ, or less in a narrow patch, and moved inwards by that distance.
+Corrections compensate shrinkage by smoothing and blur where the contour is curved, and widening by
+blur of contacts that are hardly wider than ℓ.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Region:
 
     @classmethod
     def of(cls, mesh: MembraneMesh, mask: np.ndarray) -> Region:
-        """The part that a set of nodes (n,) bool is."""
+        """Region of a set of nodes (n,) bool."""
         index = np.flatnonzero(mask)
         around = mesh.rings.take(index, axis=1)
         outside = ~mask.take(around)
@@ -79,7 +79,7 @@ class Region:
         return self.differences(field) + (1 + self.neighbours) * field
 
     def maximum(self, field: np.ndarray, rings: float) -> np.ndarray:
-        """Largest value within some rings of a node, in proportion between whole numbers."""
+        """Largest value within some rings of a node, interpolated for a fraction of a ring."""
         for _ in range(int(rings)):
             field = field.take(self.rings).max(axis=0)
         return field + rings % 1.0 * (field.take(self.rings).max(axis=0) - field)
@@ -89,7 +89,7 @@ class Region:
         return grown(self.rings, mask)
 
     def any_in_part(self, mask: np.ndarray, flag: np.ndarray) -> np.ndarray:
-        """Nodes of a set whose connected part holds a flagged node."""
+        """Nodes of a set whose connected part contains a flagged node."""
         found, more = mask & flag, True
         while more:
             wider = mask & self.touches(found)
@@ -105,18 +105,18 @@ def contour_points(region: Region, field: np.ndarray) -> np.ndarray:
 
 _MESH_BLUR = 0.5  # ℓ of what a mesh blurs, in its edges
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
-_HOLE = 2.0  # deepest hole, in ℓ, in which missing gauge pressure could go unnoticed
+_HOLE = 2.0  # deepest hole, in ℓ, that the blur may cause in a contact without holes
 _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is averaged
 _INSIDE = 4
-"""Power of the share of a node's neighbourhood inside by which the node counts. Chosen: of 2, 4, 8
-and 16 that with the steadiest edge in the hold of the real press."""
+"""Power of the share of a node's neighbourhood inside, which is the node's weight. Chosen:
+of 2, 4, 8 and 16 that with the steadiest edge in the hold of the real press."""
 _INWARD = 1.75
-"""Way inside from the edge, in ℓ, on which a blurred step has all but risen; at least one mesh
-edge. Chosen on presses of four objects into three membranes: 2 takes more from contacts on a dome
+"""Distance inside the edge, in ℓ, where a blurred step has almost its full height; at least one
+mesh edge. Chosen on presses of four objects into three membranes: 2 shrinks contacts on a dome
 that are too small already. On six others (`benchmarks/objects`) 1.5 is as good and 2 worse."""
 _THIN = 0.5
-"""Share of the patch's half width over which the contour is smoothed at most: a small contact would
-be smoothed away. Of presses of ten objects 0.35 to 0.7 have the same IoU to 0.01."""
+"""Largest smoothing length over the patch's half width: more would remove small contacts. Of
+presses of ten objects 0.35 to 0.7 have the same IoU to 0.01."""
 _NARROW = np.array(
     [
         [0.0, 1.386, 1.483, 1.600, 1.737, 1.890, 2.057, 2.235, 2.516, 3.003],
@@ -128,7 +128,7 @@ the strip, in ℓ. Strips narrower than 2 ℓ, of which the contour tells little
 much narrower than their contour as that one."""
 _ROUND = 0.16
 """How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
-edge: at a radius of 2.7 ℓ. Of larger discs it is what smoothing takes off, too, ℓ²/2 over the
+edge: at a radius of 2.7 ℓ. For larger discs it equals the shrinkage by smoothing, ℓ²/2 over the
 radius."""
 
 
@@ -150,7 +150,7 @@ class PatchEdge:
         self.edge_length_m = edge_length_m
 
     def blur_m(self, resolution_m: float) -> float:
-        """ℓ of an estimate of some resolution, m: below half an edge it is the mesh that blurs."""
+        """ℓ for a resolution of the estimate, m: at least the blur by the mesh, half an edge."""
         return max(resolution_m, _MESH_BLUR * self.edge_length_m)
 
     def level_set(
@@ -181,37 +181,43 @@ class PatchEdge:
         self, region: Region, p: np.ndarray, floor: float, blur: float
     ) -> np.ndarray:
         outside = self._outside(region, p - floor, blur)
-        beside = _beside(region, p, outside, max(1.0, _INWARD * blur / self.edge_length_m))
-        distance = self._distance(region, _contour(region, p, beside, outside, floor), blur)
+        inside_pressure = _pressure_inside(
+            region, p, outside, max(1.0, _INWARD * blur / self.edge_length_m)
+        )
+        distance = self._distance(
+            region, _contour(region, p, inside_pressure, outside, floor), blur
+        )
         reach = 3.0 * blur
         before = np.clip(distance, -reach, reach)
         half_width = np.maximum(region.maximum(before, reach / self.edge_length_m), 0.0)
         smooth = self._smooth(region, before, np.minimum(blur, _THIN * half_width))
         distance = self._distance(region, smooth, blur)
-        distance -= self._dilation(region, p, beside, distance, before, blur)
+        distance -= self._dilation(region, p, inside_pressure, distance, before, blur)
         return distance - self._widening(half_width, blur)
 
     def _dilation(
         self,
         region: Region,
         p: np.ndarray,
-        beside: np.ndarray,
+        inside_pressure: np.ndarray,
         distance: np.ndarray,
         before: np.ndarray,
         blur: float,
     ) -> np.ndarray:
-        """How far outside the edge the contour lies, m: ℓ √(2 ln 2) (1 − b/m), less what is shrunk.
+        """Distance of the contour outside the edge, m: ℓ √(2 ln 2) (1 − b/m), less the shrinkage.
 
-        The profile is averaged along the contour; so is what the smoothing took off.
+        Profile and shrinkage by smoothing are averaged along the contour.
         """
         near = np.exp(-0.5 * (distance / blur) ** 2)
         deep = np.clip(distance / blur - 1.0, 0.0, 1.0)
-        fields = np.stack([near * beside, near * (before - distance), near, deep * p, deep])
+        fields = np.stack(
+            [near * inside_pressure, near * (before - distance), near, deep * p, deep]
+        )
         heights, lost, count, loads, insides = self._smooth(region, fields, _PROFILE * blur)
         count = np.maximum(count, 1e-9)
         height = np.maximum(heights / count, 1e-9)
         shrunk = lost / count
-        # Where no interior is in sight, a step.
+        # Without an interior nearby: a step.
         interior = (loads + 1e-6 * height) / (insides + 1e-6)
         ridge = np.maximum(1.0 - interior / height, 0.0)
         by_blur = np.clip(shrunk, -_ROUND * blur, _ROUND * blur)
@@ -219,30 +225,30 @@ class PatchEdge:
         return dilation
 
     def _widening(self, half_width: np.ndarray, blur: float) -> np.ndarray:
-        """How far outside the edge the contour of a narrow contact lies, m.
+        """Distance of the contour of a narrow contact outside the edge, m.
 
-        Of the blur only what is more than the mesh's: nodes of the support end at the edge.
+        Only blur beyond that of the mesh counts: the nodes of the support end at the edge.
         """
         excess = max(sqrt(max(blur**2 - (_MESH_BLUR * self.edge_length_m) ** 2, 0.0)), 1e-9)
         widening: np.ndarray = excess * np.interp(half_width / excess, *_NARROW)
         return widening
 
     def _outside(self, region: Region, over: np.ndarray, blur: float) -> np.ndarray:
-        """Nodes (k,) bool below the floor, but for holes too small to be seen."""
+        """Nodes (k,) bool below the floor, except in holes too small to be resolved."""
         low = over <= 0.0
         outside = region.any_in_part(low, region.open)
         if (outside == low).all():
             return low
-        seen = outside | (self._distance(region, over, blur) < -_HOLE * blur)
-        return region.any_in_part(low, seen)
+        resolved = outside | (self._distance(region, over, blur) < -_HOLE * blur)
+        return region.any_in_part(low, resolved)
 
     def _smooth(self, region: Region, field: np.ndarray, length: float | np.ndarray) -> np.ndarray:
         """Gaussian smoothing of fields (…, k), standard deviation `length`, by random walks.
 
-        The length may be another at every node, (k,).
+        The length may differ between nodes, (k,).
         """
         variance = 2.0 * (length / self.edge_length_m) ** 2
-        steps = ceil(1.25 * np.max(variance))  # of at most 0.8 of a step: no mode turns negative
+        steps = ceil(1.25 * np.max(variance))  # each at most 0.8 of a step: no mode turns negative
         share = variance / steps / np.maximum(region.neighbours, 1)
         walk = np.where(region.rings != region.rings[0], share, 0.0)
         walk[0] = 1.0 - share * region.neighbours
@@ -251,11 +257,11 @@ class PatchEdge:
         return field
 
     def _distance(self, region: Region, field: np.ndarray, blur: float) -> np.ndarray:
-        """Signed distance to the zero contour of a nodal field, m; far where it has none."""
+        """Signed distance to the zero contour of a nodal field, m; a constant if it has none."""
         points = contour_points(region, field)
         if len(points) == 0:
-            far = _HOLE * blur + self.edge_length_m
-            return np.where(field > 0.0, far, -far)
+            constant = _HOLE * blur + self.edge_length_m
+            return np.where(field > 0.0, constant, -constant)
         distance = cdist(region.points, points).min(axis=1)  # too few of both for a tree
         return np.where(field > 0.0, distance, -distance)
 
@@ -266,12 +272,14 @@ class PatchEdge:
         return Region.of(self.mesh, mask)
 
 
-def _beside(region: Region, p: np.ndarray, outside: np.ndarray, rings: float) -> np.ndarray:
+def _pressure_inside(
+    region: Region, p: np.ndarray, outside: np.ndarray, rings: float
+) -> np.ndarray:
     """Pressure (k,) inside next to each node, Pa: the largest local mean within some rings of it.
 
-    Means are over nodes with no neighbour outside. In a small contact those are one or none, and
-    one is noise: a mean over all nodes around, weighted by how far inside they are, counts as one
-    more.
+    Means are over nodes with no neighbour outside. A small contact has one such node or none, too
+    few for a mean: the mean over all nodes, weighted by how far inside they are, counts as one more
+    node.
     """
     share = region.totals((~outside).astype(float)) / (region.neighbours + 1)
     weight = np.where(outside, 0.0, share**_INSIDE)
@@ -283,15 +291,15 @@ def _beside(region: Region, p: np.ndarray, outside: np.ndarray, rings: float) ->
 
 
 def _contour(
-    region: Region, p: np.ndarray, beside: np.ndarray, outside: np.ndarray, floor: float
+    region: Region, p: np.ndarray, inside_pressure: np.ndarray, outside: np.ndarray, floor: float
 ) -> np.ndarray:
-    """Field that changes sign at half the pressure inside, where that is reached from outside.
+    """Field that changes sign at half the pressure inside, on parts connected to the outside.
 
-    Lower ground behind a ridge is not reached from outside: it is the interior of the patch.
+    Lower pressure behind a ridge is not connected to the outside: it is inside the patch.
     """
-    level = np.maximum(floor, 0.5 * beside)
+    level = np.maximum(floor, 0.5 * inside_pressure)
     flank = ~outside & (p < level)
     outer = region.any_in_part(flank, region.touches(outside))
     field = np.where(outside | outer, p - level, np.maximum(p - level, 0.5 * floor))
-    field /= np.maximum(beside, 2.0 * floor)
+    field /= np.maximum(inside_pressure, 2.0 * floor)
     return field

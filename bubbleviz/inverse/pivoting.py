@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-_FULL_EXCHANGES = 3  # without progress before single ones; chosen
+_FULL_EXCHANGES = 3  # allowed without progress before single exchanges; chosen
 
 
 def times(H: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -15,7 +15,7 @@ def times(H: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def part(H: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Rows and columns `nodes` (k,) of a matrix (c, c): whole rows first, which is faster."""
+    """Rows and columns `nodes` (k,) of a matrix (c, c); whole rows first is faster."""
     return H.take(nodes, axis=0).take(nodes, axis=1)
 
 
@@ -34,7 +34,7 @@ def nonnegative_qp(
         Symmetric and positive definite.
     f : (c,) array
     start : (c,) bool array
-        Guess of the indices with x > 0; the solution of the last frame costs one or two pivots.
+        Initial active set: indices with x > 0. That of the last frame needs one or two pivots.
     tolerance : float
         Violation of the multipliers that counts as zero, relative to the largest |f|.
     limit : int

@@ -1,4 +1,4 @@
-"""When a solution is not to be believed, however well it solves its problem."""
+"""Plausibility checks on converged estimates."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ GAS_NOISE = 1e-4
 """σ of a measured gas pressure over its absolute value: 10 Pa, what barometers resolve."""
 
 GAS_MODEL_ERROR = 0.02
-"""Share of p_v by which the exact membrane's bulge under it is not known: triangles of 3 mm on a
-dome of 45 mm leave 0.01 of it, μh 0.01 to 0.02 where it was identified from levels."""
+"""Relative uncertainty of the exact membrane's bulge under p_v: triangles of 3 mm on a dome of
+45 mm contribute 0.01, μh 0.01 to 0.02 where it was identified from several gas pressures."""
 
 GAS_LAG = 0.05
-"""Share of the gauge pressure, which contacts carry, by which a measured p_v may be off without
-being of another sensor or zero. Chosen; on the one real press they lag by up to 0.02 of it."""
+"""Largest error of a measured p_v over the gauge pressure that does not mean a wrong sensor file or
+zero. Chosen; on the one real press, p_v lags by up to 0.02."""
 
 IMPLAUSIBLE_MISFIT = 5.0
-"""Misfit in standard deviations that no membrane explains: not this sensor, or not in metres."""
+"""Misfit in standard deviations beyond which the image does not fit the membrane: wrong sensor file
+or depth unit."""
 
 IMPLAUSIBLE_CLUMPING = 6.0
-"""Clumping beyond which residuals that averaging over blocks has not made smaller are not the
-white noise of the sensor file; up to it the force is off by less than a tenth."""
+"""Clumping (see `Misfit`) beyond which residuals are not the white noise of the sensor file, as
+averaging over blocks does not reduce them; up to it the force is off by less than a tenth."""
 
 IMPLAUSIBLE_SHARE = 0.2
-"""Misfit over the membrane's size beyond which an image shows noise and no membrane, however well
-that noise was told by its own scatter. Chosen; eight times the noise of the sensor file leave 0.05
-of it."""
+"""Misfit over the membrane's size beyond which an image shows no membrane, even if its scatter is
+as large. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
@@ -41,12 +41,12 @@ STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
         "implausible": "depths are far from this membrane: wrong sensor file or depth unit?",
     }
 )
-"""Reason of a status where nothing more is known."""
+"""Default reason of each status."""
 GAS_CONTRADICTS = "the measured gas pressure does not fit the measured shape"
 
 
 def reason_against_gas(change_pa: float, gas: Gas) -> str:
-    """Why this membrane cannot cause a measured p_v; empty if it can."""
+    """Why p_v is impossible for this membrane; empty if it is possible."""
     if gas.lowest_change_pa <= change_pa <= gas.highest_change_pa:
         return ""
     return (
@@ -56,7 +56,7 @@ def reason_against_gas(change_pa: float, gas: Gas) -> str:
 
 
 def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
-    """Why a misfit is larger than noise; empty if it is not.
+    """Why a misfit is implausible; empty if it is plausible.
 
     Parameters
     ----------
@@ -77,14 +77,14 @@ def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
 
 
 def gas_sigma(gas: Gas, measured_pa: float) -> float:
-    """Standard deviation of a measured p_v, and of what the exact membrane makes of it, Pa."""
+    """Standard deviation of a measured p_v and of the membrane's response to it, Pa."""
     parts = GAS_NOISE * gas.P0, GAS_MODEL_ERROR * measured_pa, gas.zero_sigma_pa
     return float(np.linalg.norm(parts))
 
 
 def contradicts_measured_gas(
-    asked_pa: float, measured_pa: float, gas: Gas, gauge_pressure_pa: float
+    shape_pa: float, measured_pa: float, gas: Gas, gauge_pressure_pa: float
 ) -> bool:
-    """Whether the shape of the exact membrane asks for another p_v than was measured."""
-    certain = IMPLAUSIBLE_MISFIT * gas_sigma(gas, measured_pa)
-    return abs(asked_pa - measured_pa) > max(certain, GAS_LAG * gauge_pressure_pa)
+    """Whether p_v by the shape of the exact membrane contradicts the measured one."""
+    noise_bound = IMPLAUSIBLE_MISFIT * gas_sigma(gas, measured_pa)
+    return abs(shape_pa - measured_pa) > max(noise_bound, GAS_LAG * gauge_pressure_pa)

@@ -1,4 +1,4 @@
-"""How finely the contact pressure is resolved: the width of the estimate's response."""
+"""Resolution of the contact pressure: the width of the estimate's response to a point load."""
 
 from __future__ import annotations
 
@@ -28,38 +28,39 @@ def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: f
 
 
 def at_noise(resolution_m: float, factor: float) -> float:
-    """Width ℓ where the noise is some factor larger, m: w falls with the square of it."""
+    """Width ℓ for noise larger by a factor, m: w decreases with its square."""
     return resolution_m * factor ** (1.0 / 3.0)
 
 
-def noise_at(resolution_m: float, usual_m: float) -> float:
-    """The factor of `at_noise` by the widths ℓ with it and without, m."""
-    return (resolution_m / usual_m) ** 3
+def noise_at(resolution_m: float, nominal_m: float) -> float:
+    """Inverse of `at_noise`: the noise factor from the widths ℓ with it and without, m."""
+    return (resolution_m / nominal_m) ** 3
 
 
-# What counts as more than noise: the weight of the L1 term.
+# Detection threshold: the weight of the L1 term.
 
 
 _SAMPLE = 200
-"""Nodes, spread over the membrane, among which the best-seen one is looked for."""
+"""Number of nodes, spread over the membrane, of which the most precisely observed is taken."""
 
 
 def sampled(n: int) -> np.ndarray:
-    """Indices of nodes spread over n of them."""
+    """Indices of some of n nodes, evenly spread."""
     return np.arange(0, n, max(1, n // _SAMPLE))
 
 
 def universal_threshold(sigma: np.ndarray, n: int) -> float:
-    """Pull per area that noise alone exceeds at none of n nodes: √(2 ln n) σ.
+    """Gradient per area that noise alone exceeds at none of n nodes: √(2 ln n) σ.
 
-    The factor is the universal threshold of Donoho and Johnstone (1994) for n values. The same
-    penalty per newton holds everywhere, that of the best-seen node, so that unseen parts attract no
-    pressure.
+    The factor is the universal threshold of Donoho and Johnstone (1994) for n values. The
+    penalty per newton is the same everywhere, that of the most precisely observed node, so that
+    parts that the camera does not see attract no pressure.
 
     Parameters
     ----------
     sigma : (s,) array
-        Standard deviation of the pull of noise per area, at nodes spread over the membrane.
+        Standard deviation of the gradient per area due to noise, at nodes spread over the
+        membrane.
     n : int
     """
     return float(np.sqrt(2.0 * np.log(n)) * np.max(sigma))

@@ -1,6 +1,6 @@
-"""How a membrane moves with the gas behind it: its equilibrium under contact, and its tangent.
+"""Membrane with the gas behind it: equilibrium under contact, and its linearisation.
 
-Two materials offer the same: rubber (`RubberBubble`), and constant tension with displacement
+Two materials: rubber (`RubberBubble`), and constant tension with displacement
 along the normals, the paper's (`ConstantTension`), whose tangent is the same everywhere.
 """
 
@@ -25,15 +25,15 @@ from bubbleviz.membrane import (
     symmetric_lu,
 )
 
-_BALANCED = 1e-3
-"""Force left at a node over the gas load on one of mean area."""
+_FORCE_TOLERANCE = 1e-3
+"""Tolerance of equilibrium: residual force at a node over the gas load on a mean nodal area."""
 _NEWTON, _FRESH = 10, 2
 """Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
 tangent."""
 
 
 class Tangent(ABC):
-    """How a membrane and the gas behind it move around a shape.
+    """Linearised motion of a membrane and the gas behind it at a shape.
 
     Under forces f the membrane moves by S f; a contact pressure p_c adds the forces −p_c∘a with
     a = ∂V/∂x.
@@ -45,7 +45,7 @@ class Tangent(ABC):
     area_vectors : (n, 3) array
         a of the nodes, m².
     with_gas : bool
-        Whether the gas law is in it; not where the gas pressure is measured.
+        Whether it includes the gas law; False for a measured gas pressure.
     """
 
     x: np.ndarray
@@ -54,7 +54,7 @@ class Tangent(ABC):
 
     @property
     def by_material(self) -> np.ndarray:
-        """Motion by one standard deviation of each of the material's numbers, (3n, m), m."""
+        """Motion for one standard deviation of each material parameter, (3n, m), m."""
         return np.zeros((self.x.size, 0))
 
     @cached_property
@@ -67,23 +67,23 @@ class Tangent(ABC):
         """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""
 
     @abstractmethod
-    def pull(self, force: np.ndarray) -> np.ndarray:
-        """What unit contact pressures do against forces (n, 3): aᵀ Sᵀ f, (n,)."""
+    def adjoint(self, force: np.ndarray) -> np.ndarray:
+        """Adjoint of the response to pressures, for forces (n, 3): aᵀ Sᵀ f, (n,)."""
 
     @abstractmethod
     def responses(self, nodes: np.ndarray) -> np.ndarray:
         """S a_j for unit pressures at nodes (c,), (3n, c), m/Pa; each is solved for once."""
 
     def coordinates(self, nodes: np.ndarray) -> np.ndarray:
-        """The same in as few numbers as say how the nodes move, (m, c)."""
+        """`responses` in the membrane's own coordinates, (m, c): all nodal ones, or fewer."""
         return self.responses(nodes)
 
     def moved(self, coordinates: np.ndarray) -> np.ndarray:
-        """Motion (n, 3) of such numbers (m,), m."""
+        """Motion (n, 3) for coordinates (m,), m."""
         return coordinates.reshape(-1, 3)
 
     def by_coordinates(self, jacobian: sparse.csr_array) -> sparse.csr_array:
-        """Derivative (k, m) by those numbers, of one by the nodes (k, 3n)."""
+        """Derivative (k, m) by the coordinates, from one by the nodes (k, 3n)."""
         return jacobian
 
 
@@ -130,13 +130,15 @@ class LinearisedRubber(Tangent):
 
     @cached_property
     def by_material(self) -> np.ndarray:
-        """S of the forces that each variant lacks at this shape, (3n, variants), m."""
+        """Motion S f for the residual forces f of each variant at this shape, (3n, variants), m."""
         usual = self._membrane.residual(self.x, 0.0)
         gauge = self._membrane.gauge_pressure_pa
-        lacking = [v.residual(self.x, v.gauge_pressure_pa - gauge) - usual for v in self._variants]
-        if not lacking:
+        residuals = [
+            v.residual(self.x, v.gauge_pressure_pa - gauge) - usual for v in self._variants
+        ]
+        if not residuals:
             return np.zeros((3 * self._nodes, 0))
-        return self.motion(np.stack(lacking, axis=-1)).reshape(3 * self._nodes, -1)
+        return self.motion(np.stack(residuals, axis=-1)).reshape(3 * self._nodes, -1)
 
     def motion(self, force: np.ndarray) -> np.ndarray:
         """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""
@@ -148,18 +150,18 @@ class LinearisedRubber(Tangent):
         motion[self._moving] = out.reshape(-1, *force.shape[1:])
         return motion
 
-    def pull(self, force: np.ndarray) -> np.ndarray:
-        """What unit contact pressures do against forces (n, 3): aᵀ Sᵀ f, (n,)."""
+    def adjoint(self, force: np.ndarray) -> np.ndarray:
+        """Adjoint of the response to pressures, for forces (n, 3): aᵀ Sᵀ f, (n,)."""
         right = force[self._moving].ravel()
         out = self._factor.solve(right, transposed=True)
         if self._beta:
             by_gas = self._by_gas_transposed
             out -= self._gas_share(by_gas) * (self._a @ out) * by_gas
-        pull = np.zeros(self._nodes)
-        pull[self._moving] = np.einsum(
+        adjoint = np.zeros(self._nodes)
+        adjoint[self._moving] = np.einsum(
             "ij,ij->i", out.reshape(-1, 3), self.area_vectors[self._moving]
         )
-        return pull
+        return adjoint
 
     @cached_property
     def _by_gas(self) -> np.ndarray:
@@ -181,7 +183,7 @@ class LinearisedRubber(Tangent):
 
     @cached_property
     def tangents(self) -> np.ndarray:
-        """Two vectors across each node's area vector and as long, (n, 2, 3), m²."""
+        """Two vectors orthogonal to each node's area vector and as long, (n, 2, 3), m²."""
         size = np.linalg.norm(self.area_vectors, axis=1, keepdims=True)
         normal = self.area_vectors / np.maximum(size, 1e-300)
         least = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
@@ -207,7 +209,7 @@ class LinearisedRubber(Tangent):
 
 
 class _Columns:
-    """Columns of nodes, as many for each, kept once solved for.
+    """Cache of solved columns, the same number for each node.
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ class _Columns:
         self._count = 0
 
     def of(self, nodes: np.ndarray, solved: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Columns of nodes (c,), (…, each c); of those not known yet by solving for them."""
+        """Columns of nodes (c,), (…, each c); missing ones are solved for."""
         new = nodes[self._place[nodes] < 0]
         if len(new):
             added = solved(new).reshape(-1, len(new), self._rows.shape[1])
@@ -236,7 +238,7 @@ class _Columns:
         return rows.reshape(-1, rows.shape[2]).T
 
     def _reserve(self, count: int) -> None:
-        """Make room by doubling: a frame may add a few."""
+        """Reserve memory by doubling: a frame may add a few columns."""
         room, *shape = self._rows.shape
         if count > room:
             rows = np.empty((max(count, 2 * room), *shape))
@@ -257,11 +259,11 @@ class Bubble(ABC):
     gas : Gas
         P0 and V0 of the reference configuration.
     held_pressure_pa : float
-        Gauge pressure that the reference configuration holds, Pa.
+        Gauge pressure of the reference configuration, Pa.
     tension_n_per_m : float
         Its mean tension.
     moving : (n,) bool array
-        Nodes that are not held.
+        Nodes that are not fixed.
     """
 
     mesh: MembraneMesh
@@ -281,12 +283,12 @@ class Bubble(ABC):
         """Area vectors a = ∂V/∂x at a shape, (n, 3), m²."""
 
     @abstractmethod
-    def growth(self, x: np.ndarray) -> float:
-        """Volume over that of the reference configuration, m³."""
+    def volume_change(self, x: np.ndarray) -> float:
+        """Volume change since the reference configuration, m³."""
 
     def gas_at(self, x: np.ndarray) -> tuple[float, float]:
         """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
-        return self.gas.at(max(self.growth(x), (1e-6 - 1.0) * self.gas.V0))
+        return self.gas.at(max(self.volume_change(x), (1e-6 - 1.0) * self.gas.V0))
 
     @abstractmethod
     def residual(
@@ -296,13 +298,13 @@ class Bubble(ABC):
         gas: float | None,
         force: np.ndarray | None = None,
     ) -> np.ndarray:
-        """What the forces at the nodes lack of equilibrium, (n, 3), N."""
+        """Residual forces of equilibrium at the nodes, (n, 3), N."""
 
     @abstractmethod
     def linearised(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> Tangent:
         """Tangent at a shape; RuntimeError where it is singular."""
 
-    def settled(
+    def equilibrium(
         self,
         tangent: Tangent,
         x: np.ndarray,
@@ -310,13 +312,13 @@ class Bubble(ABC):
         gas: float | None,
         force: np.ndarray | None = None,
     ) -> tuple[np.ndarray, bool, Tangent]:
-        """Equilibrium from close by, by Newton's method; whether it was found; the last tangent."""
+        """Equilibrium near a shape by Newton's method; whether it converged; the last tangent."""
         load = self.held_pressure_pa * float(self.mesh.areas.mean())
         last, fresh = np.inf, 0
         for _ in range(_NEWTON):
-            left = self.residual(x, pressure, gas, force)
-            size = float(np.abs(left[self.moving]).max()) / load
-            if size < _BALANCED:
+            residual = self.residual(x, pressure, gas, force)
+            size = float(np.abs(residual[self.moving]).max()) / load
+            if size < _FORCE_TOLERANCE:
                 return x, True, tangent
             if not size < 1e3:
                 break
@@ -326,7 +328,7 @@ class Bubble(ABC):
                 tangent = self.linearised(x, pressure, gas)
                 fresh += 1
             last = size
-            motion = tangent.motion(-left)
+            motion = tangent.motion(-residual)
             x = x + min(1.0, self.mesh.edge_length / float(np.abs(motion).max())) * motion
         return x, False, tangent
 
@@ -339,7 +341,7 @@ class RubberBubble(Bubble):
     membrane : RubberMembrane
     gas : Gas
     variants : sequence of RubberMembrane, optional
-        The membrane with one of its material numbers moved by its standard deviation each.
+        The membrane with one material parameter each changed by its standard deviation.
     """
 
     def __init__(
@@ -356,7 +358,7 @@ class RubberBubble(Bubble):
     def area_vectors(self, x: np.ndarray) -> np.ndarray:
         return self.membrane.volume_gradient(x)
 
-    def growth(self, x: np.ndarray) -> float:
+    def volume_change(self, x: np.ndarray) -> float:
         return self.membrane.volume(x) - self._rest_volume
 
     def inside(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
@@ -371,8 +373,8 @@ class RubberBubble(Bubble):
         gas: float | None,
         force: np.ndarray | None = None,
     ) -> np.ndarray:
-        left = self.membrane.residual(x, self.inside(x, pressure, gas))
-        return left if force is None else left - force
+        residual = self.membrane.residual(x, self.inside(x, pressure, gas))
+        return residual if force is None else residual - force
 
     def linearised(
         self, x: np.ndarray, pressure: np.ndarray, gas: float | None
@@ -415,7 +417,7 @@ class ConstantTension(Bubble):
     def area_vectors(self, x: np.ndarray) -> np.ndarray:
         return self._tangents[False].area_vectors
 
-    def growth(self, x: np.ndarray) -> float:
+    def volume_change(self, x: np.ndarray) -> float:
         return float(self.gas.dV_du @ self._displacement(x))
 
     def residual(
@@ -426,8 +428,8 @@ class ConstantTension(Bubble):
         force: np.ndarray | None = None,
     ) -> np.ndarray:
         mesh, change = self.mesh, self.gas_at(x)[0] if gas is None else gas
-        left = self._stiffness @ self._displacement(x) - mesh.areas * (change - pressure)
-        return left[:, None] * mesh.normals
+        residual = self._stiffness @ self._displacement(x) - mesh.areas * (change - pressure)
+        return residual[:, None] * mesh.normals
 
     def linearised(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> NormalTangent:
         return self._tangents[gas is None]
@@ -464,7 +466,7 @@ class NormalTangent(Tangent):
         normals = self._mesh.normals.reshape(*self._mesh.normals.shape, *(force.ndim - 2) * (1,))
         return self._moved(_along(force, normals))[:, None] * normals
 
-    def pull(self, force: np.ndarray) -> np.ndarray:
+    def adjoint(self, force: np.ndarray) -> np.ndarray:
         free, load = self._mesh.free, _along(force, self._mesh.normals)[self._mesh.free]
         pulled = np.zeros(len(self._mesh.nodes))
         pulled[free] = self._factor.solve(load - self._share * (load @ self._by_gas))
@@ -501,6 +503,6 @@ class NormalTangent(Tangent):
 
 
 def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Parts (n, …) of vectors (n, 3, …) along normals (n, 3, …)."""
+    """Components (n, …) of vectors (n, 3, …) along normals (n, 3, …)."""
     part: np.ndarray = (vectors * normals).sum(axis=1)
     return part

@@ -28,11 +28,11 @@ class MeasuredFlow:
     sigma_px: np.ndarray  # (k,), standard deviation of each component
     squares: BlockSquares  # parts of the image in which flow is wrong alike
 
-    def noise_left(self, error_px: np.ndarray) -> float:
+    def noise_factor(self, error_px: np.ndarray) -> float:
         """Factor by which errors (k, 2) exceed the noise, at least 1."""
         deviations = error_px / self.sigma_px[:, None]
         every = np.arange(len(self.point))
-        both = [max(1.0, self.squares.noise_left(every, z)) for z in deviations.T]
+        both = [max(1.0, self.squares.noise_factor(every, z)) for z in deviations.T]
         return float(np.sqrt(np.mean(np.square(both))))
 
 

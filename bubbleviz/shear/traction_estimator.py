@@ -11,10 +11,10 @@ from scipy.linalg import solve_triangular
 
 from bubbleviz.camera import DepthCamera, Measured, Observation, ShapeRanges
 from bubbleviz.inverse import (
-    FAR,
+    CONVERGED_MOTION,
+    LARGE_MOTION,
     MODEL_ERROR,
-    NEAR,
-    SERVES,
+    TANGENT_REUSE,
     Estimator,
     LinearisedRubber,
     RubberBubble,
@@ -290,8 +290,8 @@ class TractionEstimator:
         self._bubble = bubble
         self.flow_observer = FlowObserver(camera, self.mesh)
         edge = self.mesh.edge_length
-        self._near_m, self._serves_m = NEAR * edge, SERVES * edge
-        self._far_m, self._longest_m = FAR * edge, edge
+        self._converged_m, self._reuse_m = CONVERGED_MOTION * edge, TANGENT_REUSE * edge
+        self._large_m, self._max_step_m = LARGE_MOTION * edge, edge
         self._report = TractionReport(self.mesh, self._bubble.membrane)
 
     def estimate(
@@ -345,7 +345,7 @@ class TractionEstimator:
         Under much shear no frictionless shape looks like the image; the contact is then about
         where it was, or where depth looked for it.
         """
-        there = reached.reached
+        there = reached.final_state
         nothing = np.zeros(len(self.mesh.nodes), bool)
         support = nothing if there is None else there.support
         if start is not None:
@@ -360,7 +360,7 @@ class TractionEstimator:
         rubber = reached.tangent
         if (
             not isinstance(rubber, LinearisedRubber)
-            or np.abs(there.x - rubber.x).max() > self._serves_m
+            or np.abs(there.x - rubber.x).max() > self._reuse_m
         ):
             with_gas = there.gas if rubber is None or not rubber.with_gas else None
             rubber = self._bubble.linearised(there.x, there.pressure, with_gas)
@@ -385,9 +385,9 @@ class TractionEstimator:
                 state, balanced = self._moved(before, rubber, wanted, share, frame.gas)
                 motion = state.x - before.x
                 way = float(np.abs(motion).max())
-                lasting = warm and float(np.abs(state.x - begin).max()) <= self._serves_m
+                lasting = warm and float(np.abs(state.x - begin).max()) <= self._reuse_m
                 found = balanced and wanted.solved.converged
-                stands = found and way <= self._near_m
+                stands = found and way <= self._converged_m
                 ahead = look if stands else self._look(frame, state.x, look.view)
                 better = ahead.misfit(before) < misfit
                 if stands or (found and lasting and better):
@@ -418,7 +418,7 @@ class TractionEstimator:
         """A tangent taken close to a state: the last one, where it still serves."""
         last, with_gas = state.rubber, gas is None
         away = float(np.abs(state.x - last.x).max())
-        if last.with_gas is with_gas and away <= self._serves_m:
+        if last.with_gas is with_gas and away <= self._reuse_m:
             return last
         return self._bubble.linearised(state.x, state.pressure, None if with_gas else state.gas)
 
@@ -467,14 +467,14 @@ class TractionEstimator:
     ) -> tuple[TractionStart, bool]:
         """A share of the way, and to equilibrium there; whether that was found close by."""
         motion = wanted.solved.motion
-        share = min(share, self._longest_m / max(float(np.abs(motion).max()), 1e-300))
+        share = min(share, self._max_step_m / max(float(np.abs(motion).max()), 1e-300))
         pressure = state.pressure + share * (wanted.pressure - state.pressure)
         shear = wanted.present + share * (wanted.shear - wanted.present)
         inside = None if gas is None else state.gas + share * (wanted.gas - state.gas)
         ahead = state.x + share * motion
-        x, balanced, last = self._bubble.settled(rubber, ahead, pressure, inside, shear)
+        x, balanced, last = self._bubble.equilibrium(rubber, ahead, pressure, inside, shear)
         rubber = last if isinstance(last, LinearisedRubber) else rubber
-        balanced = balanced and float(np.abs(x - ahead).max()) <= self._far_m
+        balanced = balanced and float(np.abs(x - ahead).max()) <= self._large_m
         if not balanced:
             x = ahead
         change = self._bubble.gas_at(x)[0] if inside is None else inside
@@ -485,6 +485,6 @@ class TractionEstimator:
     def _with_noise(self, look: Look, state: TractionStart) -> TractionStart:
         """The state with the noise that a look leaves."""
         observer = self._estimator.observer
-        ranges = observer.noise_left(look.observation, look.view.block, look.range_error)
-        flow = look.measured.noise_left(look.flow_error)
+        ranges = observer.noise_factor(look.observation, look.view.block, look.range_error)
+        flow = look.measured.noise_factor(look.flow_error)
         return replace(state, range_noise=ranges, flow_noise=flow, view=look.view)

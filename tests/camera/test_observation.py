@@ -207,7 +207,7 @@ def looked_at(noise: np.ndarray, sigma: float):
     view = observer.around(MESH.deformed(displacement))
     observation = observer.observe(depth, view.model_m)
     error = (observation.residual_m - view.model_m)[view.block]
-    return observer.left(observation, view.block, error)
+    return observer.misfit(observation, view.block, error)
 
 
 def test_noise_that_was_foreseen_is_one_deviation_and_white():
@@ -223,14 +223,14 @@ def test_the_noise_left_is_that_of_squares_that_are_mostly_seen():
     rows, columns = 60, 80
     squares, rng = BlockSquares(np.arange(rows * columns), columns), np.random.default_rng(0)
     block, white = np.arange(rows * columns), rng.standard_normal((rows, columns))
-    assert squares.noise_left(block, 3.0 * white.ravel()) == pytest.approx(3.0, rel=0.15)
-    assert squares.noise_left(block, 0.3 * white.ravel()) == pytest.approx(0.3, rel=0.15)
+    assert squares.noise_factor(block, 3.0 * white.ravel()) == pytest.approx(3.0, rel=0.15)
+    assert squares.noise_factor(block, 0.3 * white.ravel()) == pytest.approx(0.3, rel=0.15)
     shared = np.repeat(np.repeat(rng.standard_normal((15, 20)), 4, axis=0), 4, axis=1)
-    assert squares.noise_left(block, shared.ravel()) > 2.0
+    assert squares.noise_factor(block, shared.ravel()) > 2.0
     sparse = white.copy()
     sparse[:40] = np.where(rng.random((40, columns)) < 0.1, 50.0, 0.0)
-    assert squares.noise_left(block, sparse.ravel()) == pytest.approx(1.0, abs=0.4)
-    assert squares.noise_left(block, 0.0 * white.ravel()) == 1.0
+    assert squares.noise_factor(block, sparse.ravel()) == pytest.approx(1.0, abs=0.4)
+    assert squares.noise_factor(block, 0.0 * white.ravel()) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -244,7 +244,7 @@ def test_the_noise_left_is_told_from_the_camera(factor, least, most):
     depth = CAMERA.depth_image(ranges * (1.0 + noise)).astype(np.float32)
     observation = observer.observe(depth, np.zeros(observer.blocks))
     block = observer.around(MESH.nodes).block
-    found = observer.noise_left(observation, block, factor * observation.residual_m[block])
+    found = observer.noise_factor(observation, block, factor * observation.residual_m[block])
     assert least < found < most
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bubbleviz.inverse import ContactPressure, evident
+from bubbleviz.inverse import ContactPressure, significant_contact
 from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording
@@ -36,19 +36,19 @@ def two_parts(share, sigma):
     ("share", "sigma", "kept"),
     [(0.08, 0.01, False), (0.12, 0.01, False), (0.2, 0.01, True), (0.2, 0.5, False)],
 )
-def test_a_part_is_contact_by_its_load_and_by_evidence_of_its_own(share, sigma, kept):
+def test_a_part_needs_significant_load_to_be_contact(share, sigma, kept):
     contact, beside = two_parts(share, sigma)
-    found = evident(MESH, contact)
+    found = significant_contact(MESH, contact)
     assert found[beside] == kept
     assert found[OUT < 0.008].all()
     assert found.sum() == np.count_nonzero(contact.pressure) - (not kept)
 
 
-def test_a_single_contact_is_one_however_weak():
+def test_a_single_part_is_always_contact():
     contact, beside = two_parts(1e-6, 10.0)
     weak = np.zeros_like(contact.pressure)
     weak[beside] = 1.0
-    np.testing.assert_array_equal(evident(MESH, contact_of(weak, [1e6])), weak > 0.0)
+    np.testing.assert_array_equal(significant_contact(MESH, contact_of(weak, [1e6])), weak > 0.0)
 
 
 @pytest.mark.parametrize("frame", [64, 65, 66, 67])
@@ -73,4 +73,4 @@ def test_many_equal_contacts_are_all_contacts():
         node = np.argmin(np.abs(there - place))
         pressure[node] = 1e-2 / MESH.areas[node]
     contact = contact_of(pressure, (0.01 * pressure[pressure > 0.0]) ** 2)
-    np.testing.assert_array_equal(evident(MESH, contact), pressure > 0.0)
+    np.testing.assert_array_equal(significant_contact(MESH, contact), pressure > 0.0)

@@ -105,7 +105,7 @@ def test_the_pixels_of_two_small_contacts_are_closer_to_the_true_ones():
     assert overlaps[0] > overlaps[1] + 0.1
 
 
-def test_the_linear_membrane_is_refined_alike():
+def test_contacts_of_the_linear_membrane_are_refined_too():
     """Pressed by its own forward model, on another mesh."""
     mesh = mesh_cap(spherical_cap(A, H), 4_000)
     gas = Gas(101_325.0 + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)

@@ -29,7 +29,7 @@ def weights():
     return (newton.threshold(ranges) / mesh.areas)[mesh.free], np.array(pulls)
 
 
-def test_the_penalty_is_the_universal_threshold_of_the_best_seen_node(weights):
+def test_the_penalty_is_the_universal_threshold_of_the_most_precise_node(weights):
     tau, pulls = weights
     np.testing.assert_allclose(tau, tau[0])  # the same per newton everywhere
     sigma = pulls.std(axis=0)
@@ -37,7 +37,7 @@ def test_the_penalty_is_the_universal_threshold_of_the_best_seen_node(weights):
     assert tau[0] == pytest.approx(np.sqrt(2.0 * np.log(len(tau))) * sigma.max(), rel=0.1)
 
 
-def test_noise_alone_hardly_ever_exceeds_it_and_comes_near(weights):
+def test_noise_rarely_exceeds_the_threshold(weights):
     tau, pulls = weights
     largest = (-pulls).max(axis=1)  # what would make a pressure
     assert np.mean(largest > tau[0]) < 0.05

@@ -55,7 +55,7 @@ def test_force_and_gas_pressure_of_a_known_press(sphere, noise):
     assert estimate.residual_rms_m == pytest.approx(expected, rel=0.5)
 
 
-def test_the_paper_looks_at_the_reference_surface_and_we_at_the_pressed_one(sphere):
+def test_the_paper_linearises_at_the_reference_surface_and_we_at_the_pressed_one(sphere):
     """On the paper's linear ranges a 12 mm press is off by 3 %."""
     ours, paper = (first(estimator(1000, each), sphere.depth(0.0)) for each in SOLVERS)
     assert 0.01 < off(paper, sphere) < 0.05
@@ -98,7 +98,7 @@ def test_an_interior_point_certifies_the_papers_solution(sphere, gas_pa):
     assert mesh.areas @ whole == pytest.approx(mesh.areas @ exact, rel=0.005)
 
 
-def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
+def test_warm_and_cold_starts_have_the_same_solution(sphere, untouched):
     warm, start = estimator(), None
     for seed in range(3):
         _, start = warm.estimate(sphere.depth(0.01, seed), start=start)
@@ -108,7 +108,7 @@ def test_warm_frames_end_where_cold_ones_do(sphere, untouched):
     assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
 
 
-def test_a_seek_ends_where_playing_does():
+def test_seeking_and_playing_have_the_same_solution():
     """The shape after a press does not depend on how one came to it."""
     played, deepest = estimator(), press("two_legged_toy", 0.012)
     way = [press("two_legged_toy", depth).depth(0.002) for depth in (0.004, 0.006, 0.008, 0.010)]
@@ -120,7 +120,7 @@ def test_a_seek_ends_where_playing_does():
         assert np.max(np.abs(a.displacement_m - other.displacement_m)) < 1e-5
 
 
-def test_what_the_solver_did_not_finish_is_said(sphere, monkeypatch):
+def test_an_unfinished_solution_is_reported(sphere, monkeypatch):
     monkeypatch.setattr("bubbleviz.inverse.paper.MOST_ITERATIONS", 10)
     estimate = first(estimator(200, "paper"), sphere.depth(0.002))
     assert estimate.status == "not_converged" and np.isnan(estimate.force_n).all()
@@ -150,14 +150,14 @@ def test_noise_of_the_gas_sensor_is_no_contact(untouched, deviations):
         assert first(solver, untouched.depth(0.01, seed), measured).status == "no_contact"
 
 
-def test_missing_pixels_are_left_out(sphere):
+def test_missing_pixels_are_ignored(sphere):
     depth = sphere.depth(0.01)
     depth[np.random.default_rng(3).random(depth.shape) < 0.4] = np.nan
     depth[20:40, 30:60] = np.nan
     assert off(first(estimator(), depth), sphere) < 0.03
 
 
-def test_outliers_do_not_carry_the_estimate_away(sphere, untouched):
+def test_outliers_do_not_bias_the_estimate(sphere, untouched):
     solver, rng = estimator(), np.random.default_rng(4)
     for truth in (untouched, sphere):
         depth = truth.depth(0.01)
@@ -189,7 +189,7 @@ def test_a_dropped_solver_says_since_when_and_what_to_use(name, instead):
 
 
 @pytest.mark.parametrize("noise", [0.03, 0.08])
-def test_more_noise_than_the_sensor_file_says_is_noticed(sphere, untouched, noise):
+def test_more_noise_than_in_the_sensor_file_is_reported(sphere, untouched, noise):
     """The file says 1 %; a noisier camera must not see contact where there is none."""
     solver = estimator()
     results = [first(solver, untouched.depth(noise, seed)) for seed in range(5)]
@@ -201,7 +201,7 @@ def test_more_noise_than_the_sensor_file_says_is_noticed(sphere, untouched, nois
 @pytest.mark.parametrize(
     "spoil", [lambda d: np.full_like(d, 0.15), lambda d: 1000 * d, lambda d: d + 0.05]
 )
-def test_what_no_membrane_explains_is_not_called_ok(sphere, spoil, solver):
+def test_an_image_that_no_membrane_explains_is_not_ok(sphere, spoil, solver):
     estimate = first(estimator(solver=solver), spoil(sphere.depth(0.01)))
     assert estimate.status in ("implausible", "no_data", "not_converged")
     assert np.isnan(estimate.force_n).all() and not estimate.displacement_m.any()
@@ -218,7 +218,7 @@ def test_an_impossible_gas_pressure_is_refused(sphere, absolute_pa, solver):
 @pytest.mark.parametrize(
     ("off_pa", "status"), [(0.0, "ok"), (-200.0, "implausible"), (200.0, "implausible")]
 )
-def test_a_gas_sensor_that_reads_wrong_is_noticed(sphere, off_pa, status):
+def test_a_wrong_gas_pressure_is_reported(sphere, off_pa, status):
     measured = REST_PA + sphere.contact.gas_pressure_change_pa + off_pa
     assert first(estimator(), sphere.depth(0.01), measured).status == status
 
@@ -229,7 +229,7 @@ def test_a_missing_gas_pressure_is_estimated(sphere, solver):
     assert a.gas_pressure_change_pa == pytest.approx(b.gas_pressure_change_pa)
 
 
-def test_contact_is_measured_by_what_the_tension_holds(sphere):
+def test_contact_needs_the_gauge_pressure(sphere):
     """A slack membrane scales the force down, not away: gauge pressure is not the yardstick."""
     usual = estimator()
     film = ConstantTension(usual.mesh, 0.02 * TENSION, Gas.of(SENSOR.pneumatics, usual.mesh))
@@ -246,7 +246,7 @@ def test_a_mesh_finer_than_the_noise_can_use_is_refused():
         Estimator(SimpleNamespace(mesh=mesh), SimpleNamespace())
 
 
-def test_noise_of_another_kind_than_the_files_is_not_trusted(sphere):
+def test_correlated_noise_that_should_be_white_is_not_trusted(sphere):
     """The camera filters over 8 pixels and the sensor file, which says white, is wrong."""
     noise = gaussian_filter(np.random.default_rng(0).standard_normal((171, 224)), 6)
     depth = sphere.depth(0.0)

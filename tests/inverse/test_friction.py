@@ -53,7 +53,7 @@ def test_a_contact_of_one_node_slides_and_does_not_spin():
 @pytest.mark.parametrize(
     ("name", "depth", "drag", "twist"), [("puck", 0.004, 0.001, 8.0), ("sphere", 0.006, 0.002, 0.0)]
 )
-def test_of_an_object_that_sticks_and_is_dragged(name, depth, drag, twist):
+def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist):
     """The truth is on a mesh of its own, and its friction is not proportional to pressure."""
     truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
     frame, size = eyes.see(truth), np.linalg.norm(truth.force_n)
@@ -77,7 +77,7 @@ def test_a_long_drag_is_followed_by_depth_alone():
 
 
 @pytest.mark.parametrize("name", ["ball_drag1", "puck_twist"])
-def test_of_another_solvers_rubber(name, tmp_path):
+def test_friction_on_rubber_by_another_solver(name, tmp_path):
     """Identified from its own levels and open chamber, then dragged or twisted."""
     truth, camera = rubber_truth(name), camera_of(320)
     triangles, rest = truth["triangles"], truth["rest_m"]

@@ -31,7 +31,7 @@ def solver():
 
 
 @pytest.mark.parametrize(("kind", "size"), OFF)
-def test_an_image_that_is_off_shows_no_contact(solver, kind, size):
+def test_image_errors_are_not_contact(solver, kind, size):
     mesh, _ = pressed("sphere", 0.007, 0.0)
     image = ERRORS[kind](seen(mesh, np.zeros_like(mesh.nodes), NOISE_M), size)
     estimate, _ = solver.estimate(image)
@@ -44,7 +44,7 @@ def test_an_image_that_is_off_shows_no_contact(solver, kind, size):
 
 
 @pytest.mark.parametrize(("kind", "size"), OFF)
-def test_force_of_a_press_under_an_image_that_is_off(solver, kind, size):
+def test_force_of_a_press_with_image_errors(solver, kind, size):
     mesh, contact = pressed("sphere", 0.007, 0.0)
     truth = contact.nodal_force_n.sum(axis=0)
     image = ERRORS[kind](seen(mesh, contact.displacement_3d_m, NOISE_M), size)
@@ -54,7 +54,7 @@ def test_force_of_a_press_under_an_image_that_is_off(solver, kind, size):
     assert (np.abs(estimate.force_n - truth) < 1.96 * estimate.force_sigma_n).all()
 
 
-def test_half_an_image_does_not_tell_what_it_is_off_by(solver):
+def test_half_an_image_does_not_determine_its_errors(solver):
     """Its shape where it is not seen could be anything."""
     mesh, contact = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, contact.displacement_3d_m, NOISE_M)
@@ -64,7 +64,7 @@ def test_half_an_image_does_not_tell_what_it_is_off_by(solver):
     assert estimate.image_errors is None
 
 
-def test_a_contact_that_hides_most_of_the_image_is_solved_alike_alone_and_after_another(solver):
+def test_a_contact_over_most_of_the_image_has_the_same_solution_warm_and_cold(solver):
     mesh, contact = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, contact.displacement_3d_m, NOISE_M)
     half = np.where(CAMERA.intrinsics.cx < COLUMNS, np.nan, image)
@@ -90,7 +90,7 @@ def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
     assert np.isnan(solver.estimate(rest)[0].seen_share)
 
 
-def test_what_is_far_outside_the_membrane_is_refused_before_anything_is_solved(solver):
+def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):
     """A camera that is turned in its mount sees a part of the membrane where none can be."""
     mesh, _ = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M) + np.where(RIGHT > 0.0, 0.02, -0.02)

@@ -100,7 +100,7 @@ def test_on_the_real_press(punyo_press):
 
 
 @pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
-def test_how_frames_of_the_real_press_are_reached(punyo_press):
+def test_warm_starts_of_the_real_press(punyo_press):
     """Alone, played, and after jumps from before, within and after the hold: the same patch."""
     hold = range(72, 90, 2)
     with Recording(punyo_press) as recording:
@@ -122,7 +122,7 @@ def test_how_frames_of_the_real_press_are_reached(punyo_press):
     assert np.abs(force[1:] / force[0] - 1.0).max() < 0.015
 
 
-def test_frames_of_the_onset_are_solved_as_far_when_played(punyo_press):
+def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
     """Contacts of two to nine nodes, whose images fit no shape to the noise.
 
     While the press is loaded the camera's filter mixes images, and two amplitudes of friction fit

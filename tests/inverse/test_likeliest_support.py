@@ -1,4 +1,4 @@
-"""The likeliest support, against the evidence of every support in another form."""
+"""The max_evidence support, against the evidence of every support in another form."""
 
 from dataclasses import replace
 from itertools import product
@@ -57,9 +57,9 @@ class Row:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_exchange_of_a_node_is_likelier(seed):
+def test_no_exchange_of_a_node_has_more_evidence(seed):
     row = Row(np.array([0.0, 0, 5, 3, 3, 5, 0, 0]), 1.0, seed)
-    chosen, _, _ = row.problem().likeliest(np.arange(NODES) == 4)
+    chosen, _, _ = row.problem().max_evidence(np.arange(NODES) == 4)
     best = row.evidence(chosen)
     for node in range(NODES):
         other = chosen.copy()
@@ -68,18 +68,18 @@ def test_no_exchange_of_a_node_is_likelier(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_plain_is_found_from_any_start(seed):
+def test_a_clear_support_is_found_from_any_initial_one(seed):
     row = Row(np.array([0.0, 0, 9, 9, 9, 9, 0, 0]), 0.6, seed)
     supports = [np.array(s, bool) for s in product((0, 1), repeat=NODES) if any(s)]
-    likeliest = max(supports, key=row.evidence)
+    max_evidence = max(supports, key=row.evidence)
     for start in ([3], [2, 3], [5, 6], [0, 4], range(NODES)):
-        chosen, _, _ = row.problem().likeliest(np.isin(np.arange(NODES), start))
-        np.testing.assert_array_equal(chosen, likeliest)
+        chosen, _, _ = row.problem().max_evidence(np.isin(np.arange(NODES), start))
+        np.testing.assert_array_equal(chosen, max_evidence)
 
 
 def test_a_problem_that_cannot_be_solved_has_no_answer():
     problem = replace(Row(np.ones(NODES), 1.0, 0).problem(), hessian=-np.eye(NODES))
-    assert not problem.likeliest(np.arange(NODES) == 4)[2]
+    assert not problem.max_evidence(np.arange(NODES) == 4)[2]
 
 
 def test_a_rim_node_never_touches():
@@ -107,7 +107,7 @@ def test_a_rim_node_never_touches():
     problem = ContactProblem(
         rubber, ranges, prior, np.zeros(len(dome.nodes)), np.zeros_like(dome.nodes)
     )
-    chosen = problem.likeliest(Selection(beside | (np.arange(len(beside)) == rim)))
+    chosen = problem.max_evidence(Selection(beside | (np.arange(len(beside)) == rim)))
     assert chosen.converged
     assert chosen.support.any()
     assert not (chosen.support & dome.rim).any()

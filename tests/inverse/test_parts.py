@@ -33,7 +33,7 @@ def test_pivoting_solves_what_lawson_and_hanson_solve(n, seed, warm):
     assert x == pytest.approx(nnls(B, b)[0], abs=1e-7)
 
 
-def test_pivoting_ends_where_full_exchanges_go_round_in_circles():
+def test_pivoting_terminates_where_full_exchanges_cycle():
     """Nearly singular and badly scaled: what decides is Murty's rule, last index first."""
     for seed in range(100):
         rng = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ def test_a_deconvolution_takes_few_pivots():
         assert nonnegative_qp(H, f, x > 0.0)[1] == 1
 
 
-def test_pivoting_says_where_a_matrix_is_not_definite():
+def test_pivoting_reports_an_indefinite_matrix():
     x, _, converged = nonnegative_qp(-np.eye(3), -np.ones(3), np.ones(3, bool))
     assert not converged
     assert not x.any()
@@ -69,7 +69,7 @@ def test_pivoting_says_where_a_matrix_is_not_definite():
 
 @pytest.mark.parametrize("chamber", [1e-7, 2e-3, 10.0])
 @pytest.mark.parametrize("gas_pa", [None, 150.0])
-def test_motion_pull_and_responses_of_constant_tension(chamber, gas_pa):
+def test_motion_adjoint_and_responses_of_constant_tension(chamber, gas_pa):
     """γ0 L u = A (p_v − p_c) with p_v = −βᵀu or as measured, and its adjoint."""
     pneumatics = SENSOR.pneumatics.model_copy(update={"chamber_volume_m3": chamber})
     gas, rng = Gas.of(pneumatics, MESH), np.random.default_rng(1)
@@ -86,19 +86,19 @@ def test_motion_pull_and_responses_of_constant_tension(chamber, gas_pa):
     stiffness = TENSION * cotangent_laplacian(MESH)
     assert (stiffness @ u)[free] == pytest.approx(load[free], abs=1e-6 * np.abs(load).max())
     assert not u[MESH.rim].any()
-    assert tangent.pull(force) @ push == pytest.approx(np.vdot(force, motion), rel=1e-6)
+    assert tangent.adjoint(force) @ push == pytest.approx(np.vdot(force, motion), rel=1e-6)
     moved = tangent.responses(free) @ push[free]
     assert moved == pytest.approx(motion.ravel(), rel=1e-5, abs=1e-12)
 
 
-def test_constant_tension_settles_on_the_exact_gas_law():
+def test_equilibrium_of_constant_tension_has_the_exact_gas_law():
     """From the linear one, where a dent of a tenth of the gas's volume makes 10 % of difference."""
     gas = Gas.of(SENSOR.pneumatics.model_copy(update={"chamber_volume_m3": 1e-3}), MESH)
     film = ConstantTension(MESH, TENSION, gas)
     p = np.where(MESH.nodes[:, 2] > 0.035, 1.2e4, 0.0)
     tangent = film.linearised(MESH.nodes, p, None)
     start = MESH.nodes - tangent.motion(p[:, None] * tangent.area_vectors)
-    x, balanced, _ = film.settled(tangent, start, p, None)
+    x, balanced, _ = film.equilibrium(tangent, start, p, None)
     u = np.einsum("ij,ij->i", x - MESH.nodes, MESH.normals)
     p_v = gas.pressure_change(u)
     assert balanced and abs(p_v + gas.beta @ u) > 0.05 * p_v
@@ -139,19 +139,19 @@ def test_an_interior_point_certifies_support_and_pressure(problem_of, gas_pa):
     with_l1 = exact(tau, ~mesh.rim)
     np.testing.assert_array_equal(found.support, with_l1 > 1e-6 * with_l1.max())
     assert 5 < np.count_nonzero(found.support) < 50
-    contact = problem.refine(found, lambda support, _: support)
+    contact = problem.solve_debiased(found, lambda support, _: support)
     debiased = exact(nothing, found.support)
     assert contact.pressure == pytest.approx(debiased, abs=1e-6 * debiased.max())
     assert debiased.sum() > with_l1.sum()  # the L1 term takes a part of the force
     assert contact.kkt_residual < 1e-9 and problem.kkt_residual(contact.pressure) < 1e-9
 
 
-def test_the_residual_is_what_the_conditions_of_optimality_miss_by(problem_of):
+def test_the_residual_measures_the_kkt_conditions(problem_of):
     """min(p_c, ∇) under pressure, both in units of their largest; ∇ by differences of responses."""
     _, problem, _, tau = problem_of(None)
     nothing = np.zeros(len(tau))
     found = problem.select(nothing > 0.0, 20)
-    pressure = problem.refine(found, lambda support, _: support).pressure
+    pressure = problem.solve_debiased(found, lambda support, _: support).pressure
     at_zero = np.abs(problem.gradient(nothing)).max()
     for share in (1.01, 0.9, 2.0):  # ∇ is linear, and 0 at the solution
         slope = (1.0 - share) * problem.gradient(nothing)[pressure > 0.0] / at_zero

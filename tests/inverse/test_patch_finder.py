@@ -138,7 +138,7 @@ def test_the_band_around_the_edge():
     assert np.isnan([*paper.area_interval_m2, paper.edge_half_width_m]).all()
 
 
-def test_what_is_too_small_takes_its_band_along():
+def test_removed_parts_lose_their_band():
     resolution = 0.003
     pressure = np.zeros(len(MESH.nodes))
     for x, radius in ((-0.02, 0.012), (0.03, 0.004)):

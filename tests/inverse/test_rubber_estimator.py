@@ -171,7 +171,7 @@ def test_sharp_edged_rod_off_the_axis():
     assert error(estimate, force) < 0.03
 
 
-def test_nothing_where_nothing_touches():
+def test_no_contact_gives_zero_pressure():
     """Pressure on the contact and none elsewhere; none at all on an untouched membrane."""
     solver = estimator()
     mesh, contact = pressed("sphere", 0.007)
@@ -187,7 +187,7 @@ def test_nothing_where_nothing_touches():
 
 
 @pytest.mark.parametrize("change", [{"nodes": 2000}, {"slack": 3 * RIM_SLACK_M}])
-def test_what_should_not_matter(change):
+def test_invariance_to_irrelevant_changes(change):
     mesh, contact = pressed("sphere", 0.007)
     image = seen(mesh, contact.displacement_3d_m, NOISE_M)
     usual, other = (solver.estimate(image)[0] for solver in (estimator(), estimator(**change)))
@@ -195,7 +195,7 @@ def test_what_should_not_matter(change):
 
 
 @pytest.mark.parametrize("depth", [0.008, 0.011])
-def test_far_stretched_rubber_is_reached_from_rest(depth):
+def test_highly_stretched_rubber_is_solved_from_rest(depth):
     """Close to constant tension it bends to single nodes, which once took all of the pressure."""
     mesh, contact = pressed("sphere", depth, prestretch=1.5)
     solver = estimator(prestretch=1.5)
@@ -207,7 +207,7 @@ def test_far_stretched_rubber_is_reached_from_rest(depth):
 
 
 @pytest.mark.parametrize("noise_m", [1e-4, 5e-4])
-def test_how_a_frame_is_reached_does_not_matter(noise_m):
+def test_the_solution_does_not_depend_on_the_warm_start(noise_m):
     solver = estimator(1000, relative=noise_m / 0.065)
     finder = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m)
     image = image_of(0.007, 0.008, noise_m)
@@ -233,7 +233,7 @@ def test_a_camera_that_is_better_than_its_noise_is_trusted_more():
     assert (by_noise(estimate) < 0.5 * by_noise(noisy)).all()
 
 
-def test_what_the_noise_of_the_sensor_hides_is_hidden_after_a_contact_too():
+def test_contact_below_the_noise_is_not_found_after_a_contact_either():
     """Though the image with that contact told of less noise, by which the weak one would show."""
     solver = estimator(1000, relative=0.02)
     first, start = solver.estimate(image_of(0.001, 0.008, 5e-5))
@@ -243,7 +243,7 @@ def test_what_the_noise_of_the_sensor_hides_is_hidden_after_a_contact_too():
     assert solver.estimate(weak, start=start)[0].status == "no_contact"
 
 
-def test_a_start_that_is_further_from_the_image_than_rest_is_left():
+def test_a_warm_start_that_fits_worse_than_rest_is_discarded():
     solver = estimator()
     _, far = solver.estimate(image_of(0.011, 0.008, NOISE_M))
     for depth, x in ((0.002, -0.012), (0.0, 0.008)):
@@ -284,7 +284,7 @@ def test_small_press_on_a_flat_membrane_is_the_linear_model():
 
 
 @pytest.mark.parametrize("measured", [False, True])
-def test_sigma_is_what_another_material_makes_of_the_force(measured):
+def test_sigma_includes_the_uncertainty_of_the_material(measured):
     """Against a second solve with the other tension, and the scatter of noisy frames.
 
     With more noise than the mesh gets wrong, which counts in σ too and does not scatter.
@@ -345,7 +345,7 @@ def test_the_patch_is_as_large_as_by_the_equations_of_the_meridian():
         assert abs(np.mean(errors)) < 0.08
 
 
-def test_no_number_where_there_is_no_answer():
+def test_an_unsolved_frame_has_no_numbers():
     """Ranges in other units, no return, a gas pressure that no membrane holds."""
     solver = estimator()
     mesh, contact = pressed("sphere", 0.007)
