@@ -1,4 +1,4 @@
-"""What optical flow says about the membrane: motion of material points in the image."""
+"""Observation model of optical flow: motion of material points of the membrane in the image."""
 
 from __future__ import annotations
 
@@ -16,55 +16,57 @@ if TYPE_CHECKING:
     from bubbleviz.shear.optical_flow import FlowField
 
 
-BLOCK_PX = 8  # side of the blocks of which flow tells one motion each
+BLOCK_PX = 8  # side of the blocks for which flow has one motion each
 
 
 @dataclass(frozen=True)
 class MeasuredFlow:
-    """Motion of material points that were seen at rest."""
+    """Motion of material points that were visible at rest."""
 
-    point: np.ndarray  # (k,) int, of the observer's, one a pixel that sees the membrane
+    point: (
+        np.ndarray
+    )  # (k,) int, index among the observer's points, one per pixel that sees the membrane
     moved_px: np.ndarray  # (k, 2)
     sigma_px: np.ndarray  # (k,), standard deviation of each component
-    squares: BlockSquares  # parts of the image in which flow is wrong alike
+    squares: BlockSquares  # parts of the image within which errors are correlated
 
     def noise_factor(self, error_px: np.ndarray) -> float:
         """Factor by which errors (k, 2) exceed the noise, at least 1."""
         deviations = error_px / self.sigma_px[:, None]
         every = np.arange(len(self.point))
-        both = [max(1.0, self.squares.noise_factor(every, z)) for z in deviations.T]
-        return float(np.sqrt(np.mean(np.square(both))))
+        components = [max(1.0, self.squares.noise_factor(every, z)) for z in deviations.T]
+        return float(np.sqrt(np.mean(np.square(components))))
 
 
 @dataclass(frozen=True)
 class ShapeFlow:
-    """Model of the motion around a shape: y(x + δ) ≈ moved_px + D δ."""
+    """Model of the motion, linearised at a shape: y(x + δ) ≈ moved_px + D δ."""
 
     moved_px: np.ndarray  # (k, 2)
-    jacobian: sparse.csr_array  # (2k, 3n) sparse, two rows a point, three columns a node, pixels/m
+    jacobian: sparse.csr_array  # (2k, 3n) sparse, two rows per point, three columns per node, px/m
 
 
 @dataclass(frozen=True)
 class PinnedPoints:
-    """Material points of the membrane on a shape, where flow saw them."""
+    """Material points on a shape of the membrane, positioned by flow."""
 
     position: np.ndarray  # (k, 3), in B, m
     tangents: np.ndarray  # (k, 2, 3), orthonormal, along the facet of each
     # (k, 3, 3), of the positions, m²: along the facets by the noise of the flow, along the rays by
     # the distance between facets and the surface they stand for
     covariance: np.ndarray
-    area: np.ndarray  # (k,), that one pixel sees, m²
+    area: np.ndarray  # (k,), of a pixel on the membrane, m²
 
 
 class FlowObserver:
-    """Models the flow that a camera sees of the membrane.
+    """Models the optical flow of the membrane in a camera.
 
     Raises InputError: the camera does not see the membrane.
     """
 
     def __init__(
         self,
-        camera: DepthCamera,  # whose contact-free image the flow starts from
+        camera: DepthCamera,  # of the images, in the bubble frame
         mesh: MembraneMesh,
     ) -> None:
         self._camera, self._mesh = camera, mesh
@@ -86,19 +88,19 @@ class FlowObserver:
     def measure(self, flow: FlowField) -> MeasuredFlow:
         """Motions of the points of the membrane."""
         point = self._point_of_pixel[flow.pixel]
-        seen = (point >= 0) & np.isfinite(flow.moved_px).all(axis=1) & (flow.sigma_px > 0.0)
+        valid = (point >= 0) & np.isfinite(flow.moved_px).all(axis=1) & (flow.sigma_px > 0.0)
         columns = -(-self._camera.intrinsics.width // BLOCK_PX)
-        row, column = np.divmod(flow.pixel[seen], self._camera.intrinsics.width)
+        row, column = np.divmod(flow.pixel[valid], self._camera.intrinsics.width)
         block = (row // BLOCK_PX) * columns + column // BLOCK_PX
         return MeasuredFlow(
-            point[seen], flow.moved_px[seen], flow.sigma_px[seen], BlockSquares(block, columns)
+            point[valid], flow.moved_px[valid], flow.sigma_px[valid], BlockSquares(block, columns)
         )
 
-    def seen_share(self, measured: MeasuredFlow, nodes: np.ndarray) -> float:
-        """Share of nodes (n,) bool with flow on a triangle beside them."""
-        beside = np.zeros(len(nodes), bool)
-        beside[self._corners[measured.point]] = True
-        return int(np.count_nonzero(beside & nodes)) / max(1, int(np.count_nonzero(nodes)))
+    def flow_share(self, measured: MeasuredFlow, nodes: np.ndarray) -> float:
+        """Share of nodes (n,) bool with measured flow on an adjacent triangle."""
+        measured_nodes = np.zeros(len(nodes), bool)
+        measured_nodes[self._corners[measured.point]] = True
+        return int(np.count_nonzero(measured_nodes & nodes)) / max(1, int(np.count_nonzero(nodes)))
 
     def interpolated(self, values: np.ndarray, point: np.ndarray) -> np.ndarray:
         """Values of the nodes (n,) at points (k,)."""
@@ -107,9 +109,9 @@ class FlowObserver:
     def pinned(
         self, nodes: np.ndarray, point: np.ndarray, moved_px: np.ndarray, sigma_px: np.ndarray
     ) -> PinnedPoints:
-        """Points (k,) on a shape, nodes (n, 3) in B, m, put where flow saw them along its facets.
+        """Points (k,) on a shape, nodes (n, 3) in B, m, shifted along its facets to their pixels.
 
-        The shape tells where along its ray a point is, the flow (k, 2) which ray.
+        The flow (k, 2) determines the ray of a point, the shape its place along the ray.
         """
         a, b, c = nodes[self._corners[point]].transpose(1, 0, 2)
         first, normal = b - a, np.cross(b - a, c - a)
@@ -132,7 +134,7 @@ class FlowObserver:
         )
 
     def around(self, nodes: np.ndarray, point: np.ndarray) -> ShapeFlow:
-        """Model of the motion of points (k,) around a shape, nodes (n, 3) in B, m."""
+        """Model of the motion of points (k,), linearised at a shape, nodes (n, 3) in B, m."""
         barycentric = self._barycentric.take(point, axis=0)
         _, pixels, slopes = self._projected(nodes, point)
         values = slopes[:, :, None, :] * barycentric[:, None, :, None]
@@ -146,7 +148,7 @@ class FlowObserver:
     def _projected(
         self, nodes: np.ndarray, point: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Places of points in B, (k, 3), m, in the image, (k, 2), and slopes, (k, 2, 3), px/m."""
+        """Points in B, (k, 3), m, and in the image, (k, 2), and the derivative, (k, 2, 3), px/m."""
         T = self._camera.T_B_C
         corners = nodes.take(self._corners.take(point, axis=0), axis=0)
         places = np.einsum("ij,ijk->ik", self._barycentric.take(point, axis=0), corners)

@@ -1,4 +1,4 @@
-"""How the texture of the membrane moved from rest, by optical flow of the colour images."""
+"""Motion of the texture of the membrane since rest, by optical flow of the colour images."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def opencv() -> Any:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV uses the calling thread alone: its pool would compete with what runs beside it."""
+    """OpenCV uses only the calling thread: its pool would compete with other computations."""
     cv2 = opencv()
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -39,13 +39,13 @@ def one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-# Grey images freed of brightness and contrast, and how precisely their texture tells motion.
+# Normalised grey images, and the precision of motion by their texture.
 
 
 _CONTRAST_WINDOW_PX = 31
-"""Side of the neighbourhood that brightness and contrast are taken from: some speckles."""
-_LEAST_CONTRAST = 4.0
-"""Standard deviation, grey levels, of what is not taken for texture: the noise of a camera."""
+"""Side of the neighbourhood for local mean and contrast: some speckles."""
+_MIN_CONTRAST = 4.0
+"""Standard deviation in grey levels below which contrast is not texture but camera noise."""
 _MIDDLE, _SCALE = 128.0, 42.0
 """Grey level of the mean, and levels of one standard deviation: ± 3 of them fit 8 bits."""
 
@@ -53,7 +53,7 @@ _MIDDLE, _SCALE = 128.0, 42.0
 def normalised(grey: np.ndarray) -> np.ndarray:
     """Image (H, W) less its local mean over its local contrast, uint8 around 128.
 
-    A membrane that tilts is lit anew: by that its texture must not seem to move.
+    The shading of a membrane changes as it tilts, which must not appear as motion.
     """
     cv2 = opencv()
     image = np.asarray(grey, np.float32)
@@ -64,7 +64,7 @@ def normalised(grey: np.ndarray) -> np.ndarray:
     mean *= mean  # in place from here on: allocating takes as long as computing
     contrast -= mean
     np.maximum(contrast, 0.0, out=contrast)
-    contrast += np.float32(_LEAST_CONTRAST**2)
+    contrast += np.float32(_MIN_CONTRAST**2)
     image /= np.sqrt(contrast, out=contrast)
     return np.asarray(cv2.convertScaleAbs(image, alpha=_SCALE, beta=_MIDDLE))
 
@@ -76,7 +76,7 @@ def motion_bound(
 ) -> np.ndarray:
     """Cramér–Rao bound of the motion of a window around each pixel, (H, W), pixels.
 
-    In the direction that the texture tells least about; inf where it tells nothing.
+    In the least certain direction; inf without texture.
     """
     cv2 = opencv()
     image = np.asarray(image, np.float32)
@@ -95,22 +95,22 @@ def motion_bound(
 
 
 FlowPreset = Literal["fast", "balanced", "fine"]
-"""Finest level of the pyramid and rounds of refinement: what sets time and error. The least that
-finds the force as well as the others, by `benchmarks shear`, is used where none is chosen."""
+"""Finest level of the pyramid and rounds of refinement, a trade-off of time and error. The default
+is the fastest with the same force error as the others (`benchmarks shear`)."""
 
-BLOCK_PX = 8  # side of a block, of which one motion is told; as far as OpenCV's patches reach
+BLOCK_PX = 8  # side of a block with one motion; the size of OpenCV's patches
 
 _PYRAMID: dict[FlowPreset, tuple[int, int]] = {"fast": (2, 0), "balanced": (1, 0), "fine": (1, 5)}
 _WINDOW_PX = BLOCK_PX + 1  # about the middle pixel of a block, so that its mean is that pixel's
-_WASHED_OUT = 250  # grey level of a pixel that may be saturated
-_LARGEST_SIGMA_PX = 0.1  # of motion at rest; chosen: flow that is worse tells less than depth does
+_SATURATED = 250  # grey level of a pixel that may be saturated
+_LARGEST_SIGMA_PX = 0.1  # of motion at rest; chosen: less certain flow adds nothing to depth
 _LARGEST_DISAGREEMENT_PX = 1.0
-"""Of forward and backward flow: beyond it one of them followed something else."""
-_DISAGREED, _SMOOTHED = 0.5, 0.1
-"""Variance of a component for a squared pixel of disagreement, and of bend: the Laplacian of the
-motion over blocks, of which a flow that is averaged misses a part. Of synthetic motions."""
-_LEAST_SHARE = 0.01  # of the blocks; chosen: fewer are no membrane
-_MOST_IMAGES = 40  # that noise is learned from: more cost time and tell no more
+"""Of forward and backward flow: beyond it one of them is a false match."""
+_DISAGREEMENT_VARIANCE, _CURVATURE_VARIANCE = 0.5, 0.1
+"""Variance of a component per squared pixel of disagreement, and of the Laplacian of the motion
+over blocks, part of which averaging removes. Fitted to synthetic motions."""
+_MIN_BLOCK_SHARE = 0.01  # of blocks with texture; chosen
+_MAX_IMAGES = 40  # for the noise: more cost time and do not improve it
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class FlowField:
     moved_px: np.ndarray  # (k, 2), motion, x to the right and y down, pixels
     sigma_px: np.ndarray  # (k,), standard deviation of each component, pixels
     shape: tuple[int, int]  # height and width of the reference image
-    # why there is little or nothing to trust, one clause; empty where there is enough
+    # reason for little or no flow, one clause; empty for enough
     problem: str = ""
 
     def lengths_px(self) -> np.ndarray:
@@ -135,8 +135,8 @@ class FlowField:
 class OpticalFlow:
     """Measures motion against contact-free images, by blocks of 8×8 pixels.
 
-    Dense inverse search (Kroeger et al. 2016) of OpenCV, forward and backward: what they disagree
-    by tells their error. Made by `of`.
+    Dense inverse search (Kroeger et al. 2016) of OpenCV, forward and backward: their disagreement
+    estimates the error. Constructed by `of`.
 
     Attributes
     ----------
@@ -146,10 +146,10 @@ class OpticalFlow:
     pixel : (b,) int array
         Middle pixel of each block that has texture, flat index.
     noise_px : (b,) array
-        Standard deviation of the motion of a membrane at rest: as learned from the contact-free
-        images, and no better than the Cramér–Rao bound.
+        Standard deviation of the motion of a membrane at rest: that of the contact-free images, at
+        least the Cramér–Rao bound.
     problem : str
-        Why the images are of no use, one clause; empty where they are.
+        Why the images cannot be used, one clause; empty if they can.
     """
 
     def __init__(
@@ -184,24 +184,26 @@ class OpticalFlow:
             )
         stack = _stacked(images)
         mean = stack.mean(axis=0, dtype=np.float32)
-        stack = stack[:: -(-len(stack) // _MOST_IMAGES)]
+        stack = stack[:: -(-len(stack) // _MAX_IMAGES)]
         reference = normalised(mean)
         frames = [normalised(image) for image in stack]
         bound = motion_bound(reference, _grey_variance(np.stack(frames)), _WINDOW_PX)
         search = _search(preset)
-        flows = np.stack([_middles(_averaged(search.calc(reference, f, None))) for f in frames])
+        flows = np.stack(
+            [_block_centres(_averaged(search.calc(reference, f, None))) for f in frames]
+        )
         variance = flows.var(axis=0, ddof=1).max(axis=-1)
-        noise = np.maximum(_middles(bound), np.sqrt(variance))
-        washed_out = _middles(_spread(mean >= _WASHED_OUT))
-        unseen = np.zeros_like(washed_out) if mask is None else _middles(_spread(~mask))
-        good = (noise < _LARGEST_SIGMA_PX) & ~washed_out & ~unseen
-        middle = _middles(np.arange(mean.size).reshape(mean.shape))
+        noise = np.maximum(_block_centres(bound), np.sqrt(variance))
+        saturated = _block_centres(_dilated(mean >= _SATURATED))
+        hidden = np.zeros_like(saturated) if mask is None else _block_centres(_dilated(~mask))
+        good = (noise < _LARGEST_SIGMA_PX) & ~saturated & ~hidden
+        middle = _block_centres(np.arange(mean.size).reshape(mean.shape))
         return cls(
             reference,
             preset,
             middle[good],
             noise[good],
-            _why_useless(good, washed_out & ~unseen, unseen),
+            _reason_unusable(good, saturated & ~hidden, hidden),
         )
 
     def measure(self, grey: np.ndarray) -> FlowField:
@@ -217,31 +219,35 @@ class OpticalFlow:
         if self.problem:
             return self.nothing(self.problem)
         frame = normalised(grey)
-        with one_thread():  # the other cores are left to the depth estimate
+        with one_thread():  # the other cores are for the depth estimate
             forward = _averaged(self._search.calc(self._reference, frame, None))
             backward = _averaged(self._search.calc(frame, self._reference, None))
         moved = forward.reshape(-1, 2)[self.pixel]
         place = moved + np.stack(np.divmod(self.pixel, self.shape[1])[::-1], axis=1)
         disagreement = np.linalg.norm(moved + _sampled(backward, place), axis=1)
-        bend = np.linalg.norm(self._bend(forward), axis=1)
-        washed_out = _sampled(_spread(grey >= _WASHED_OUT).astype(np.float32), place) > 0.0
+        curvature = np.linalg.norm(self._laplacian(forward), axis=1)
+        saturated = _sampled(_dilated(grey >= _SATURATED).astype(np.float32), place) > 0.0
         inside = np.all((place >= 0) & (place <= np.array(self.shape[::-1]) - 1), axis=1)
-        good = (disagreement < _LARGEST_DISAGREEMENT_PX) & inside & ~washed_out
-        variance = self.noise_px**2 + _DISAGREED * disagreement**2 + _SMOOTHED * bend**2
+        good = (disagreement < _LARGEST_DISAGREEMENT_PX) & inside & ~saturated
+        variance = (
+            self.noise_px**2
+            + _DISAGREEMENT_VARIANCE * disagreement**2
+            + _CURVATURE_VARIANCE * curvature**2
+        )
         sigma = np.sqrt(variance[good])
         problem = "" if good.mean() > 0.5 else "most of the texture could not be matched"
         return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
 
     def nothing(self, problem: str) -> FlowField:
-        """No motion of any block, and why."""
+        """Flow without any block, and the reason."""
         return FlowField(np.empty(0, int), np.empty((0, 2)), np.empty(0), self.shape, problem)
 
-    def _bend(self, flow: np.ndarray) -> np.ndarray:
+    def _laplacian(self, flow: np.ndarray) -> np.ndarray:
         """Laplacian of a flow over neighbouring blocks, at each block with texture, (b, 2)."""
         cv2 = opencv()
-        blocks = _middles(flow)
-        bend = cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
-        return bend[tuple(index // BLOCK_PX for index in np.divmod(self.pixel, self.shape[1]))]
+        blocks = _block_centres(flow)
+        laplacian = cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
+        return laplacian[tuple(index // BLOCK_PX for index in np.divmod(self.pixel, self.shape[1]))]
 
 
 def _search(preset: FlowPreset) -> Any:
@@ -270,13 +276,13 @@ def _grey_variance(frames: np.ndarray) -> np.ndarray:
     deviations = frames - frames.mean(axis=0, dtype=np.float32)
     sigma = np.sqrt(np.mean(deviations**2, axis=0))
     sparse = deviations[:, ::4, ::4]
-    lost = mean_inflation(temporal_correlation(sparse, sigma[::4, ::4])) / len(frames)
-    share = max(1.0 - lost, 1.0 / len(frames))
+    bias = mean_inflation(temporal_correlation(sparse, sigma[::4, ::4])) / len(frames)
+    share = max(1.0 - bias, 1.0 / len(frames))
     return np.asarray(sigma**2 / share)
 
 
-def _middles(image: np.ndarray) -> np.ndarray:
-    """Values at the middle pixels of all whole blocks, (rows, columns, …)."""
+def _block_centres(image: np.ndarray) -> np.ndarray:
+    """Values at the centre pixels of all whole blocks, (rows, columns, …)."""
     half = BLOCK_PX // 2
     rows, columns = (side // BLOCK_PX * BLOCK_PX for side in image.shape[:2])
     return image[half:rows:BLOCK_PX, half:columns:BLOCK_PX]
@@ -287,25 +293,25 @@ def _averaged(flow: np.ndarray) -> np.ndarray:
     return np.asarray(opencv().blur(flow, (_WINDOW_PX, _WINDOW_PX)))
 
 
-def _spread(mask: np.ndarray) -> np.ndarray:
-    """Pixels (H, W) with one of a mask in the window of a block around them."""
+def _dilated(mask: np.ndarray) -> np.ndarray:
+    """Mask (H, W) dilated by the window of a block."""
     kernel = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
     return np.asarray(opencv().dilate(mask.astype(np.uint8), kernel)) > 0
 
 
 def _sampled(image: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Values (k, …) of an image at places (k, 2), x and y; those of its edge outside it."""
+    """Values (k, …) of an image at positions (k, 2), x and y; outside, those of its edge."""
     cv2 = opencv()
     x, y = np.asarray(place, np.float32).T[:, :, None]
     found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found)[:, 0]
 
 
-def _why_useless(good: np.ndarray, washed_out: np.ndarray, unseen: np.ndarray) -> str:
-    """Why hardly a block can be followed; empty where enough can."""
-    seen = max(int(np.count_nonzero(~unseen)), 1)
-    if np.count_nonzero(good) > _LEAST_SHARE * good.size:
+def _reason_unusable(good: np.ndarray, saturated: np.ndarray, hidden: np.ndarray) -> str:
+    """Why too few blocks can be tracked; empty if there are enough."""
+    visible = max(int(np.count_nonzero(~hidden)), 1)
+    if np.count_nonzero(good) > _MIN_BLOCK_SHARE * good.size:
         return ""
-    if np.count_nonzero(washed_out) > 0.5 * seen:
+    if np.count_nonzero(saturated) > 0.5 * visible:
         return "the colour image is over-exposed"
     return "the membrane shows no texture in the colour image"

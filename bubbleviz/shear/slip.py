@@ -1,10 +1,10 @@
-"""Slip: parts of a contact patch that move against the rest of it.
+"""Slip: parts of a contact patch that move relative to the rest of it.
 
-Optical flow follows some points of the membrane inside each patch, far more than it has nodes.
-Each has an anchor, where it was when it came into contact. The object's motion since then is the
-rigid motion that most of those that stick agree on; what a point moved besides, along the membrane,
-is its slip. When all of a patch slides at once the membrane tells of no motion at all: only against
-a part that sticks can slip be seen.
+Optical flow tracks points of the membrane inside each patch. The anchor of a point is its position
+when it came into contact. The object's motion since then is the rigid motion of most of the
+sticking points; the motion of a point relative to it, along the membrane, is its slip. If a whole
+patch slides at once, its points do not move relative to each other: slip can only be detected
+relative to a part that sticks.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from bubbleviz.shear.optical_flow import FlowField
 
 
-_FALSE_ALARMS = 0.01  # share of frames without slip in which noise may look like it
-_LEAST_STUCK = 4  # points that a rigid motion is fitted to; three would fit any
-_ROUNDS = 20  # of weighing points anew, which settles in some ten
+_FALSE_ALARMS = 0.01  # share of frames without slip in which noise may be detected as slip
+_MIN_STUCK = 4  # points for the fit of a rigid motion; three would always fit
+_ROUNDS = 20  # of reweighting, which converges in about ten
 
 
 @dataclass(frozen=True)
 class SlipStart:
-    """What `SlipFinder.find` hands from one frame to the next."""
+    """State of `SlipFinder.find` between frames."""
 
-    point: np.ndarray  # (k,) int, of the flow's observer, ascending: those inside the patch
-    # (k, 3), where each was on the object when it came into contact, in B at the moment of the
-    # first of them, m
+    point: np.ndarray  # (k,) int, of the flow observer, ascending: points inside the patch
+    # (k, 3), position of each on the object when it came into contact, in B at the time of the
+    # first contact, m
     anchor_m: np.ndarray
     covariance: np.ndarray  # (k, 3, 3), of the anchors, m²
-    stuck: np.ndarray  # (k,) bool, those that have not slipped since
+    stuck: np.ndarray  # (k,) bool, points that have not slipped since
 
 
 class SlipFinder:
@@ -49,8 +49,7 @@ class SlipFinder:
         self,
         observer: FlowObserver,
         mesh: MembraneMesh,  # reference surface
-        # gauge pressure that a contact carries which flattens the membrane
-        held_pressure_pa: float,
+        held_pressure_pa: float,  # gauge pressure of the reference configuration
         resolution_m: float,  # width of the estimate's response to a point load, m
     ) -> None:
         self._observer, self._edge = observer, PatchEdge(mesh)
@@ -59,44 +58,47 @@ class SlipFinder:
     def find(
         self,
         traction: Traction,
-        flow: FlowField | None,  # that it was found by
-        start: SlipStart | None = None,  # of the frame before
+        flow: FlowField | None,  # used for that traction
+        start: SlipStart | None = None,  # of the previous frame
     ) -> tuple[Slip | None, SlipStart | None]:
-        """Slip of one frame, None where too little sticks to tell; also what the next needs."""
+        """Slip of one frame, None if too few points stick; and the state for the next frame."""
         if traction.status != "ok" or flow is None:
             return None, None
-        point, seen = self._inside(traction, flow)
+        point, pinned = self._inside(traction, flow)
         if start is None:
-            start = SlipStart(point[:0], seen.position[:0], seen.covariance[:0], np.zeros(0, bool))
+            start = SlipStart(
+                point[:0], pinned.position[:0], pinned.covariance[:0], np.zeros(0, bool)
+            )
         _, known, before = np.intersect1d(point, start.point, return_indices=True)
         stuck = start.stuck[before]
-        if np.count_nonzero(stuck) < _LEAST_STUCK:
-            everything = np.ones(len(point), bool)
-            return None, SlipStart(point, seen.position, seen.covariance, everything)
-        moved = _Moved.of(seen, known, start.anchor_m[before], start.covariance[before])
-        way = moved.against_the_rest(stuck)
-        area = seen.area[known]
-        likely = ndtr(way.sigmas - moved.limit)
+        if np.count_nonzero(stuck) < _MIN_STUCK:
+            all_stuck = np.ones(len(point), bool)
+            return None, SlipStart(point, pinned.position, pinned.covariance, all_stuck)
+        moved = _Motions.of(pinned, known, start.anchor_m[before], start.covariance[before])
+        motion = moved.relative_to_stuck(stuck)
+        area = pinned.area[known]
+        likely = ndtr(motion.sigmas - moved.limit)
         slip = Slip(
-            seen.position[known],
-            np.einsum("ki,kix->kx", way.slip_m, moved.tangents),
-            way.sigmas > moved.limit,
-            float(area @ (way.sigmas > moved.limit) / area.sum()),
+            pinned.position[known],
+            np.einsum("ki,kix->kx", motion.slip_m, moved.tangents),
+            motion.sigmas > moved.limit,
+            float(area @ (motion.sigmas > moved.limit) / area.sum()),
             float(np.sqrt(area**2 @ (likely * (1.0 - likely))) / area.sum()),
         )
-        back, anchors = way.turn.inv(), np.empty_like(seen.position)
-        anchors[:] = back.apply(seen.position - way.shift_m)
+        back, anchors = motion.turn.inv(), np.empty_like(pinned.position)
+        anchors[:] = back.apply(pinned.position - motion.shift_m)
         anchors[known] = start.anchor_m[before]
-        covariance = seen.covariance.copy()
+        covariance = pinned.covariance.copy()
         covariance[known] = start.covariance[before]
         sticks = np.ones(len(point), bool)
         sticks[known] = stuck & ~slip.slipping
         return slip, SlipStart(point, anchors, covariance, sticks)
 
     def _inside(self, traction: Traction, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
-        """Points further inside the patch than its edge is uncertain, and where they are.
+        """Points that are surely inside the patch, and their positions.
 
-        Beside the edge it is not known what touches, and what does not moves against the object.
+        Within the uncertainty of the edge, points may not touch, and those move relative to the
+        object.
         """
         measured = self._observer.measure(flow)
         level = self._edge.level_set(
@@ -110,8 +112,8 @@ class SlipFinder:
         )
 
 
-class _Way(NamedTuple):
-    """Motion of points over the object, and of the object since the anchors."""
+class _RelativeMotion(NamedTuple):
+    """Motion of points relative to the object, and of the object since the anchors."""
 
     slip_m: np.ndarray  # (k, 2), along their tangents
     sigmas: np.ndarray  # (k,), its length in standard deviations
@@ -119,8 +121,8 @@ class _Way(NamedTuple):
     shift_m: np.ndarray  # (3,)
 
 
-class _Moved(NamedTuple):
-    """Points from their anchors to where they are, (k, 3) each; covariances of both (k, 3, 3)."""
+class _Motions(NamedTuple):
+    """Anchors and present positions of points, (k, 3) each, with covariances (k, 3, 3)."""
 
     anchors: np.ndarray
     positions: np.ndarray
@@ -130,39 +132,39 @@ class _Moved(NamedTuple):
 
     @classmethod
     def of(
-        cls, seen: PinnedPoints, known: np.ndarray, anchors: np.ndarray, covariance: np.ndarray
-    ) -> _Moved:
-        position, tangents = seen.position[known], seen.tangents[known]
-        return cls(anchors, position, tangents, covariance, seen.covariance[known])
+        cls, pinned: PinnedPoints, known: np.ndarray, anchors: np.ndarray, covariance: np.ndarray
+    ) -> _Motions:
+        position, tangents = pinned.position[known], pinned.tangents[known]
+        return cls(anchors, position, tangents, covariance, pinned.covariance[known])
 
     @property
     def limit(self) -> float:
-        """Standard deviations that the longest of so many vectors of noise rarely exceeds."""
+        """Detection threshold in σ, which noise exceeds at any point with rate `_FALSE_ALARMS`."""
         return float(np.sqrt(2.0 * np.log(len(self.anchors) / _FALSE_ALARMS)))
 
-    def against_the_rest(self, stuck: np.ndarray) -> _Way:
-        """Motion beside the rigid one that most of the points that stuck so far agree on.
+    def relative_to_stuck(self, stuck: np.ndarray) -> _RelativeMotion:
+        """Motion relative to the rigid motion of most of the points that stuck so far.
 
-        By least absolute deviations, so that it is not between the motions of two parts.
+        It minimises absolute deviations: it is not a mean of the motions of two parts.
         """
         weight = stuck / np.trace(self.now + self.before, axis1=1, axis2=2)
-        way = self._against(weight)
-        if (way.sigmas[stuck] <= self.limit).all():
-            return way
+        motion = self._relative_to_fit(weight)
+        if (motion.sigmas[stuck] <= self.limit).all():
+            return motion
         for _ in range(_ROUNDS):
-            way = self._against(weight / np.maximum(way.sigmas, 1.0))
-        still = stuck & (way.sigmas <= self.limit)
-        return self._against(weight * still) if still.sum() >= _LEAST_STUCK else way
+            motion = self._relative_to_fit(weight / np.maximum(motion.sigmas, 1.0))
+        still = stuck & (motion.sigmas <= self.limit)
+        return self._relative_to_fit(weight * still) if still.sum() >= _MIN_STUCK else motion
 
-    def _against(self, weight: np.ndarray) -> _Way:
+    def _relative_to_fit(self, weight: np.ndarray) -> _RelativeMotion:
         share = weight / weight.sum()
         before, now = share @ self.anchors, share @ self.positions
         turn, _ = Rotation.align_vectors(self.positions - now, self.anchors - before, weights=share)
         shift = now - turn.apply(before)
-        away = self.positions - turn.apply(self.anchors) - shift
-        slip = np.einsum("kix,kx->ki", self.tangents, away)
+        relative = self.positions - turn.apply(self.anchors) - shift
+        slip = np.einsum("kix,kx->ki", self.tangents, relative)
         R = turn.as_matrix()
-        both = self.now + R @ self.before @ R.T
-        noise = self.tangents @ both @ self.tangents.swapaxes(1, 2)
+        covariance = self.now + R @ self.before @ R.T
+        noise = self.tangents @ covariance @ self.tangents.swapaxes(1, 2)
         squares = np.einsum("ki,ki->k", slip, np.linalg.solve(noise, slip[:, :, None])[:, :, 0])
-        return _Way(slip, np.sqrt(squares), turn, shift)
+        return _RelativeMotion(slip, np.sqrt(squares), turn, shift)

@@ -1,4 +1,4 @@
-"""Optical flow of frames from contact-free colour images, for a pipeline to make traction of."""
+"""Optical flow of frames relative to contact-free colour images, for tractions of a pipeline."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ class TextureFlow:
     Parameters
     ----------
     flow : OpticalFlow
-    learned_from, granted : str, optional
-        What it was learned from, and `ColourCamera.remark`.
+    reference, assumption : str, optional
+        Description of the contact-free images, and `ColourCamera.remark`.
 
     Attributes
     ----------
     remark : str
-        Both in one line; or why it is of no use.
+        Both in one line; or why flow cannot be measured.
     """
 
-    def __init__(self, flow: OpticalFlow, learned_from: str = "", granted: str = "") -> None:
+    def __init__(self, flow: OpticalFlow, reference: str = "", assumption: str = "") -> None:
         self._flow = flow
-        camera = f"colour camera: {granted}" if granted else ""
-        self.remark = flow.problem or "; ".join(filter(None, (learned_from, camera)))
+        camera = f"colour camera: {assumption}" if assumption else ""
+        self.remark = flow.problem or "; ".join(filter(None, (reference, camera)))
 
     def __call__(self, frame: Frame) -> FlowField | None:
-        """Flow of a frame; None where there is no image of its moment.
+        """Flow of a frame; None if it has no colour image.
 
-        Empty, with the reason, where the image cannot be read or is of another size.
+        Empty, with the reason, if the image cannot be read or is of another size.
         """
         try:
             colour = frame.colour
@@ -49,11 +49,11 @@ class TextureFlow:
         except InputError as error:
             return self._flow.nothing(str(error))
 
-    def watched_by(self, pipeline: Pipeline, camera: DepthCamera, options: TractionOptions) -> None:
-        """Have a pipeline make traction by it.
+    def attach_to(self, pipeline: Pipeline, camera: DepthCamera, options: TractionOptions) -> None:
+        """Have a pipeline estimate tractions by this flow.
 
         Raises InputError: the camera does not see the membrane, or the estimator is not of the
-        exact membrane; the pipeline then goes on by depth alone.
+        exact membrane; the pipeline then uses depth only.
         """
         pipeline.watch_texture(self, camera, options)
         try:
@@ -64,14 +64,14 @@ class TextureFlow:
 
 
 def delay_text(delay_s: float) -> str:
-    """How colour and depth are paired where that is not by equal stamps, to add to a sentence."""
+    """Text for a delay between colour and depth, to append to a sentence; empty for none."""
     return f", colour delay {delay_s:+.3f} s" if delay_s else ""
 
 
 def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCamera:
-    """The camera whose images flow is of, in the bubble frame.
+    """The colour camera in the bubble frame.
 
-    Raises InputError: where its pixels look is not known; `name` tells whose it is.
+    Raises InputError: it is not calibrated; `name` says whose it is.
     """
     camera = placed(colour, depth)
     if camera is None:
@@ -82,26 +82,25 @@ def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCam
     return camera
 
 
-# Flow against contact-free colour images that are taken of frames as they pass.
+# Contact-free colour images collected from live frames.
 
 
-COLLECTED = 20  # images that are collected of frames that pass: two thirds of a second at 30 Hz
+COLLECTED = 20  # images to collect: two thirds of a second at 30 Hz
 
 
 class PassingTexture:
-    """Has a pipeline make traction once it has seen enough frames without contact.
+    """Has a pipeline estimate tractions after enough frames without contact.
 
     Attributes
     ----------
     words : str
-        What flow is measured against, or why there is nothing, in one sentence.
+        Reference of the flow, or why there is none, in one sentence.
     """
 
     def __init__(
         self,
-        pipeline: Pipeline,  # by depth alone until then
-        # Coulomb's bound μ of the traction along the membrane over that across it
-        friction: float | None = None,
+        pipeline: Pipeline,  # by depth only until then
+        friction: float | None = None,  # Coulomb's bound μ of tangential over normal traction
         preset: FlowPreset = "fast",
     ) -> None:
         self.words = ""
@@ -110,7 +109,7 @@ class PassingTexture:
             TractionOptions(friction or None),
             preset,
         )
-        self._images: dict[int, np.ndarray] | None = {}  # while they are collected
+        self._images: dict[int, np.ndarray] | None = {}  # None after they are collected
         self._recent: dict[int, np.ndarray] = {}  # colour may show a contact before depth
         pipeline.watch_texture(None, options=self._options)
 
@@ -138,7 +137,7 @@ class PassingTexture:
             self._learn(images, colour.camera)
 
     def _add(self, index: int, grey: np.ndarray, images: dict[int, np.ndarray]) -> None:
-        """Count an image as contact-free once the next `LAG` frames are so, too."""
+        """Add an image as contact-free after `LAG` more contact-free frames."""
         recent = self._recent
         if any(grey.shape != other.shape for other in (images | recent).values()):
             images.clear()  # another camera mode
@@ -151,19 +150,19 @@ class PassingTexture:
 
     def _learn(self, images: dict[int, np.ndarray], colour: ColourCamera) -> None:
         delay_s = self._pipeline.model.sensor.camera.colour_delay_s
-        said = f"{len(images)} images without contact{delay_text(delay_s)}"
+        reference = f"{len(images)} images without contact{delay_text(delay_s)}"
         try:
             camera = flow_camera(colour, self._pipeline.camera, "colour camera")
             flow = OpticalFlow.of(images.values(), self._preset)
-            texture = TextureFlow(flow, said, colour.remark)
-            texture.watched_by(self._pipeline, camera, self._options)
+            texture = TextureFlow(flow, reference, colour.remark)
+            texture.attach_to(self._pipeline, camera, self._options)
         except InputError as error:
             self.words = f"Depth alone: {error}"
             return
         self.words = texture.remark
 
 
-# Optical flow of a recording's colour images, for the pipeline to make traction of.
+# Optical flow of a recording's colour images.
 
 
 def recorded_texture(
@@ -177,17 +176,17 @@ def recorded_texture(
     Raises InputError: there are no colour images, or too few before the first contact.
     """
     times_s = (recording.times_s + colour_delay_s).tolist()
-    found = {k: recording.colour_at(times_s[k]) for k in contact_free[:-LAG]}
-    seen = readable({k: image for k, image in found.items() if image is not None})
+    images = {k: recording.colour_at(times_s[k]) for k in contact_free[:-LAG]}
+    seen = readable({k: image for k, image in images.items() if image is not None})
     if len(seen) < MIN_FRAMES:
         raise InputError(
             f"{recording.path}: shear needs {MIN_FRAMES} colour images before the first contact, "
             f"there are {len(seen)}; record one second without contact first, or leave out --shear"
         )
     flow = OpticalFlow.of(seen.values(), preset)
-    said = f"contact-free frames {min(seen)}–{max(seen)}{delay_text(colour_delay_s)}"
-    granted = "" if recording.colour is None else recording.colour.camera.remark
-    return TextureFlow(flow, said, granted)
+    reference = f"contact-free frames {min(seen)}–{max(seen)}{delay_text(colour_delay_s)}"
+    assumption = "" if recording.colour is None else recording.colour.camera.remark
+    return TextureFlow(flow, reference, assumption)
 
 
 def watch_recorded_texture(
@@ -197,9 +196,9 @@ def watch_recorded_texture(
     friction: float | None = None,
     preset: FlowPreset = "fast",
 ) -> str:
-    """Have a pipeline make traction by the recording's own colour images; tells which, in words.
+    """Have a pipeline estimate tractions by a recording's colour images; returns a description.
 
-    Raises InputError: as of `recorded_texture`, `flow_camera` and `TextureFlow.watched_by`.
+    Raises InputError: as of `recorded_texture`, `flow_camera` and `TextureFlow.attach_to`.
     """
     if recording.colour is None:
         raise InputError(f"{recording.path}: has no colour images; leave out --shear")
@@ -208,5 +207,5 @@ def watch_recorded_texture(
     texture = recorded_texture(
         recording, contact_free(), preset, pipeline.model.sensor.camera.colour_delay_s
     )
-    texture.watched_by(pipeline, camera, options)
+    texture.attach_to(pipeline, camera, options)
     return texture.remark

@@ -30,27 +30,27 @@ if TYPE_CHECKING:
     from bubbleviz.shear.optical_flow import FlowField
 
 
-# Where the solution of one frame is, and what it leaves unexplained.
+# State of a solution, and its residuals.
 
 
 @dataclass(frozen=True)
 class TractionStart:
-    """Where one frame ended and the next may begin."""
+    """Solution of a frame, and the warm start of the next one."""
 
     x: np.ndarray  # (n, 3), shape, m
     pressure: np.ndarray  # (n,), p_c, Pa
     shear: np.ndarray  # (n, 3), forces along the membrane, N
     gas: float  # p_v, Pa
-    rubber: LinearisedRubber  # tangent that was used last
-    # range_noise, flow_noise: by how much more than their noise ranges and flow were missed
+    rubber: LinearisedRubber  # last tangent used
+    # range_noise, flow_noise: noise factors, σ of the residual over that of the noise
     range_noise: float = 1.0
     flow_noise: float = 1.0
-    # the depth camera's model at the last shape that was looked at, which the next is close to
+    # depth camera model at the last shape at which it was computed
     view: ShapeRanges | None = None
 
 
-class Look(NamedTuple):
-    """What a shape leaves unexplained, and how that changes with the shape."""
+class Linearisation(NamedTuple):
+    """Residuals of ranges and flow at a shape, with their models linearised there."""
 
     view: ShapeRanges
     observation: Observation  # of the ranges
@@ -60,7 +60,7 @@ class Look(NamedTuple):
     measured: MeasuredFlow
 
     def measurements(self, state: TractionStart) -> Measurements:
-        """Both, each trusted as far as the state's noise says."""
+        """Ranges and flow, weighted by the noise factors of a state."""
         by_flow = np.repeat(1.0 / (state.flow_noise * self.measured.sigma_px) ** 2, 2)
         by_range = self.observation.weight[self.view.block] / state.range_noise**2
         return Measurements(
@@ -70,14 +70,14 @@ class Look(NamedTuple):
         )
 
     def misfit(self, state: TractionStart) -> float:
-        """Mean square error in standard deviations, by the noise of a state."""
+        """Mean square residual in standard deviations, at the noise factors of a state."""
         by_range = self.observation.weight[self.view.block] / state.range_noise**2
         by_flow = 1.0 / (state.flow_noise * self.measured.sigma_px) ** 2
         flow = float(by_flow @ (self.flow_error**2).sum(axis=1)) / (2 * len(by_flow))
         return float(by_range @ self.range_error**2) / len(by_range) + flow
 
-    def after(self, motion: np.ndarray) -> Look:
-        """The same after a small motion (n, 3), to first order."""
+    def after(self, motion: np.ndarray) -> Linearisation:
+        """Residuals after a small motion (n, 3), to first order."""
         flow = (self.flow.jacobian @ motion.ravel()).reshape(-1, 2)
         return self._replace(
             range_error=self.range_error - self.view.jacobian @ motion.ravel(),
@@ -85,14 +85,14 @@ class Look(NamedTuple):
         )
 
 
-# What a solved frame says of the contact: forces, torque, displacement, and how certain.
+# Result of a frame: forces, torque, displacement, and their uncertainty.
 
 
 _ALL_UNKNOWN = np.full((6, 6), np.nan)
 
 
 class TractionReport:
-    """Makes tractions of solutions, and of frames without one."""
+    """Builds the traction of a frame, solved or not."""
 
     def __init__(
         self,
@@ -101,22 +101,22 @@ class TractionReport:
     ) -> None:
         self._mesh, self._membrane = mesh, membrane
 
-    def nothing(self, status: TractionStatus, reason: str) -> Traction:
-        """A frame about which nothing is known."""
+    def failed(self, status: TractionStatus, reason: str) -> Traction:
+        """Traction of a frame that was not solved."""
         nodal = np.full((len(self._mesh.nodes), 3), np.nan)
         center = np.full(3, np.nan)
         return Traction(
             status, nodal, nodal, nodal, nodal, nodal, nodal, center, _ALL_UNKNOWN, reason=reason
         )
 
-    def untouched(self, estimate: Estimate) -> Traction:
-        """A frame without contact."""
+    def no_contact(self, estimate: Estimate) -> Traction:
+        """Traction of a frame without contact."""
         x = self._positions(estimate)
         vectors = self._membrane.volume_gradient(x)
         return self._of("no_contact", x, np.zeros_like(x), vectors)
 
-    def alone(self, estimate: Estimate, reason: str) -> Traction:
-        """The contact of an estimate, whose friction is known by depth alone."""
+    def by_depth_only(self, estimate: Estimate, reason: str) -> Traction:
+        """Traction by the depth estimate, without flow."""
         x = self._positions(estimate)
         vectors = self._membrane.volume_gradient(x)
         force = estimate.nodal_force_n
@@ -130,16 +130,16 @@ class TractionReport:
         rubber: LinearisedRubber,
         solved: SolvedTraction,
         nodes: np.ndarray,
-        look: Look,
+        residuals: Linearisation,
     ) -> Traction:
-        """A frame with friction, solved by a tangent on support `nodes` (s,); `look` is there."""
+        """Traction of a solution on support `nodes` (s,), with its tangent and its residuals."""
         vectors = self._membrane.volume_gradient(state.x)
         force = state.shear - state.pressure[:, None] * vectors
         center = _center(state.x, force, vectors)
-        squares = np.einsum("ij,ij->i", look.flow_error, look.flow_error)
+        squares = np.einsum("ij,ij->i", residuals.flow_error, residuals.flow_error)
         wrench = self._wrench_columns(state.x, rubber, vectors, nodes, center)[:, solved.active]
         deviation = solve_triangular(solved.factor[0], wrench.T, lower=True, check_finite=False)
-        by_material = wrench @ solved.answer(rubber.by_material)
+        by_material = wrench @ solved.response(rubber.by_material)
         covariance = deviation.T @ deviation + by_material @ by_material.T
         torque = np.cross(state.x - center, force).sum(axis=0)
         by_mesh = MODEL_ERROR * np.concatenate([force.sum(axis=0), torque])
@@ -220,9 +220,9 @@ def _center(x: np.ndarray, force: np.ndarray, vectors: np.ndarray) -> np.ndarray
 
 
 _STEPS = 12
-_SHARES = (1.0, 0.5, 0.25)  # of a step that are tried until the shape explains more than before
-_SEEN_SHARE = 0.5
-"""Of the touched nodes that flow must be seen beside, for the rest to follow from it."""
+_SHARES = (1.0, 0.5, 0.25)  # of a step, tried in turn until the misfit decreases
+_MIN_FLOW_SHARE = 0.5
+"""Least share of the nodes in contact next to which flow was measured."""
 
 NO_FLOW = "no optical flow: the colour image of the frame or the contact-free one is missing"
 NO_TEXTURE = "no flow where the membrane is touched: no texture, or it could not be matched"
@@ -232,7 +232,7 @@ NOT_CONVERGED = "no equilibrium with friction was found"
 
 @dataclass(frozen=True)
 class TractionOptions:
-    """Choices of an operator.
+    """Options of the traction estimator.
 
     Attributes
     ----------
@@ -253,16 +253,16 @@ class TractionOptions:
 
 
 class _Frame(NamedTuple):
-    """What was measured."""
+    """Measurements of a frame."""
 
     ranges: Measured
-    image_error_m: np.ndarray  # (B,), of the ranges of the blocks, by the estimate of the depth
+    image_error_m: np.ndarray  # (B,), of the ranges of the blocks, by the depth estimate
     flow: MeasuredFlow
     gas: float | None
 
 
-class _Wanted(NamedTuple):
-    """What a step aims at; `present` is the shear on the tangents it is described by."""
+class _Target(NamedTuple):
+    """Linearised solution of a step; `present` is the shear before it, on the same tangents."""
 
     solved: SolvedTraction
     pressure: np.ndarray
@@ -274,8 +274,8 @@ class _Wanted(NamedTuple):
 class TractionEstimator:
     """Solves for shape, pressure and tangential traction frame by frame, after the estimate.
 
-    Outside the support that depth found the membrane is in equilibrium by construction. How much
-    more than by their noise ranges and flow are missed decides how far each is trusted.
+    Outside the support of the depth estimate the membrane is in equilibrium by construction. Ranges
+    and flow are weighted by their noise factors, estimated from the residuals.
     """
 
     def __init__(
@@ -286,7 +286,7 @@ class TractionEstimator:
     ) -> None:
         self.mesh, self.options = estimator.mesh, options or TractionOptions()
         self._estimator, bubble = estimator, estimator.bubble
-        assert isinstance(bubble, RubberBubble)  # as `Pipeline` sees to
+        assert isinstance(bubble, RubberBubble)  # guaranteed by `Pipeline`
         self._bubble = bubble
         self.flow_observer = FlowObserver(camera, self.mesh)
         edge = self.mesh.edge_length
@@ -299,31 +299,31 @@ class TractionEstimator:
         flow: FlowField | None,  # of the colour image of the same moment
         gas_pressure_pa: float | None,  # measured absolute gas pressure
         estimate: Estimate,  # of the depth image
-        reached: Start,  # that the estimator handed on with it
-        start: TractionStart | None = None,  # of the frame before
+        depth: Start,  # final state of that estimate
+        start: TractionStart | None = None,  # of the previous frame
     ) -> tuple[Traction, TractionStart | None]:
-        """Traction of one frame; also what the next one starts from."""
+        """Traction of one frame, and the warm start of the next one."""
         report = self._report
         if estimate.status == "no_contact":
-            return report.untouched(estimate), None
+            return report.no_contact(estimate), None
         if estimate.status == "no_data":
-            return report.nothing("no_data", estimate.reason), None
-        if reached.measured is None:
-            return report.nothing("not_converged", estimate.reason), None
+            return report.failed("no_data", estimate.reason), None
+        if depth.measured is None:
+            return report.failed("not_converged", estimate.reason), None
         if flow is None or not len(flow.pixel):
-            return self._alone(estimate, NO_FLOW if flow is None else flow.problem), None
-        begin, support = self._begin(estimate, reached, start)
-        if begin is None or not support.any():
-            return report.nothing("not_converged", NO_CONTACT_SHAPE), None
+            return self._without_flow(estimate, NO_FLOW if flow is None else flow.problem), None
+        initial, support = self._initial(estimate, depth, start)
+        if initial is None or not support.any():
+            return report.failed("not_converged", NO_CONTACT_SHAPE), None
         measured = self.flow_observer.measure(flow)
-        if self.flow_observer.seen_share(measured, support) < _SEEN_SHARE:
-            return self._alone(estimate, NO_TEXTURE), None
+        if self.flow_observer.flow_share(measured, support) < _MIN_FLOW_SHARE:
+            return self._without_flow(estimate, NO_TEXTURE), None
         gas = self._bubble.gas.measured_change(gas_pressure_pa)
-        frame = _Frame(reached.measured, self._image_error_m(estimate), measured, gas)
+        frame = _Frame(depth.measured, self._image_error_m(estimate), measured, gas)
         try:
-            return self._solve(frame, begin, support, warm=start is not None)
+            return self._solve(frame, initial, support, warm=start is not None)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
-            return report.nothing("not_converged", NOT_CONVERGED), None
+            return report.failed("not_converged", NOT_CONVERGED), None
 
     def _image_error_m(self, estimate: Estimate) -> np.ndarray:
         errors = self._estimator.observer.image_errors
@@ -332,22 +332,22 @@ class TractionEstimator:
         total: np.ndarray = errors @ estimate.image_errors
         return total
 
-    def _alone(self, estimate: Estimate, reason: str) -> Traction:
+    def _without_flow(self, estimate: Estimate, reason: str) -> Traction:
         if estimate.trusted:
-            return self._report.alone(estimate, reason)
-        return self._report.nothing("not_converged", estimate.reason)
+            return self._report.by_depth_only(estimate, reason)
+        return self._report.failed("not_converged", estimate.reason)
 
-    def _begin(
-        self, estimate: Estimate, reached: Start, start: TractionStart | None
+    def _initial(
+        self, estimate: Estimate, depth: Start, start: TractionStart | None
     ) -> tuple[TractionStart | None, np.ndarray]:
-        """Where to begin, and the support (n,) bool: depth's, and that of the frame before.
+        """Initial state, and the support (n,) bool: of the depth estimate and the previous frame.
 
-        Under much shear no frictionless shape looks like the image; the contact is then about
-        where it was, or where depth looked for it.
+        Under large shear the depth estimate may fail; the support is then that of the previous
+        frame, grown, or of the final state of the failed estimate.
         """
-        there = reached.final_state
-        nothing = np.zeros(len(self.mesh.nodes), bool)
-        support = nothing if there is None else there.support
+        there = depth.final_state
+        empty = np.zeros(len(self.mesh.nodes), bool)
+        support = empty if there is None else there.support
         if start is not None:
             before = start.pressure > 0.0
             near = support | before if estimate.trusted else grown(self.mesh.rings, before)
@@ -357,7 +357,7 @@ class TractionEstimator:
             return replace(start, pressure=pressure, shear=shear), support
         if there is None:
             return None, support
-        rubber = reached.tangent
+        rubber = depth.tangent
         if (
             not isinstance(rubber, LinearisedRubber)
             or np.abs(there.x - rubber.x).max() > self._reuse_m
@@ -366,7 +366,7 @@ class TractionEstimator:
             rubber = self._bubble.linearised(there.x, there.pressure, with_gas)
         shear = np.zeros_like(there.x)
         return TractionStart(
-            there.x, there.pressure, shear, there.gas, rubber, reached.noise, view=reached.view
+            there.x, there.pressure, shear, there.gas, rubber, depth.noise, view=depth.view
         ), support
 
     # -- one frame ------------------------------------------------------------------------------
@@ -374,38 +374,40 @@ class TractionEstimator:
     def _solve(
         self, frame: _Frame, state: TractionStart, support: np.ndarray, *, warm: bool
     ) -> tuple[Traction, TractionStart | None]:
-        """Gauss–Newton steps until the shape stands, each no longer than it helps."""
-        nodes, begin = np.flatnonzero(support), state.x
-        look = self._look(frame, state.x, state.view)
+        """Gauss–Newton steps to convergence, shortened until they reduce the misfit."""
+        nodes, initial = np.flatnonzero(support), state.x
+        here = self._observe(frame, state.x, state.view)
         for _ in range(_STEPS):
             rubber = self._rubber_at(state, frame.gas)
-            before, wanted = state, self._wanted(frame, look, state, rubber, nodes)
-            misfit = look.misfit(before)
+            before, target = state, self._target(frame, here, state, rubber, nodes)
+            misfit = here.misfit(before)
             for share in _SHARES:
-                state, balanced = self._moved(before, rubber, wanted, share, frame.gas)
+                state, balanced = self._advance(before, rubber, target, share, frame.gas)
                 motion = state.x - before.x
-                way = float(np.abs(motion).max())
-                lasting = warm and float(np.abs(state.x - begin).max()) <= self._reuse_m
-                found = balanced and wanted.solved.converged
-                stands = found and way <= self._converged_m
-                ahead = look if stands else self._look(frame, state.x, look.view)
-                better = ahead.misfit(before) < misfit
-                if stands or (found and lasting and better):
-                    left = look.after(motion)
-                    state = self._with_noise(left, state)
-                    return self._report.solved(state, rubber, wanted.solved, nodes, left), state
+                length = float(np.abs(motion).max())
+                near_start = warm and float(np.abs(state.x - initial).max()) <= self._reuse_m
+                solved = balanced and target.solved.converged
+                converged = solved and length <= self._converged_m
+                following = here if converged else self._observe(frame, state.x, here.view)
+                better = following.misfit(before) < misfit
+                if converged or (solved and near_start and better):
+                    residuals = here.after(motion)
+                    state = self._with_noise(residuals, state)
+                    return self._report.solved(
+                        state, rubber, target.solved, nodes, residuals
+                    ), state
                 if balanced and better:
                     break
-            look, state = ahead, self._with_noise(ahead, state)
-        return self._report.nothing("not_converged", NOT_CONVERGED), None
+            here, state = following, self._with_noise(following, state)
+        return self._report.failed("not_converged", NOT_CONVERGED), None
 
-    def _look(self, frame: _Frame, x: np.ndarray, last: ShapeRanges | None) -> Look:
+    def _observe(self, frame: _Frame, x: np.ndarray, last: ShapeRanges | None) -> Linearisation:
         observer = self._estimator.observer
         view = observer.around(x, last)
         expected = view.model_m + frame.image_error_m
         observation = observer.weigh(frame.ranges, expected)
         flow = self.flow_observer.around(x, frame.flow.point)
-        return Look(
+        return Linearisation(
             view,
             observation,
             observation.residual_m[view.block] - expected[view.block],
@@ -415,22 +417,22 @@ class TractionEstimator:
         )
 
     def _rubber_at(self, state: TractionStart, gas: float | None) -> LinearisedRubber:
-        """A tangent taken close to a state: the last one, where it still serves."""
+        """Tangent near a state: the last one where it is near enough."""
         last, with_gas = state.rubber, gas is None
-        away = float(np.abs(state.x - last.x).max())
-        if last.with_gas is with_gas and away <= self._reuse_m:
+        distance = float(np.abs(state.x - last.x).max())
+        if last.with_gas is with_gas and distance <= self._reuse_m:
             return last
         return self._bubble.linearised(state.x, state.pressure, None if with_gas else state.gas)
 
-    def _wanted(
+    def _target(
         self,
         frame: _Frame,
-        look: Look,
+        here: Linearisation,
         state: TractionStart,
         rubber: LinearisedRubber,
         nodes: np.ndarray,
-    ) -> _Wanted:
-        """What would explain the frame, to first order."""
+    ) -> _Target:
+        """Solution of the linearised problem."""
         estimator, gas = self._estimator, frame.gas
         tangents = rubber.tangents[nodes]
         square = np.maximum(np.einsum("ikj,ikj->ik", tangents, tangents), 1e-300)
@@ -438,14 +440,14 @@ class TractionEstimator:
         present = np.zeros_like(state.x)
         present[nodes] = np.einsum("ik,ikj->ij", shear, tangents)
         inside = None if gas is None else state.gas
-        left = self._bubble.residual(state.x, state.pressure, inside, present)
+        residual = self._bubble.residual(state.x, state.pressure, inside, present)
         columns = [-rubber.responses(nodes), rubber.tangential_responses(nodes)]
         if gas is not None:
             columns.append(rubber.bulge.reshape(-1, 1))
         problem = TractionProblem(
             np.hstack(columns),
-            rubber.motion(-left),
-            look.measurements(state),
+            rubber.motion(-residual),
+            here.measurements(state),
             dense_part(estimator.smoothness, nodes),
             Unknowns(state.pressure[nodes], shear.ravel(), 0.0 if gas is None else state.gas - gas),
             None if gas is None else gas_sigma(self._bubble.gas, gas),
@@ -455,36 +457,37 @@ class TractionEstimator:
         pressure[nodes] = solved.unknowns.pressure
         force[nodes] = np.einsum("ik,ikj->ij", solved.unknowns.shear.reshape(-1, 2), tangents)
         change = solved.unknowns.gas_error_pa if gas is None else gas + solved.unknowns.gas_error_pa
-        return _Wanted(solved, pressure, present, force, change)
+        return _Target(solved, pressure, present, force, change)
 
-    def _moved(
+    def _advance(
         self,
         state: TractionStart,
         rubber: LinearisedRubber,
-        wanted: _Wanted,
+        target: _Target,
         share: float,
         gas: float | None,
     ) -> tuple[TractionStart, bool]:
-        """A share of the way, and to equilibrium there; whether that was found close by."""
-        motion = wanted.solved.motion
+        """State after a share of a step, and whether it is an equilibrium near by."""
+        motion = target.solved.motion
         share = min(share, self._max_step_m / max(float(np.abs(motion).max()), 1e-300))
-        pressure = state.pressure + share * (wanted.pressure - state.pressure)
-        shear = wanted.present + share * (wanted.shear - wanted.present)
-        inside = None if gas is None else state.gas + share * (wanted.gas - state.gas)
-        ahead = state.x + share * motion
-        x, balanced, last = self._bubble.equilibrium(rubber, ahead, pressure, inside, shear)
+        pressure = state.pressure + share * (target.pressure - state.pressure)
+        shear = target.present + share * (target.shear - target.present)
+        inside = None if gas is None else state.gas + share * (target.gas - state.gas)
+        linear = state.x + share * motion
+        x, balanced, last = self._bubble.equilibrium(rubber, linear, pressure, inside, shear)
         rubber = last if isinstance(last, LinearisedRubber) else rubber
-        balanced = balanced and float(np.abs(x - ahead).max()) <= self._large_m
+        balanced = balanced and float(np.abs(x - linear).max()) <= self._large_m
         if not balanced:
-            x = ahead
+            x = linear
         change = self._bubble.gas_at(x)[0] if inside is None else inside
         return TractionStart(
             x, pressure, shear, change, rubber, state.range_noise, state.flow_noise
         ), balanced
 
-    def _with_noise(self, look: Look, state: TractionStart) -> TractionStart:
-        """The state with the noise that a look leaves."""
+    def _with_noise(self, residuals: Linearisation, state: TractionStart) -> TractionStart:
+        """The state with the noise factors by its residuals."""
         observer = self._estimator.observer
-        ranges = observer.noise_factor(look.observation, look.view.block, look.range_error)
-        flow = look.measured.noise_factor(look.flow_error)
-        return replace(state, range_noise=ranges, flow_noise=flow, view=look.view)
+        view = residuals.view
+        ranges = observer.noise_factor(residuals.observation, view.block, residuals.range_error)
+        flow = residuals.measured.noise_factor(residuals.flow_error)
+        return replace(state, range_noise=ranges, flow_noise=flow, view=view)

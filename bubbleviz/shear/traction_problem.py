@@ -1,10 +1,10 @@
-"""The contact traction that explains ranges and flow, around a shape of the exact membrane.
+"""The contact traction that explains ranges and flow, linearised at a shape of the membrane.
 
     min  ½ ‖e − D (δ − S a Δp + S t Δq + b g)‖²_W + ½ λ pᵀ L p + ½ Λ qᵀ L q + ½ (g/σ_g)²
 
 over the pressure p ≥ 0, the tangential traction q and the error g of a measured gas pressure, on
-the support of a contact. How smooth q is, Λ, is the likeliest by the evidence (MacKay 1992):
-friction may leave a contact without shear, or put most of it at its edge.
+the support of a contact. The smoothness weight of q, Λ, maximises the evidence (MacKay 1992): shear
+may be zero everywhere, smooth, or concentrated at the edge of the contact.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from bubbleviz.inverse import nonnegative_qp, part
 # Coulomb's bound on the tangential traction, as a cone programme.
 
 
-_NOTHING = 1e-4
-"""Share of the largest p below which an interior point has come to 0, as it never does."""
+_ZERO_PRESSURE = 1e-4
+"""Pressure over the largest below which the interior point solution counts as 0."""
 
 
 def within_cone(
     H: np.ndarray,  # (c, c)
     linear: np.ndarray,  # (c,), b
-    nodes: int,  # s: x is p (s,), q (2s,) and what is not bounded
+    nodes: int,  # s: x is p (s,), q (2s,) and unbounded unknowns
     friction: float,  # μ
 ) -> tuple[np.ndarray, bool]:
-    """Minimise ½ xᵀHx − bᵀx with |q| ≤ μ p at every node; and whether that was solved."""
+    """Minimise ½ xᵀHx − bᵀx with |q| ≤ μ p at every node; also whether it converged."""
     import clarabel  # only where friction is bounded
 
     scale = 1.0 / float(H.diagonal().mean())
@@ -52,18 +52,18 @@ def within_cone(
         settings,
     ).solve()
     x = np.asarray(result.x)
-    free = x[:nodes] <= _NOTHING * x[:nodes].max()
-    x[: 3 * nodes][np.concatenate([free, np.repeat(free, 2)])] = 0.0
+    unloaded = x[:nodes] <= _ZERO_PRESSURE * x[:nodes].max()
+    x[: 3 * nodes][np.concatenate([unloaded, np.repeat(unloaded, 2)])] = 0.0
     return x, result.status == clarabel.SolverStatus.Solved
 
 
 _DECADES = np.linspace(-8.0, 8.0, 129)
-"""log₁₀ of Λ/λ: from the roughest tangential traction that is compared to the smoothest."""
+"""log₁₀ of the Λ/λ that are compared."""
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What contact and gas may add at a support of s nodes."""
+    """Unknowns on a support of s nodes."""
 
     pressure: np.ndarray  # (s,), p, Pa
     shear: np.ndarray  # (2s,), q: traction along the two tangents of each node, Pa
@@ -86,45 +86,45 @@ class SolvedTraction:
     unknowns: Unknowns
     motion: np.ndarray  # (n, 3), to first order, m
     factor: tuple[np.ndarray, bool]  # Cholesky factor of the Hessian of the columns `active`
-    active: np.ndarray  # (c,) int, of p, q and g one after the other, those that are free
+    active: np.ndarray  # (c,) int, free unknowns among p, q and g in this order
     columns: np.ndarray  # (3n, c), motions under unit p, q and g
-    measurements: Measurements  # that were explained
-    seen: np.ndarray  # (k, c), the columns in the measurements, in standard deviations
+    measurements: Measurements
+    weighted: np.ndarray  # (k, c), effect of the columns on the measurements over their σ
     converged: bool
 
-    def answer(self, motions: np.ndarray) -> np.ndarray:
-        """Changes of the `active` unknowns that hide motions (3n, k) which nothing caused."""
+    def response(self, motions: np.ndarray) -> np.ndarray:
+        """Changes of the `active` unknowns if the membrane is displaced by motions (3n, k)."""
         measured = self.measurements
-        seen = np.sqrt(measured.weight)[:, None] * (measured.jacobian @ motions)
-        pull = (self.seen.T @ seen)[self.active]
-        change: np.ndarray = cho_solve(self.factor, pull, check_finite=False)
+        weighted = np.sqrt(measured.weight)[:, None] * (measured.jacobian @ motions)
+        gradient = (self.weighted.T @ weighted)[self.active]
+        change: np.ndarray = cho_solve(self.factor, gradient, check_finite=False)
         return change
 
 
 class TractionProblem:
-    """The problem of one frame around one shape."""
+    """The problem of one frame, linearised at one shape."""
 
     def __init__(
         self,
         # (3n, c), motions under unit p, q and, where it is measured, gas pressure, in this order
         columns: np.ndarray,
-        relaxing: np.ndarray,  # (n, 3), δ: motion to equilibrium under the present traction, m
+        relaxation: np.ndarray,  # (n, 3), δ: motion to equilibrium under the present traction, m
         measurements: Measurements,
         smoothness: np.ndarray,  # (s, s), λ L on the support, 1/Pa²
         present: Unknowns,
-        gas_sigma_pa: float | None,  # None where the gas pressure follows from the volume
+        gas_sigma_pa: float | None,  # None: gas pressure by the volume
     ) -> None:
-        self._columns, self._relaxing, self._smoothness = columns, relaxing, smoothness
+        self._columns, self._relaxation, self._smoothness = columns, relaxation, smoothness
         self._size, self._measurements = len(smoothness), measurements
         m = measurements
-        left = m.error - m.jacobian @ relaxing.ravel()
+        unexplained = m.error - m.jacobian @ relaxation.ravel()
         J = m.jacobian @ columns
-        self._linear = J.T @ (m.weight * left)
+        self._linear = J.T @ (m.weight * unexplained)
         J *= np.sqrt(m.weight)[:, None]
-        self._seen, self._data = J, J.T @ J
+        self._weighted, self._data = J, J.T @ J
         gas = [] if gas_sigma_pa is None else [present.gas_error_pa]
-        self._before = np.concatenate([present.pressure, present.shear, gas])
-        self._linear += self._data @ self._before
+        self._present = np.concatenate([present.pressure, present.shear, gas])
+        self._linear += self._data @ self._present
         self._prior = np.zeros_like(self._data)
         s = self._size
         self._prior[:s, :s] = smoothness
@@ -137,18 +137,18 @@ class TractionProblem:
         self,
         friction: float | None = None,  # bound μ of the tangential over the normal traction
     ) -> SolvedTraction:
-        """Likeliest traction."""
+        """Most likely traction."""
         s = self._size
-        weight = self._likeliest_weight()
+        weight = self._max_evidence_weight()
         H = self._data + self._prior
         H[np.ix_(self._shear, self._shear)] += weight * self._shear_smoothness
         if friction is not None:
             x, converged = within_cone(H, self._linear, s, friction)
         else:
-            x, converged = self._pressing(H)
+            x, converged = self._nonnegative(H)
         active = self._active(x[:s] > 0.0)
         factor = cho_factor(part(H, active), lower=True, check_finite=False)
-        motion = (self._columns @ (x - self._before)).reshape(-1, 3) + self._relaxing
+        motion = (self._columns @ (x - self._present)).reshape(-1, 3) + self._relaxation
         gas = float(x[-1]) if len(x) > 3 * s else 0.0
         return SolvedTraction(
             Unknowns(x[:s], x[s : 3 * s], gas),
@@ -157,16 +157,16 @@ class TractionProblem:
             active,
             self._columns,
             self._measurements,
-            self._seen,
+            self._weighted,
             converged,
         )
 
     def _active(self, touching: np.ndarray) -> np.ndarray:
-        gas = np.ones(len(self._before) - 3 * self._size, bool)
+        gas = np.ones(len(self._present) - 3 * self._size, bool)
         return np.flatnonzero(np.concatenate([touching, np.repeat(touching, 2), gas]))
 
-    def _pressing(self, H: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Minimise with p ≥ 0, and no traction at all where p is 0."""
+    def _nonnegative(self, H: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Minimise with p ≥ 0, and q = 0 where p = 0."""
         s, x, converged = self._size, np.zeros(len(H)), True
         touching = np.ones(s, bool)
         while touching.any():
@@ -191,26 +191,26 @@ class TractionProblem:
             touching = x[:s] > 0.0
         return x, converged
 
-    def _likeliest_weight(self) -> float:
-        """Λ/λ of the largest evidence, with p and g free on the whole support."""
+    def _max_evidence_weight(self) -> float:
+        """Λ/λ of maximal evidence, with p and g unconstrained on the whole support."""
         K, f = self._data + self._prior, self._linear
         shear = np.isin(np.arange(len(f)), self._shear)
         rest = cho_factor(K[~shear][:, ~shear], lower=True, check_finite=False)
         across = cho_solve(rest, K[~shear][:, shear], check_finite=False)
         reduced = K[shear][:, shear] - K[shear][:, ~shear] @ across
-        pull = f[shear] - across.T @ f[~shear]
+        gradient = f[shear] - across.T @ f[~shear]
         values, vectors = eigh(reduced, self._shear_smoothness, check_finite=False)
-        values, squares = np.maximum(values, 0.0), (vectors.T @ pull) ** 2
+        values, squares = np.maximum(values, 0.0), (vectors.T @ gradient) ** 2
         total = values + (10.0**_DECADES)[:, None]
-        unlikely = np.log(total).sum(axis=1) - len(values) * np.log(10.0) * _DECADES
-        unlikely -= (squares / total).sum(axis=1)
-        return float(10.0 ** _lowest(_DECADES, unlikely))
+        cost = np.log(total).sum(axis=1) - len(values) * np.log(10.0) * _DECADES  # −2 ln evidence
+        cost -= (squares / total).sum(axis=1)
+        return float(10.0 ** _minimum(_DECADES, cost))
 
 
-def _lowest(x: np.ndarray, y: np.ndarray) -> float:
-    """Where a function that is known on an even grid is lowest, by the parabola there."""
+def _minimum(x: np.ndarray, y: np.ndarray) -> float:
+    """Minimum of a function sampled on an even grid, by a parabola through the lowest samples."""
     k = int(np.clip(np.argmin(y), 1, len(x) - 2))
     before, least, after = y[k - 1 : k + 2]
-    bend = before - 2.0 * least + after
-    shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    curvature = before - 2.0 * least + after
+    shift = 0.5 * (before - after) / curvature if curvature > 0.0 else 0.0
     return float(x[k] + np.clip(shift, -1.0, 1.0) * (x[1] - x[0]))

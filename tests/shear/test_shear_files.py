@@ -58,7 +58,7 @@ def test_a_result_has_traction_and_slip(tmp_path):
         (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
     ],
 )
-def test_what_is_asked_in_vain_is_said(tmp_path, options, said):
+def test_unavailable_options_are_reported(tmp_path, options, said):
     sensor = write_small_sensor(tmp_path / "small.toml")
     press = write_press(tmp_path / "press.mcap", sensor)
     command = ["estimate", str(press), "--sensor", str(sensor), "--out", str(tmp_path / "r.npz")]
@@ -73,7 +73,7 @@ def jpeg(k, step=1):
     return encoded(image(k)[1][::step, ::step], "jpeg")
 
 
-def test_frames_with_damaged_or_small_colour_images_are_by_depth_alone(tmp_path):
+def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
     """Among the contact-free ones they are left out."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     damaged, small, out = HELD + 1, HELD + 2, tmp_path / "r.npz"
@@ -112,7 +112,7 @@ def estimated(press, sensor, out, *options):
         return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
 
 
-def test_colour_that_leads_by_frames_is_paired_by_the_delay_that_is_given(tmp_path):
+def test_colour_that_leads_by_frames_is_paired_by_the_given_delay(tmp_path):
     """By the option, which wins, or the sensor file; without either frames are paired by stamps."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     for folder, lead in (("alike", 0), ("led", 2)):

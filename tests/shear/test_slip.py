@@ -57,7 +57,7 @@ def test_no_alarm_while_everything_sticks():
     assert np.mean([slip.share > 0.0 for slip in found]) < 0.05
 
 
-def test_no_alarm_by_what_facets_miss():
+def test_no_alarm_by_errors_of_facets():
     """A ball that turns brings other facets to each place; the flow is better than they are."""
     path, _ = press("sphere", 0.010)
     eyes, found = Eyes(1000), []

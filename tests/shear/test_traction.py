@@ -21,7 +21,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "depth", "drag", "twist"), CASES)
-def test_of_an_object_that_is_dragged_and_twisted(name, depth, drag, twist):
+def test_traction_of_an_object_that_is_dragged_and_twisted(name, depth, drag, twist):
     truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
     traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason
@@ -60,7 +60,7 @@ def test_a_press_without_friction_has_no_shear():
     assert np.linalg.norm(shear) < 0.01 * np.linalg.norm(truth.force_n)
 
 
-def test_depth_is_solved_as_without_it():
+def test_the_depth_estimate_is_the_same_as_without_flow():
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
     frame = eyes.see(truth)
     both = eyes.pipeline.process(frame, frozenset({"traction", "slip"}))
@@ -71,7 +71,7 @@ def test_depth_is_solved_as_without_it():
     assert both.times_ms.keys() == {"estimate", "flow", "traction", "slip", "total"}
 
 
-def test_a_second_frame_goes_on_from_the_first_or_from_rest():
+def test_a_second_frame_starts_warm_or_from_rest():
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
     frame = eyes.see(truth)
     first, second = (eyes.traction(frame) for _ in range(2))
@@ -81,7 +81,7 @@ def test_a_second_frame_goes_on_from_the_first_or_from_rest():
     np.testing.assert_allclose(second.force_n, first.force_n, rtol=0.01, atol=0.01)
 
 
-def test_where_the_contact_has_no_texture_depth_is_left_alone():
+def test_a_contact_without_texture_is_solved_by_depth_only():
     truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
     frame, wanted = eyes.see(truth), frozenset({"traction", "slip"})
     flow = eyes.flows[0].flow
@@ -115,7 +115,7 @@ def test_nothing_touches():
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.6])
-def test_coulombs_bound_holds_where_it_is_asked_for(friction):
+def test_coulombs_bound_holds_where_it_is_set(friction):
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes(friction=friction)
     traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason
@@ -126,7 +126,7 @@ def test_coulombs_bound_holds_where_it_is_asked_for(friction):
     assert along.sum() > 0.1 * across.sum()
 
 
-def test_a_bound_lets_go_of_what_does_not_touch():
+def test_nodes_without_pressure_have_no_traction_under_a_bound():
     """A cone programme leaves a little of nothing everywhere, which would count as contact."""
     eyes = Eyes(friction=0.6)
     for drag in (0.0, 0.0005):
@@ -143,7 +143,7 @@ def test_a_bound_out_of_range_is_refused(friction):
         TractionOptions(friction)
 
 
-def test_a_programme_that_was_not_solved_is_no_traction(monkeypatch):
+def test_an_unsolved_cone_programme_gives_no_traction(monkeypatch):
     def unsolved(*given):
         return within_cone(*given)[0], False
 
