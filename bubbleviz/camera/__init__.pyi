@@ -15,7 +15,7 @@ from .intrinsics import (
 from .observer import (
     IMAGE_ERRORS as IMAGE_ERRORS,
     MAD as MAD,
-    SURELY as SURELY,
+    UPPER_95 as UPPER_95,
     BlockSquares as BlockSquares,
     Measured as Measured,
     Misfit as Misfit,

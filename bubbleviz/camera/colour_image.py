@@ -33,8 +33,7 @@ def check_rows(width: int, height: int, step: int, pixel_bytes: int, size: int) 
 class EncodedImage:
     encoding: str  # one of `RAW_ENCODINGS` or of `COMPRESSED_ENCODINGS`
     data: bytes
-    # width, height, step: pixels, pixels and bytes a row of a raw image; 0 for a compressed one,
-    # whose data tell
+    # width, height, step: pixels, pixels and bytes a row of a raw image; 0 for a compressed one
     width: int = 0
     height: int = 0
     step: int = 0
@@ -65,7 +64,7 @@ class EncodedImage:
     def pixels(self, mode: str) -> np.ndarray:
         """Pixels in a mode of Pillow: (H, W, 3) uint8 for `RGB`, (H, W) uint8 for `L`.
 
-        Raises ValueError: encoding, size and data do not fit together; says how.
+        Raises ValueError: encoding, size and data are inconsistent.
         """
         image = self._raw() if self.encoding in RAW_ENCODINGS else self._compressed(mode)
         return np.asarray(image if image.mode == mode else image.convert(mode))
@@ -86,12 +85,12 @@ class EncodedImage:
             raise ValueError(f"image size {image.width}×{image.height} is not plausible")
         if image.mode.startswith("I") or image.mode == "F":
             raise ValueError("it has more than 8 bits a channel, as compressed depth has")
-        image.draft(mode, image.size)  # a JPEG has its brightness apart
+        image.draft(mode, image.size)  # a JPEG stores brightness separately
         return image
 
 
 def encoding_of(message: Any) -> str | None:
-    """Encoding of a message as `EncodedImage` has it; None where it is no colour or grey image."""
+    """Encoding of a message for `EncodedImage`; None if it is not a colour or grey image."""
     if hasattr(message, "encoding"):
         return message.encoding if message.encoding in RAW_ENCODINGS else None
     said = str(message.format).lower().replace("jpg", "jpeg")  # `bgr8; jpeg compressed bgr8`
@@ -105,16 +104,16 @@ class ColourCamera:
     intrinsics: Intrinsics | None = None
     # (4, 4), pose of the colour camera in the depth camera, both in the optical convention
     T_D_C: np.ndarray = field(default_factory=lambda: np.eye(4))
-    remark: str = ""  # what of it was not recorded and is taken for granted; empty for nothing
-    own: bool = True  # whether the intrinsics are its own, and not those of the depth camera
-    placed: bool = True  # whether `T_D_C` is known, and not only taken for granted
+    remark: str = ""  # assumptions about values that were not recorded; empty for none
+    own: bool = True  # whether the intrinsics are its own, not the depth camera's
+    placed: bool = True  # whether `T_D_C` is known, not assumed
 
 
 @dataclass(frozen=True)
 class ColourImage:
     """A colour image, read and decoded on demand."""
 
-    # reads what the message has; InputError when it cannot be read
+    # reads the message's image; InputError if it cannot be read
     read: Callable[[], EncodedImage]
     stamp_ns: int = 0  # the message's own time stamp
     time_s: float = 0.0  # on the clock of the frames, s
@@ -145,7 +144,7 @@ def readable(images: Mapping[int, ColourImage]) -> dict[int, np.ndarray]:
     for key, image in images.items():
         try:
             greys[key] = image.grey()
-        except InputError:  # one damaged image does not spoil the others
+        except InputError:  # skip damaged images
             continue
     sizes = Counter(grey.shape for grey in greys.values()).most_common(1)
     return {key: grey for key, grey in greys.items() if grey.shape == sizes[0][0]}

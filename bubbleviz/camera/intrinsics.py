@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:  # recordings start without the sensor file's validation
     from bubbleviz.sensor import Camera
 
-_SETTLED = 1e-5  # error of image-plane coordinates that Newton's next step squares to rounding
+_TOLERANCE = 1e-5  # of image-plane coordinates: the step that follows is exact to rounding
 
 DistortionModel = Literal["none", "plumb_bob", "inverse_brown_conrady"]
 
@@ -124,7 +124,7 @@ def _undistort(
         determinant = xx * yy - xy * xy
         x = x + (yy * ex - xy * ey) / determinant
         y = y + (xx * ey - xy * ex) / determinant
-        if max(np.abs(ex).max(initial=0.0), np.abs(ey).max(initial=0.0)) < _SETTLED:
+        if max(np.abs(ex).max(initial=0.0), np.abs(ey).max(initial=0.0)) < _TOLERANCE:
             break
     return x, y
 
@@ -189,5 +189,5 @@ class DepthCamera:
         return self.center + ranges[:, None] * self.directions[pixels]
 
     def points_at(self, range_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """The same of a range image (H, W), m."""
+        """Points in B by a range image (H, W) instead of a depth image, m."""
         return self.center + range_m.ravel()[pixels, None] * self.directions[pixels]

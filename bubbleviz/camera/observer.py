@@ -1,7 +1,7 @@
 """Range residuals of a depth image against the reference surface, averaged over pixel blocks.
 
-Neighbouring pixels see the same triangle, so their residuals are averaged over blocks of
-pixels before the membrane is asked to explain them; the blocks stay below the mesh's resolution.
+Neighbouring pixels see the same triangle, so their residuals are averaged over blocks of pixels,
+smaller than the mesh resolves.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from bubbleviz.camera.raycast import Hits, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 
-# Squares of blocks over the image, in which correlated noise and the model's error show.
+# Squares of blocks over the image, which show correlated noise and model errors.
 
 
 _SQUARES = 40
-"""Number of squares, the same for every mesh: what the model gets wrong is alike over much of one,
-and their median needs some tens."""
+"""Number of squares, the same for every mesh: model errors are similar within a square, and the
+median needs some tens of them."""
 
-SURELY = 1.6
-"""Upper limit of a median over `_SQUARES` squares, which is known to a fifth, at two standard
-deviations."""
+UPPER_95 = 1.6
+"""Upper 95 % limit of a median over `_SQUARES` squares, relative to that median: its standard
+deviation is a fifth."""
 
 MAD = 0.6745  # median of |z| of a standard normal z
 
 
 class BlockSquares:
-    """Squares that some blocks lie in."""
+    """Groups blocks of pixels by squares of the image."""
 
     def __init__(
         self,
@@ -49,10 +49,10 @@ class BlockSquares:
         block: np.ndarray,  # (k,) int, positions in `blocks`
         z: np.ndarray,  # (k,), errors in standard deviations; 0 where nothing was measured
     ) -> float:
-        """Size of errors over that of their noise; 1 where too few are seen to tell.
+        """Noise factor: σ of errors over that of their noise; 1 where there are too few.
 
-        By the median of their sums over squares, which white noise has at random. What the model
-        gets wrong is alike from block to block, and so is correlated noise.
+        By the median of their sums over squares, in which model errors and correlated noise, which
+        are similar in neighbouring blocks, do not average out.
         """
         square = self.of_block[block]
         sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
@@ -65,7 +65,7 @@ class BlockSquares:
 def median(values: np.ndarray) -> np.ndarray:
     """Median along the last axis of values (…, k), k > 0; a third of the time of NumPy's own.
 
-    NaN are not looked for.
+    Not checked for NaN.
     """
     count = values.shape[-1]
     low, high = (count - 1) // 2, count // 2
@@ -83,19 +83,19 @@ _HUBER = (
     1.345  # residual in σ beyond which a pixel has less weight: 95 % efficient on Gaussian noise
 )
 
-_FAR, _FAR_SHARE = 4.0, 1e-3
-"""Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise. Nor is a mean
-of a block so far away: a single pixel at 60 m moves it there."""
+_OUTLIER, _OUTLIER_SHARE = 4.0, 1e-3
+"""Outliers: Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise. Nor is
+a block mean beyond 4 σ: a single pixel at 60 m is enough for that."""
 
-_WALKED = 0.5
-"""Share of a mesh edge that nodes may have moved by since all rays were cast."""
+_MAX_WALK = 0.5
+"""Largest motion of nodes, in mesh edges, since all rays were cast; beyond, they are cast again."""
 
-_LOOKS = 4  # pixels looked at for outliers of those that are worth one independent sample
+_OUTLIER_PIXELS = 4  # pixels checked for outliers per independent sample
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What one frame says of the pixels in use, before a model is known."""
+    """Measurements of one frame in the pixels in use, before comparison with a model."""
 
     depth_m: np.ndarray  # (H, W), the z-depth image, m; NaN where there is no return
     noise: float  # factor by which this frame is noisier than expected, at least 1
@@ -113,17 +113,17 @@ class Observation:
     # valid
     residual_m: np.ndarray
     weight: np.ndarray  # (B,), 1/σ² of each block's mean, 1/m²; 0 where no pixel is valid
-    # share of the weight that robust weighting left: 1 where noise explains every pixel
+    # share of the weight after robust weighting: 1 without outliers
     trusted: float
 
 
 @dataclass(frozen=True)
 class ShapeRanges:
-    """Model of the block residuals around a shape: y(x + δ) ≈ model_m + D δ."""
+    """Model of the block residuals, linearised at a shape: y(x + δ) ≈ model_m + D δ."""
 
     block: np.ndarray  # (k,) int, blocks whose ray meets the membrane, here and at rest
     model_m: np.ndarray  # (B,), 0 for the others
-    jacobian: sparse.csr_array  # (k, 3n) sparse, D of those blocks, three columns a node
+    jacobian: sparse.csr_array  # (k, 3n) sparse, D of those blocks, three columns per node
     hits: Hits  # where those rays meet it
     cast_at_m: np.ndarray  # (n, 3), shape at which all rays were cast
     nodes_m: np.ndarray  # (n, 3), the shape itself
@@ -145,11 +145,10 @@ class RangeObserver:
         self,
         camera: DepthCamera,
         mesh: MembraneMesh,
-        noise_relative: float,  # σ of range / range, where no calibration tells
+        noise_relative: float,  # σ of range / range, without a pixel calibration
         pixels: PixelModel | None = None,  # calibration of each pixel
         block: int = 1,  # side of a block in pixels
-        # (H·W,) int, triangle that each pixel sees at rest, as of `MembraneView`; found where not
-        # given
+        # (H·W,) int, triangle of each pixel at rest, as of `MembraneView`; computed if None
         seen: np.ndarray | None = None,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
@@ -167,13 +166,15 @@ class RangeObserver:
         self._squares = BlockSquares(self.block_number, self.columns)
         self._sample = self._used.of(self._whole_blocks())
         correlated = 1.0 if pixels is None else pixels.correlated_pixels
-        self._spread = self._used.of(self._apart(max(1, int(np.sqrt(correlated / _LOOKS)))))
+        self._spread = self._used.of(
+            self._every_nth(max(1, int(np.sqrt(correlated / _OUTLIER_PIXELS))))
+        )
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = _scatter(gaussian)
         noise_m = np.median(1.0 / np.sqrt(self._total))
         self.white = pixels is None and bool(noise_m > 2.0 * self._facet_error_m)
-        """Whether residuals should be white: noise of the sensor file, and more than the mesh's."""
+        """Whether residuals should be white: noise of the sensor file, above the mesh's error."""
         self._cast_blocks()
 
     def _group(self, hits: Hits, noise_relative: float, pixels: PixelModel | None) -> None:
@@ -184,7 +185,7 @@ class RangeObserver:
             used, bias, noise = (
                 image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
             )
-            # What facets get wrong is as alike from pixel to pixel as a depth camera's noise is.
+            # Errors of flat facets are as correlated between pixels as a depth camera's noise.
             noise = np.hypot(noise, self._facet_error_m) * np.sqrt(pixels.correlated_pixels)
         pixel = hits.ray[used]
         if not len(pixel):
@@ -212,12 +213,12 @@ class RangeObserver:
         self._moment_at_rest = self._sums(precision * self._used.reference_m.astype(float))
 
     def _cast_blocks(self) -> None:
-        """Cast a ray for each block: the mean of its pixels'."""
+        """Cast a ray for each block, the mean of its pixels' rays."""
         camera, mesh = self.camera, self.mesh
         rays = np.add.reduceat(camera.directions[self.pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
-        self._walk_m = _WALKED * mesh.edge_length
+        self._walk_m = _MAX_WALK * mesh.edge_length
         columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
         self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
         at_rest = self._caster.cast(mesh.nodes, mesh.normals)
@@ -241,7 +242,7 @@ class RangeObserver:
         whole = whole[:: max(1, len(whole) // rows)]
         return (whole[:, None] + np.arange(self.block**2)).ravel()
 
-    def _apart(self, step: int) -> np.ndarray:
+    def _every_nth(self, step: int) -> np.ndarray:
         """Positions of the pixels in every step-th row and column of the image."""
         row, column = np.divmod(self.pixel, self.camera.intrinsics.width)
         return np.flatnonzero((row % step == 0) & (column % step == 0))
@@ -257,15 +258,15 @@ class RangeObserver:
     def observe(
         self,
         depth_m: np.ndarray,  # (H, W), z-depth in m, NaN for no return
-        # (B,), model of the block residuals; pixels far from it count less (Huber 1964), where
-        # there are more of them than noise has
+        # (B,), model of the block residuals; outliers have less weight (Huber 1964) if there are
+        # more than noise explains
         expected_m: np.ndarray | None = None,
     ) -> Observation:
         """Block residuals of a z-depth image."""
         return self.weigh(self.measure(depth_m), expected_m)
 
     def measure(self, depth_m: np.ndarray) -> Measured:
-        """Sums over the blocks, and how far the image is trusted before a model is known."""
+        """Sums over the blocks, and the noise of the image by its scatter within blocks."""
         noise = self._noise_scale(depth_m)
         if self._used.line is None:
             moment = self._to_moments @ depth_m.ravel() - self._moment_at_rest
@@ -279,39 +280,41 @@ class RangeObserver:
         return Measured(depth_m, noise, total / noise**2, moment / noise**2)
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
-        """Block residuals of what was measured; `expected_m` as in `observe`."""
+        """Block residuals of a measurement; `expected_m` as in `observe`."""
         total, moment, share = measured.total, measured.moment, 1.0
         if expected_m is not None:
             expected = expected_m.astype(np.float32)
-            squares = self._spread.misses_squared(measured.depth_m, expected)
+            squares = self._spread.squared_residuals(measured.depth_m, expected)
             squares /= np.float32(measured.noise**2)
-            far, seen = np.count_nonzero(squares > _FAR**2), np.count_nonzero(squares >= 0.0)
-            if far > _FAR_SHARE * seen:
-                off = np.arange(self.blocks)
+            outliers = np.count_nonzero(squares > _OUTLIER**2)
+            if outliers > _OUTLIER_SHARE * np.count_nonzero(squares >= 0.0):
+                affected = np.arange(self.blocks)
             else:
-                off = self._far_off(total, moment, expected_m)
-            if off.size:
-                found = self._sums_of(off, measured.depth_m, expected, measured.noise)
+                affected = self._outlying_blocks(total, moment, expected_m)
+            if affected.size:
+                robust = self._sums_of(affected, measured.depth_m, expected, measured.noise)
                 total, moment = total.copy(), moment.copy()
-                total[off], moment[off] = found / measured.noise**2
+                total[affected], moment[affected] = robust / measured.noise**2
                 share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
         return Observation(mean, self._weight(total), share)
 
-    def _far_off(self, total: np.ndarray, moment: np.ndarray, expected_m: np.ndarray) -> np.ndarray:
-        """Blocks whose means are farther from a model (B,) than noise puts them, (j,) int."""
+    def _outlying_blocks(
+        self, total: np.ndarray, moment: np.ndarray, expected_m: np.ndarray
+    ) -> np.ndarray:
+        """Blocks whose means differ from a model (B,) by more than noise, (j,) int."""
         sigma_m = 1.0 / np.sqrt(self._weight(np.maximum(total, np.finfo(float).tiny)))
-        return np.flatnonzero(np.abs(moment - total * expected_m) > _FAR * sigma_m * total)
+        return np.flatnonzero(np.abs(moment - total * expected_m) > _OUTLIER * sigma_m * total)
 
     def _sums_of(
         self,
         blocks: np.ndarray,  # (j,) int, in ascending order
         depth_m: np.ndarray,
-        # (B,), model of the block residuals from which pixels that are far count less
+        # (B,), model of the block residuals, to which outliers have less weight
         expected_m: np.ndarray | None = None,
         noise: float = 1.0,
     ) -> np.ndarray:
-        """Sums (2, j) over the pixels with a return of some blocks, as of `Measured` but noise."""
+        """Sums (2, j) over the valid pixels of some blocks, as of `Measured` without its noise."""
         count = self._count[blocks]
         ends = np.cumsum(count)
         pixels = self._used
@@ -322,8 +325,8 @@ class RangeObserver:
         if expected_m is not None:
             squares = (residual - expected_m[pixels.block]) ** 2 * weight
             weight = weight * _huber_weights(squares / np.float32(noise**2))
-        nothing = np.isnan(residual)
-        weight, residual = np.where(nothing, 0.0, weight), np.where(nothing, 0.0, residual)
+        missing = np.isnan(residual)
+        weight, residual = np.where(missing, 0.0, weight), np.where(missing, 0.0, residual)
         both = np.stack([weight, weight * residual])
         return np.add.reduceat(both, ends - count, axis=1).astype(float)
 
@@ -334,8 +337,8 @@ class RangeObserver:
     def _noise_scale(self, depth_m: np.ndarray) -> float:
         """Factor by which this frame is noisier than expected, at least 1.
 
-        From the scatter of pixels about their block's median. Pixels that a filter has made
-        alike scatter less than their σ says, and are not taken for better.
+        From the scatter of pixels about their block's median. Less scatter than σ is not taken
+        for less noise: a filter may have smoothed the image.
         """
         if not len(self._sample.number):
             return 1.0
@@ -346,14 +349,14 @@ class RangeObserver:
         return max(1.0, scatter / self._gaussian_scatter)
 
     def observe_everything(self) -> Observation:
-        """The noise-free observation of the untouched membrane by every pixel in use."""
+        """Noise-free observation of the untouched membrane by all pixels in use."""
         return Observation(np.zeros_like(self._total), self._weight(self._total), 1.0)
 
     def _weight(self, precision: np.ndarray) -> np.ndarray:
-        """1/σ² of the block means: noise averages out over pixels, the mesh's facets do not."""
+        """1/σ² of the block means: noise averages out over pixels, errors of facets do not."""
         return precision / (1.0 + precision * self._facet_error_m**2)
 
-    def _known_at_rest(self, hits: Hits) -> Hits:
+    def _visible_at_rest(self, hits: Hits) -> Hits:
         return hits.of(np.isfinite(self._rest_range[hits.ray]))
 
     def misfit(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
@@ -374,31 +377,31 @@ class RangeObserver:
     def noise_factor(
         self, observation: Observation, block: np.ndarray, error_m: np.ndarray
     ) -> float:
-        """Size of errors (k,) of some blocks over the noise, see `BlockSquares.noise_factor`.
+        """Noise factor of errors (k,) of some blocks, see `BlockSquares.noise_factor`.
 
-        Below 1 it is what they surely stay within, and not less than the mesh's facets miss.
+        Below 1 it is an upper limit (95 %), and at least the error of the mesh's facets.
         """
         weight = observation.weight[block] / observation.trusted
         found = self._squares.noise_factor(block, error_m * np.sqrt(weight))
         if found >= 1.0:
             return found
         facets = self._facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))
-        return max(facets, min(1.0, SURELY * found))
+        return max(facets, min(1.0, UPPER_95 * found))
 
     def around(
         self,
         nodes: np.ndarray,  # (n, 3), in B, m
-        # of a shape before: close by, rays walk on from the triangles that they met there
+        # of an earlier shape: if near, rays walk on from the triangles that they met there
         last: ShapeRanges | None = None,
     ) -> ShapeRanges:
-        """Model of the block residuals around a shape."""
+        """Model of the block residuals, linearised at a shape."""
         if last is not None and np.array_equal(nodes, last.nodes_m):
             return last
         if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
             cast_at, hits = last.cast_at_m, self._caster.recast(nodes, self.mesh.normals, last.hits)
         else:
             cast_at = nodes
-            hits = self._known_at_rest(self._caster.cast(nodes, self.mesh.normals))
+            hits = self._visible_at_rest(self._caster.cast(nodes, self.mesh.normals))
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
         slopes = self._caster.slopes(nodes, hits)
@@ -417,18 +420,18 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _huber_weights(squares: np.ndarray) -> np.ndarray:
-    """Weights of pixels by their squared residual in σ², NaN where that is."""
+    """Weights of pixels by their squared residual in σ²; NaN for NaN."""
     weights: np.ndarray = np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squares, 1e-12)))
     return weights
 
 
 def facet_error(mesh: MembraneMesh) -> float:
-    """Distance in m between flat facets and the surface they stand for: the median sagitta."""
+    """Distance in m between flat facets and the surface they approximate: the median sagitta."""
     return float(np.median(sagittas(mesh)))
 
 
 def sagittas(mesh: MembraneMesh) -> np.ndarray:
-    """Distance of the sides of every triangle from the arcs they stand for, (m, 3), m."""
+    """Distance of the sides of every triangle from the arcs they approximate, (m, 3), m."""
     i, j = mesh.triangles, np.roll(mesh.triangles, -1, axis=1)
     edge = mesh.nodes[j] - mesh.nodes[i]
     turn = np.einsum("ijk,ijk->ij", mesh.normals[j] - mesh.normals[i], edge)

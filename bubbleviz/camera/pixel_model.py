@@ -32,10 +32,10 @@ class RangeLine:
     levels: int  # inflation levels it was fitted to (scalar)
 
     def straighten(self, range_m: np.ndarray) -> np.ndarray:
-        """Range (H, W) in m whose change from rest is true; the error at rest stays.
+        """Range (H, W) in m with its change from rest corrected; the error at rest remains.
 
-        No line is extrapolated: beyond the levels, the error is that of the nearest one. NaN
-        would hide a press that is deeper than the sensor was ever deflated.
+        Lines are not extrapolated: beyond the levels, the error is that of the nearest one. It is
+        not NaN, so that deep presses stay visible.
         """
         within = np.clip(range_m, self.nearest_m, self.farthest_m)
         return range_m + (self.slope - 1.0) * (within - self.rest_m)
@@ -60,10 +60,10 @@ class PixelModel:
     mask: np.ndarray  # bool, pixels to use
     bias_m: np.ndarray  # measured minus modelled range of the untouched sensor, m
     noise_m: np.ndarray  # standard deviation σ of the range, m
-    # pixels that are worth one independent sample, because the camera filters (scalar)
+    # number of pixels per independent sample, as the camera filters (scalar)
     correlated_pixels: float = 1.0
     line: RangeLine | None = None  # None: the bias is the same at every range
-    # pixels that each reason to leave them out removed; the first that applies counts
+    # number of pixels excluded by each reason; the first that applies counts
     removed: dict[str, int] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
@@ -116,13 +116,13 @@ class PixelModel:
         return cls(used, bias, noise, correlated, line)
 
     def at(self, pixels: np.ndarray) -> PixelModel:
-        """What is known of some pixels, by their flat indices; arrays (k,)."""
+        """Calibration of some pixels, by their flat indices; arrays (k,)."""
         mask, bias, noise = (x.ravel()[pixels] for x in (self.mask, self.bias_m, self.noise_m))
         line = None if self.line is None else self.line.at(pixels)
         return PixelModel(mask, bias, noise, self.correlated_pixels, line)
 
     def corrected(self, range_m: np.ndarray) -> np.ndarray:
-        """Measured range (H, W) straightened and less the bias, m; NaN in pixels not to be used."""
+        """Measured range (H, W) corrected by line and bias, m; NaN in excluded pixels."""
         straight = range_m if self.line is None else self.line.straighten(range_m)
         return np.where(self.mask, straight - self.bias_m, np.nan)
 
@@ -135,7 +135,7 @@ def _line(data: Mapping[str, np.ndarray]) -> RangeLine | None:
     return RangeLine(slope, rest, nearest, farthest, int(data["levels"]))
 
 
-# The pixels that see the membrane, with what is known of each: depth image to range residuals.
+# The pixels that see the membrane, with their calibration: depth image to range residuals.
 
 
 @dataclass(frozen=True)
@@ -162,17 +162,17 @@ class UsedPixels:
 
     def residuals(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured minus reference range in a z-depth image (H, W), (k,), m; NaN: no return."""
-        depths = depth_m.ravel().take(self.number, mode="clip")  # unchecked: all are inside
-        ranges = depths * self.scale  # not in place: images of any type come
+        depths = depth_m.ravel().take(self.number, mode="clip")  # unchecked: all indices are valid
+        ranges = depths * self.scale  # not in place: images have any type
         if self.line is not None:
             ranges = self.line.straighten(ranges)
         ranges -= self.reference_m
         return ranges
 
-    def misses_squared(self, depth_m: np.ndarray, expected_m: np.ndarray) -> np.ndarray:
-        """Squares in σ² of what a model (B,) of the blocks leaves, (k,); NaN: no return."""
-        left = self.residuals(depth_m)
-        left -= expected_m[self.block]
-        left *= left
-        left *= self.precision
-        return left
+    def squared_residuals(self, depth_m: np.ndarray, expected_m: np.ndarray) -> np.ndarray:
+        """Squared residuals to a model (B,) of the blocks, in σ², (k,); NaN: no return."""
+        squares = self.residuals(depth_m)
+        squares -= expected_m[self.block]
+        squares *= squares
+        squares *= self.precision
+        return squares

@@ -1,8 +1,8 @@
 """Intersections of camera rays with the membrane, in the reference or a deformed configuration.
 
-A membrane that the camera sees all of at once, each point of its image showing one triangle, is
-walked on: neighbouring rays meet neighbouring triangles. Rays are cast by Open3D, which takes a
-fifth of a second to load, only at one that folds over itself.
+If no part of the membrane hides another from the camera, rays walk over the mesh: from the triangle
+of a neighbouring ray to their own. Only membranes that occlude themselves need ray casting by
+Open3D, which takes a fifth of a second to load.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 
 _WALK = 4  # triangles that a ray may walk over; it is cast again before more are needed
-_FAR_WALK = 64  # the same where it is not cast again: more than there are across a dent
+_LONG_WALK = 64  # the same where it is not cast again: more than there are across a dent
 
-_COARSER = 8  # rays for one that is walked before them, and from whose triangle they start
+_COARSER = 8  # a walk starts from the triangle of every 8th ray, found first
 
 _OUTSIDE = 1e-6  # barycentric coordinate below which a ray has left its triangle
-_STRAIGHT = 1e-9  # sine by which the seen rim may bend inward: rounding
+_CONVEX = 1e-9  # tolerance (a sine) of the convexity of the rim's image: rounding
 
 
 @dataclass(frozen=True)
@@ -108,22 +108,24 @@ class RayCaster:
         hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
-        return self._meet(self._facets(nodes, normals), ray, first[hit])
+        return self._hits_on_planes(self._facets(nodes, normals), ray, first[hit])
 
     def first(self, nodes: np.ndarray, rays: np.ndarray | None = None) -> np.ndarray:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
         local = nodes - self.origin
         faces, some = faces_from(local, self.triangles), slice(None) if rays is None else rays
-        if self._seen_at_once(local, faces, some):
-            there, arrived = self._found(faces.astype(np.float32), self._rays[some, 3:])
+        if self._is_unoccluded(local, faces, some):
+            there, arrived = self._walked_to(faces.astype(np.float32), self._rays[some, 3:])
             return np.where(arrived, there, -1)
         found = TriangleScene(local, self._indices).cast(self._rays[some])
         return np.where(np.isfinite(found.distance), found.triangle, -1)
 
-    def _seen_at_once(self, local: np.ndarray, faces: np.ndarray, rays: slice | np.ndarray) -> bool:
-        """Whether no ray meets two triangles, nor leaves the mesh on its walk to the one it meets.
+    def _is_unoccluded(
+        self, local: np.ndarray, faces: np.ndarray, rays: slice | np.ndarray
+    ) -> bool:
+        """Whether walking finds the first hit of every ray.
 
-        So it is where all triangles face the rays' origin and the rim is convex as seen from there.
+        Sufficient: all triangles face the rays' origin, and the rim's image is convex.
         """
         axis = local.mean(axis=0)
         facing = np.einsum("mj,mj->m", local[self.triangles[:, 0]], faces[:, 0]) > 0.0
@@ -132,29 +134,29 @@ class RayCaster:
             return False
         sides = faces[self._across < 0]
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-        beside = sides @ (local / np.linalg.norm(local, axis=1, keepdims=True)).T
-        return bool((beside > -_STRAIGHT).all())
+        inside = sides @ (local / np.linalg.norm(local, axis=1, keepdims=True)).T
+        return bool((inside > -_CONVEX).all())
 
-    def _found(self, faces: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle (j,) that each of rays (j, 3) is on, wherever it is, and whether it meets that.
+    def _walked_to(self, faces: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle (j,) of each of rays (j, 3), and whether the ray hits it.
 
-        The mesh is one that is seen at once.
+        For a mesh without self-occlusion.
         """
         start = np.zeros(len(ray), int)
         if len(ray) > _COARSER:
-            start = self._found(faces, ray[::_COARSER])[0].repeat(_COARSER)[: len(ray)]
+            start = self._walked_to(faces, ray[::_COARSER])[0].repeat(_COARSER)[: len(ray)]
         return self._walked(faces, ray, start, len(faces))
 
     def ranges(self, nodes: np.ndarray, rays: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-        """Ranges (j,) of some rays, each of which walks to its triangle from one close by.
+        """Ranges (j,) of some rays, each walking to its triangle from one nearby.
 
-        On a surface without folds the same as `cast` finds, in a fraction of the time.
+        On a surface without folds the result of `cast`, in a fraction of the time.
 
         Parameters
         ----------
         nodes : (n, 3) array
         rays, triangle : (j,) int array
-            Triangles of −1 are none.
+            A triangle of −1 is none.
 
         Returns
         -------
@@ -164,7 +166,7 @@ class RayCaster:
         local = nodes - self.origin
         faces = faces_from(local, self.triangles)
         single = faces.astype(np.float32)
-        there, arrived = self._walked(single, self._rays[rays, 3:], triangle, _FAR_WALK)
+        there, arrived = self._walked(single, self._rays[rays, 3:], triangle, _LONG_WALK)
         facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
         offset = np.einsum("mj,mj->m", local[self.triangles[:, 0]], facet)
         along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
@@ -173,15 +175,15 @@ class RayCaster:
     def _walked(
         self, faces: np.ndarray, ray: np.ndarray, triangle: np.ndarray, most: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Triangle (j,) that each ray is on after a walk over some, and whether it meets that.
+        """Triangle (j,) of each ray after a walk over at most `most`, and whether the ray hits it.
 
         Faces and rays (j, 3) are in single precision.
         """
         there, arrived = triangle.copy(), triangle >= 0
         walking = np.flatnonzero(arrived)
         for _ in range(most):
-            seen = faces.take(there[walking], axis=0)
-            volumes = np.einsum("rkj,rj->kr", seen, ray[walking])
+            current = faces.take(there[walking], axis=0)
+            volumes = np.einsum("rkj,rj->kr", current, ray[walking])
             lowest = np.minimum(np.minimum(volumes[0], volumes[1]), volumes[2])
             leaving = np.flatnonzero(lowest < -_OUTSIDE * volumes.sum(axis=0))
             walking, out = walking[leaving], volumes[:, leaving].argmin(axis=0)
@@ -199,17 +201,17 @@ class RayCaster:
         return triangles_across(self.triangles)
 
     def recast(self, nodes: np.ndarray, normals: np.ndarray, hits: Hits) -> Hits:
-        """Hits of the same rays after the nodes moved a little: each walks to its triangle.
+        """Hits of the same rays after a small motion of the nodes: each walks to its triangle.
 
-        A ray whose triangle is several further away ends on the plane of one close by.
+        After `_WALK` triangles, the plane of the last one is hit.
         """
         facets = self._facets(nodes, normals)
         single = facets.faces.astype(np.float32)
         there, _ = self._walked(single, self._rays[hits.ray, 3:], hits.triangle, _WALK)
-        return self._meet(facets, hits.ray, there)
+        return self._hits_on_planes(facets, hits.ray, there)
 
     def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:
-        """m/(r̂·m) of the facets that are hit, (k, 3): range gained by their motion in B."""
+        """m/(r̂·m) of the hit facets, (k, 3): derivative of the range by their motion in B."""
         facet = area_vectors(nodes, self.triangles)[hits.triangle]
         along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
         return facet / along[:, None]
@@ -217,7 +219,7 @@ class RayCaster:
     def _facets(self, nodes: np.ndarray, normals: np.ndarray) -> _Facets:
         return _Facets.of(nodes - self.origin, normals, self.triangles)
 
-    def _meet(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
+    def _hits_on_planes(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
         """Hits of rays (k,) on the planes of triangles (k,)."""
         faces = facets.faces.take(triangle, axis=0)
         volumes = np.einsum("rkj,rj->rk", faces, self.directions.take(ray, axis=0))
@@ -253,7 +255,7 @@ class MembraneView:
     def ranges(self, displacement_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         """Modelled ranges (k,) of pixels with flat indices (k,), m; NaN where they miss.
 
-        For every frame: each walks from the triangle that it sees at rest.
+        Fast: each ray walks from the triangle that it hits at rest.
         """
         nodes = self.mesh.deformed(displacement_m)
         return self._caster.ranges(nodes, pixels, self.at_rest[pixels])
@@ -280,8 +282,8 @@ class MembraneView:
         """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level.
 
         Only the triangles that reach the level are drawn: a patch is pushed towards the camera, so
-        that no other part of the membrane stands before it. Lens distortion is followed at the
-        nodes and is linear between them.
+        that no other part of the membrane hides it. Lens distortion is exact at the nodes and
+        linear between them.
         """
         mask, mesh = np.zeros(self.shape, bool), self.mesh
         triangles = np.flatnonzero((field > level).take(mesh.corners).any(axis=0))

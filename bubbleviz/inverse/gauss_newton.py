@@ -13,7 +13,7 @@ from scipy import sparse
 
 from bubbleviz.camera import (
     IMAGE_ERRORS,
-    SURELY,
+    UPPER_95,
     Measured,
     Misfit,
     Observation,
@@ -82,7 +82,7 @@ _NOISE_RATIO, _MAX_NOISES = 1.1, 8
 """Ratio of successive noise factors on the grid of those that frames are solved with, and how many
 are tried in a frame. Without a grid, the result would depend on the first one. Half a step is about
 a standard deviation: an image of correlated noise is worth some 650 samples, which determine it to
-5 %. Factors below 1 are less certain, and their ratio is `SURELY`."""
+5 %. Factors below 1 are less certain, and their ratio is `UPPER_95`."""
 
 
 @dataclass(frozen=True)
@@ -787,5 +787,5 @@ def _noise_index(noise: float) -> int:
 
 def _on_noise_grid(noise: float) -> float:
     """Nearest noise factor on the grid."""
-    step = _NOISE_RATIO if noise >= 1.0 else SURELY
+    step = _NOISE_RATIO if noise >= 1.0 else UPPER_95
     return step ** round(log(noise) / log(step))

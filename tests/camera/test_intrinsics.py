@@ -51,7 +51,7 @@ def test_projecting_a_deprojected_pixel_returns_it(model, k, depth):
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "inverse_brown_conrady"])
-def test_a_strong_lens_is_undone_to_rounding(model):
+def test_strong_distortion_is_inverted_to_rounding(model):
     """Newton's method, not an iteration that creeps there."""
     lens = camera(model, (-0.12, 0.05, 0.02, -0.025, 0.01))
     back = lens.project(lens.rays())

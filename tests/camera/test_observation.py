@@ -54,7 +54,7 @@ def test_rays_meet_the_sphere_where_geometry_says():
 
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.004, 0.012])
-def test_rays_walk_to_where_they_would_be_cast(depth_m):
+def test_walking_finds_the_same_triangles_as_casting(depth_m):
     """After a motion of a share of an edge, and from one triangle to the next but one."""
     caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
     old = caster.cast(MESH.deformed(smooth_dent(depth_m)), MESH.normals)
@@ -67,7 +67,7 @@ def test_rays_walk_to_where_they_would_be_cast(depth_m):
     assert np.max(np.abs(fresh.range_m[a] - walked.range_m[b])) < 1e-5
 
 
-def test_a_model_walked_on_from_another_shape_is_the_one_that_is_cast():
+def test_a_model_by_walking_equals_that_by_casting():
     observer = RangeObserver(CAMERA, MESH, 0.01, block=3)
     before, after = (MESH.deformed(smooth_dent(each)) for each in (0.008, 0.0085))
     old, fresh = observer.around(before), observer.around(after)
@@ -118,7 +118,7 @@ def test_the_model_around_a_shape_is_exact_to_second_order():
 
 
 @pytest.mark.parametrize("block", [1, 2, 5])
-def test_blocks_see_a_deformation_through_noise_holes_and_bias(block):
+def test_blocks_measure_a_deformation_despite_noise_holes_and_bias(block):
     displacement = smooth_dent(0.008)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
     rng = np.random.default_rng(1)
@@ -136,7 +136,7 @@ def test_blocks_see_a_deformation_through_noise_holes_and_bias(block):
     assert np.sqrt(np.mean(error**2)) < 1.5e-4 / block + 2e-5 * block**2
 
 
-def test_outliers_count_little_once_the_model_is_known():
+def test_outliers_have_little_weight_given_a_model():
     displacement = smooth_dent(0.008)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
     rng = np.random.default_rng(2)
@@ -154,7 +154,7 @@ def test_outliers_count_little_once_the_model_is_known():
     assert bias(observer.observe(depth, truth)) < 0.0005
 
 
-def test_outliers_among_pixels_that_a_filter_made_alike_count_little_too():
+def test_outliers_among_correlated_pixels_have_little_weight_too():
     """A fifth of the image, in squares, is off; few pixels are looked at to find that out."""
     displacement = smooth_dent(0.008)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
@@ -210,7 +210,7 @@ def looked_at(noise: np.ndarray, sigma: float):
     return observer.misfit(observation, view.block, error)
 
 
-def test_noise_that_was_foreseen_is_one_deviation_and_white():
+def test_expected_noise_is_one_deviation_and_white():
     rng = np.random.default_rng(5)
     found = looked_at(0.01 * rng.standard_normal((171, 224)), 0.01)
     assert found.rms_m == pytest.approx(0.01 * 0.15 / 2, rel=0.1)  # of four pixels' mean
@@ -218,7 +218,7 @@ def test_noise_that_was_foreseen_is_one_deviation_and_white():
     assert found.clumping == pytest.approx(1.0, abs=0.25)
 
 
-def test_the_noise_left_is_that_of_squares_that_are_mostly_seen():
+def test_the_noise_factor_is_by_squares_that_are_mostly_visible():
     """The factor of white noise; what neighbours share counts more, a sparse half not at all."""
     rows, columns = 60, 80
     squares, rng = BlockSquares(np.arange(rows * columns), columns), np.random.default_rng(0)
@@ -236,7 +236,7 @@ def test_the_noise_left_is_that_of_squares_that_are_mostly_seen():
 @pytest.mark.parametrize(
     ("factor", "least", "most"), [(0.3, 0.3, 0.6), (1.5, 1.4, 1.7), (3, 2.8, 3.3)]
 )
-def test_the_noise_left_is_told_from_the_camera(factor, least, most):
+def test_the_noise_factor_is_relative_to_the_camera(factor, least, most):
     """Below the camera's it is a bound: what the errors surely stay within."""
     observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
     ranges = MembraneView(CAMERA, MESH).range_image(np.zeros(len(MESH.nodes)))
@@ -248,7 +248,7 @@ def test_the_noise_left_is_told_from_the_camera(factor, least, most):
     assert least < found < most
 
 
-def test_noise_that_neighbours_share_clumps():
+def test_correlated_noise_is_clumped():
     """Squares of 16 × 16 pixels with one error each: 64 blocks are worth a sample."""
     rng = np.random.default_rng(6)
     squares = np.kron(rng.standard_normal((11, 14)), np.ones((16, 16)))[:171, :224]
@@ -265,7 +265,7 @@ def test_noise_that_neighbours_share_clumps():
         ("plumb_bob", (-0.2, 0.06, 8e-4, 1e-3), 5e-3),
     ],
 )
-def test_a_field_seen_by_the_camera_is_cast_on_the_deformed_membrane(model, distortion, off):
+def test_a_field_in_the_image_is_cast_on_the_deformed_membrane(model, distortion, off):
     own = replace(CAMERA.intrinsics, distortion_model=model, distortion=distortion)
     displacement = smooth_dent(0.012)
     field = np.exp(-((MESH.nodes[:, 0] - 0.012) ** 2 + MESH.nodes[:, 1] ** 2) / 0.015**2)
