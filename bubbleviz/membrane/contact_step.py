@@ -10,9 +10,9 @@ import numpy as np
 from bubbleviz.membrane.object_surface import Planes
 from bubbleviz.membrane.sparse_factor import Factor, Factoriser, FrictionConstraint, NodeBlocks
 
-_ROUNDS = 12  # changes of the active set in one step; the next step goes on from where it ended
+_ROUNDS = 12  # changes of the active set in one step; the next step continues with it
 _SHIFTS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
-"""Shares of the mean diagonal added to a tangent along which the energy would not fall."""
+"""Shares of the mean diagonal, added to a tangent until its step decreases the energy."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Step:
     motion: np.ndarray  # (f, 3), m
     load: np.ndarray  # (f,), contact force along each plane's normal, N, not below 0
     held: np.ndarray  # (f,) bool, nodes on their planes
-    pull: np.ndarray  # (f, 3), what must hold the nodes, N: 0 for those that are free
+    pull: np.ndarray  # (f, 3), reaction forces of the nodes, N: 0 for free ones
 
 
 class ContactStep:
@@ -41,8 +41,8 @@ class ContactStep:
         gradient: np.ndarray,
         beta: float,  # stiffness of the gas −dp/dV, Pa/m³
         planes: Planes,  # of the moving nodes
-        # friction, none by default. The forces have no energy then, and the step goes to where they
-        # are in balance.
+        # friction, none by default; with it the forces have no energy, and the step solves for
+        # their balance
         grip: FrictionConstraint | None = None,
     ) -> None:
         self._factoriser, self._blocks, self._data = factoriser, blocks, data
@@ -52,10 +52,10 @@ class ContactStep:
         self._last: tuple[Factor, np.ndarray] | None = None
 
     def solve(self, held: np.ndarray) -> Step:
-        """Solve, beginning with the nodes `held` (f,) on their planes.
+        """Solve with the initial active set `held` (f,), the nodes on their planes.
 
-        Where the tangent is indefinite, so that the energy would not fall along the solution, it is
-        stiffened until it does.
+        If the tangent is indefinite and the step does not decrease the energy, the tangent is
+        shifted until it does.
         """
         for shift in _SHIFTS:
             data = self._blocks.shifted(self._data, shift) if shift else self._data
@@ -65,7 +65,7 @@ class ContactStep:
         return step
 
     def slope(self, step: Step) -> float:
-        """Fall of the energy along a step, penetration paid for at twice the largest load, J."""
+        """Change of the energy along a step, penetration penalised by twice the largest load, J."""
         inside = np.maximum(-self._planes.gap, 0.0).sum()
         energy = float(np.sum(self.residual * step.motion))
         return energy - 2.0 * float(step.load.max(initial=0.0)) * float(inside)
@@ -90,7 +90,7 @@ class ContactStep:
         return Step(motion, np.maximum(load, 0.0), held, pull)
 
     def _motion(self, data: np.ndarray, held: np.ndarray) -> np.ndarray:
-        """Motion at which all forces across the planes of the held nodes vanish."""
+        """Motion with the held nodes on their planes and equilibrium in all other directions."""
         nodes = np.flatnonzero(held)
         normal = self._planes.normal[nodes]
         to_plane = np.zeros_like(self.residual)
@@ -113,13 +113,13 @@ class ContactStep:
         return to_plane + free.reshape(-1, 3)
 
     def is_minimum(self) -> bool:
-        """Whether the energy curves upwards in every direction that the held nodes leave free."""
+        """Whether the energy is convex in all directions that keep held nodes on their planes."""
         if self._last is None:
             self._motion(self._data, np.zeros(len(self.residual), bool))
         assert self._last is not None
         factor, gradient = self._last
         downward = factor.negative_directions()
-        if downward == 1:  # the gas may hold one
+        if downward == 1:  # the gas may stabilise one
             return 1.0 + self._beta * float(gradient @ factor.solve(gradient)) < 0.0
         return downward == 0
 
@@ -130,7 +130,7 @@ def _across(
     normal: np.ndarray,
     grip: FrictionConstraint | None = None,
 ) -> np.ndarray:
-    """Vectors (f, 3) without what planes and friction take at some nodes (k,)."""
+    """Vectors (f, 3) without the components that planes and friction constrain at nodes (k,)."""
     out = vectors.copy()
     along = np.einsum("ij,ij->i", out[nodes], normal)
     out[nodes] -= along[:, None] * normal
@@ -142,52 +142,52 @@ def _across(
 
 # Coulomb's law of dry friction at the nodes of a contact, by return mapping.
 #
-# A node sticks to the place of the object that it touched, its anchor, as long as that takes no
-# more than μ times the contact force along the normal. Else it slips: the force is at that bound,
-# against the way s from the anchor across the normal. With the pull q = −t on the object and any
-# weight r > 0 both are one equation (Alart and Curnier), q = q + r s cut to the length μ f_n, whose
-# derivative Newton's method takes.
+# A node sticks to its anchor, the point of the object that it touched, while this needs at most μ
+# times the normal force. Otherwise it slips: the force has that magnitude, opposite to the
+# tangential displacement s from the anchor. With the pull q = −t on the object and any weight r > 0
+# both cases are one equation (Alart and Curnier), q = q + r s cut to the length μ f_n, which
+# Newton's method linearises.
 
 
-_LEAST_SLIP = 1e-6
-"""Of |q + r s| over its bound, less 1: a node that only begins to slip does not turn aside, and a
-stiffer tangent is singular to rounding."""
+_MIN_SLIP = 1e-6
+"""Least |q + r s| over its bound, less 1, in the tangent: smaller values make it singular to
+rounding."""
 
 
 class Friction(NamedTuple):
-    """Nodes that stick and slip at some place, near an equilibrium or in it."""
+    """Friction forces of nodes that stick or slip, with their tangent."""
 
-    pull: np.ndarray  # (k, 3), of the nodes on the object across its normals by the law, N
+    pull: np.ndarray  # (k, 3), tangential force of the nodes on the object by the law, N
     slip: np.ndarray  # (k, 3), s of nodes that slip, m
     grip: FrictionConstraint  # for a step from here
     # (k, 3, 3), of the pull across the direction of slip, and as the normal turns, N/m
     stiffness: np.ndarray
-    start: np.ndarray  # (k, 3), the part of the pull that this stiffness has added so far, N
+    start: np.ndarray  # (k, 3), part of the pull that this stiffness has contributed, N
 
     @classmethod
     def at(
         cls,
         # (k, 3), from the nodes' anchors to the nodes, m; NaN where they have none
-        away: np.ndarray,
+        from_anchors: np.ndarray,
         pull: np.ndarray,  # (k, 3), q so far, N
         load: np.ndarray,  # (k,), f_n, N
         planes: Planes,  # the object's, at the nodes
         coefficient: float,  # μ
         weight: float,  # r, N/m
     ) -> Friction:
-        """The law."""
-        anchored, normal = np.isfinite(away[:, 0]) & (load > 0.0), planes.normal
+        """Coulomb's law at a state."""
+        anchored, normal = np.isfinite(from_anchors[:, 0]) & (load > 0.0), planes.normal
         plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-        s = np.einsum("kij,kj->ki", plane, np.where(anchored[:, None], away, 0.0))
-        tried = np.einsum("kij,kj->ki", plane, np.where(anchored[:, None], pull, 0.0)) + weight * s
-        size, most = np.linalg.norm(tried, axis=1), coefficient * load
+        s = np.einsum("kij,kj->ki", plane, np.where(anchored[:, None], from_anchors, 0.0))
+        trial = np.einsum("kij,kj->ki", plane, np.where(anchored[:, None], pull, 0.0)) + weight * s
+        size, most = np.linalg.norm(trial, axis=1), coefficient * load
         slips = anchored & (size > most)
-        way = np.where(slips[:, None], tried, 0.0) / np.where(slips, size, 1.0)[:, None]
-        drag = coefficient * way
-        pulled = np.where(slips[:, None], load[:, None] * drag, tried)
+        direction = np.where(slips[:, None], trial, 0.0) / np.where(slips, size, 1.0)[:, None]
+        drag = coefficient * direction
+        pulled = np.where(slips[:, None], load[:, None] * drag, trial)
         # Slip turns the force: q = μ f_n s/|s|, of which |q + r s| − μ f_n = r |s|.
-        turning = plane - way[:, :, None] * way[:, None, :]
-        beyond = np.maximum(size - most, _LEAST_SLIP * most)
+        turning = plane - direction[:, :, None] * direction[:, None, :]
+        beyond = np.maximum(size - most, _MIN_SLIP * most)
         turning *= np.where(slips, most * weight / np.where(slips, beyond, 1.0), 0.0)[:, None, None]
         bent = np.einsum("ki,kij->kj", pulled, planes.turn)
         return cls(

@@ -1,10 +1,11 @@
 """Equilibrium of the exact membrane with the gas behind it and a rigid object, by Newton's method.
 
-Without friction the energy of membrane and gas is least over positions with no node inside the
-object: sequential quadratic programmes with the half-spaces of its surface nearest to the nodes,
-and a line search on the energy, in which penetration has a price. With friction there is no such
-energy: Coulomb's law is implicit (backward Euler), and steps are shortened where whole ones come no
-nearer. On a curved object corners keep as far away as flat triangles would cut into it.
+Without friction, equilibrium minimises the energy of membrane and gas over positions with no node
+inside the object, by sequential quadratic programmes: each node is constrained to the half-space of
+the nearest surface of the object, and a line search uses the energy with a penalty on penetration.
+With friction there is no such energy: Coulomb's law is implicit (backward Euler), and steps that do
+not reduce the residual are shortened. On a curved object, nodes keep a distance so that the flat
+triangles between them do not cut into it.
 """
 
 from __future__ import annotations
@@ -22,78 +23,77 @@ from bubbleviz.membrane.rubber import RubberMembrane
 from bubbleviz.membrane.sparse_factor import Factor, Factoriser, NodeBlocks
 
 BALANCE_AIM, BALANCE_ACCEPTED = 1e-7, 1e-6
-"""Largest force left at a node over the largest load on one: what is aimed at, and what will do
-where facets of the object keep Newton's method from going on."""
+"""Largest residual force at a node over the largest load on one: the aim, and the limit accepted
+where facets of the object keep Newton's method from converging further."""
 DISTANCE_AIM_M, DISTANCE_ACCEPTED_M = 1e-9, 1e-8
 """The same for the distance of loaded nodes from the object, and of others inside it."""
 _STEPS, _PATIENCE = 60, 10
-"""Steps of Newton's method, and how many may pass without halving what is missed."""
-_SHARES = (0.5, 0.25, 0.1)  # of a step with friction, tried where whole ones come no nearer
+"""Steps of Newton's method, and how many may pass without halving the residual."""
+_SHARES = (0.5, 0.25, 0.1)  # of a step with friction, tried until the residual decreases
 _FINE_M = 1e-6
-"""Motion below which steps are taken whole: facets of the object are rougher than that, and energy
-and penetration do not say how good so small a step is."""
-_SHORT = 0.05  # motion over the reach of the object's surface that is short
-_FLATTEST = 1e-4  # share of the slope by which the energy must fall for a step to be taken (Armijo)
+"""Motion below which steps are not shortened: facets of the object are rougher than that, so that
+energy and penetration do not measure progress."""
+_SHORT = 0.05  # short motion, over `reach_m`
+_ARMIJO = 1e-4  # least decrease of the energy over that by its slope, for a step to be accepted
 
 
 @dataclass(frozen=True)
 class RubberContact(Contact):
     """Equilibrium of the exact membrane with an object, and how well it holds."""
 
-    # stored in membrane and gas over the reference configuration: the work of the object, less what
-    # friction has dissipated
+    # stored in membrane and gas since the reference configuration: the work of the object, less the
+    # dissipation by friction
     energy_j: float
     rim_force_n: np.ndarray  # (3,), of the rim on the membrane, N
     # (3,), of the gas on it: gauge pressure times the area vector of the rim's opening, N
     gas_force_n: np.ndarray
-    # (3,), resultant of f_rest, which stands in for what the reference surface lacks of
-    # equilibrium, N
+    # (3,), resultant of f_rest, which balances the residual forces of the reference surface, N
     rest_force_n: np.ndarray
     stable: bool  # the energy is at a minimum; with friction: no pivot of the tangent is negative
-    # (n,), way that each touching node slipped over the object since the contact before, m, 0 where
-    # nothing touches; NaN without friction
+    # (n,), slip of each touching node over the object since the previous contact, m, 0 for other
+    # nodes; NaN without friction
     slip_m: np.ndarray
     stick_error_m: float = 0.0  # largest distance of a sticking node from its anchor, m
     # largest |t| of a node over μ times its load, less 1; 0 where none is above
     cone_violation: float = 0.0
-    dissipated_j: float = 0.0  # work lost to slip since the contact before, J
+    dissipated_j: float = 0.0  # by slip since the previous contact, J
 
     @property
     def force_balance_n(self) -> float:
-        """What contact, rim, gas and f_rest leave of each other, N."""
+        """Residual of the sum of the forces of contact, rim, gas and f_rest, N."""
         held = self.rim_force_n + self.gas_force_n + self.rest_force_n
         return float(np.linalg.norm(self.nodal_force_n.sum(axis=0) + held))
 
 
 @dataclass(frozen=True)
 class State:
-    """Where membrane and object are, and what is between them."""
+    """Positions of membrane and object, and the forces between them."""
 
     x: np.ndarray  # (n, 3), nodes, m
     load: np.ndarray  # (n,), contact force along the object's normal, N
     pose: np.ndarray  # (4, 4), T_B_O
     pull: np.ndarray  # (n, 3), of the nodes on the object across its normal, N
-    anchors: np.ndarray  # (n, 3), places on the object, in O, m; NaN for nodes that do not stick
+    anchors: np.ndarray  # (n, 3), points on the object, in O, m; NaN for nodes that do not stick
 
     @classmethod
     def free(cls, x: np.ndarray, load: np.ndarray, pose: np.ndarray) -> State:
-        """Without friction so far."""
+        """State without friction."""
         return cls(x, load, pose, np.zeros_like(x), np.full(x.shape, np.nan))
 
-    def away(self) -> np.ndarray:
-        """From the anchors to the nodes, (n, 3), m."""
-        away: np.ndarray = self.x - (self.anchors @ self.pose[:3, :3].T + self.pose[:3, 3])
-        return away
+    def from_anchors(self) -> np.ndarray:
+        """Displacements of the nodes from their anchors, (n, 3), m."""
+        moved: np.ndarray = self.x - (self.anchors @ self.pose[:3, :3].T + self.pose[:3, 3])
+        return moved
 
 
 @dataclass(frozen=True)
-class Looked:
-    """A state, what the object asks of it, and by how much it misses equilibrium."""
+class Evaluated:
+    """A state with its contact constraints and its residuals."""
 
     state: State
     planes: Planes  # the object's
     law: Friction | None
-    balance: float  # largest force left at a node over the largest load on one
+    balance: float  # largest residual force at a node over the largest load on one
     distance_m: float  # largest distance of loaded nodes from the object, and of others inside it
 
     @property
@@ -109,9 +109,9 @@ class Looked:
 
 @dataclass(frozen=True)
 class Solved:
-    """What Newton's method ended at."""
+    """Final state of Newton's method."""
 
-    at: Looked
+    at: Evaluated
     stable: bool
     factorisations: int
 
@@ -127,15 +127,15 @@ class Equilibrium:
     Attributes
     ----------
     reach_m : float
-        Nodes further from an object than this do not know of it.
+        Nodes further from an object than this are not constrained by it.
     """
 
     def __init__(
         self,
         membrane: RubberMembrane,
         gas: Gas | HeldPressure,  # of the reference configuration
-        # (n, 3), forces f_rest at the nodes beside the gas's: those that hold the reference surface
-        # where not given, 0 for a membrane whose mesh is not the equilibrium
+        # (n, 3), additional forces f_rest at the nodes; by default those that make the reference
+        # surface an equilibrium, 0 for a membrane whose mesh is not one
         rest_force_n: np.ndarray | None = None,
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
@@ -156,7 +156,7 @@ class Equilibrium:
     # -- membrane and gas -----------------------------------------------------------------------
 
     def gas_at(self, x: np.ndarray) -> tuple[float, float]:
-        """Gauge pressure, Pa, and −dp/dV, Pa/m³; inf where no volume is left."""
+        """Gauge pressure, Pa, and −dp/dV, Pa/m³; inf for a volume of 0 or less."""
         change, stiffness = self.gas.at(self.membrane.volume(x) - self._rest_volume)
         return change + self.membrane.gauge_pressure_pa, stiffness
 
@@ -174,37 +174,37 @@ class Equilibrium:
 
     def _residual(self, x: np.ndarray, pressure: float) -> np.ndarray:
         """External force needed for equilibrium, (n, 3), N."""
-        left = self.membrane.residual(x, pressure)
+        residual = self.membrane.residual(x, pressure)
         if self._rest_force is not self.membrane.rest_force:
-            left += self.membrane.rest_force - self._rest_force
-        return left
+            residual += self.membrane.rest_force - self._rest_force
+        return residual
 
     # -- states ---------------------------------------------------------------------------------
 
-    def look(self, surface: ObjectSurface | None, state: State) -> Looked:
-        """What an object asks of a state, and what that misses of equilibrium."""
+    def evaluate(self, surface: ObjectSurface | None, state: State) -> Evaluated:
+        """Contact constraints and residuals of a state."""
         x, moving = state.x, self.membrane.moving
         planes, law, off = self._planes(surface, state), None, 0.0
-        push, away = state.load[:, None] * planes.normal, 0.0
+        push, stick_error = state.load[:, None] * planes.normal, 0.0
         if self.friction:
             law = Friction.at(
-                state.away(), state.pull, state.load, planes, self.friction, self._weight
+                state.from_anchors(), state.pull, state.load, planes, self.friction, self._weight
             )
             off = float(np.abs(law.pull - state.pull).max())
-            away = float(np.linalg.norm(law.grip.back, axis=1).max())
+            stick_error = float(np.linalg.norm(law.grip.back, axis=1).max())
             push -= law.pull
         pressure, _ = self.gas_at(x)
         if not np.isfinite(pressure):
-            return Looked(state, planes, law, np.inf, np.inf)
-        left = (self._residual(x, pressure) - push)[moving]
+            return Evaluated(state, planes, law, np.inf, np.inf)
+        residual = (self._residual(x, pressure) - push)[moving]
         scale = max(abs(pressure) * float(self.mesh.areas.max()), float(state.load[moving].max()))
         gap = planes.gap[moving]
         inside = np.where(state.load[moving] > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
-        balance = max(float(np.abs(left).max()), off) / scale
-        return Looked(state, planes, law, balance, max(float(inside.max()), away))
+        balance = max(float(np.abs(residual).max()), off) / scale
+        return Evaluated(state, planes, law, balance, max(float(inside.max()), stick_error))
 
-    def clear_of(self, surface: ObjectSurface, pose: np.ndarray) -> float:
-        """Way along z by which an object is above the membrane at rest, at least 0, m."""
+    def clearance(self, surface: ObjectSurface, pose: np.ndarray) -> float:
+        """Height by which to lift an object above the membrane at rest, at least 0, m."""
         lowest = float((surface.obj.vertices @ pose[2, :3]).min() + pose[2, 3])
         return max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
 
@@ -217,10 +217,10 @@ class Equilibrium:
         return planes._replace(gap=planes.gap - self._sag(state.x, planes))
 
     def _sag(self, x: np.ndarray, planes: Planes) -> np.ndarray:
-        """How far flat triangles with their corners on the object are inside it, (n,), m.
+        """Depth in the object of flat triangles with their corners on it, (n,), m.
 
-        Their mean depth is Σ (n_j − n_i)·(x_j − x_i)/24 over the edges; corners are kept as far
-        out, so that the surface and not its corners lies on the object.
+        Their mean depth is Σ (n_j − n_i)·(x_j − x_i)/24 over the edges; corners keep that distance,
+        so that the surface and not its corners lies on the object.
         """
         triangles = self.mesh.triangles
         some = np.flatnonzero(np.isfinite(planes.gap)[triangles].all(axis=1))
@@ -236,9 +236,9 @@ class Equilibrium:
     # -- Newton's method ------------------------------------------------------------------------
 
     def solve(self, surface: ObjectSurface | None, start: State) -> Solved:
-        """Newton's method from a state, at its pose: the best of the states on the way."""
-        here = best = self.look(surface, start)
-        price, since, count, newton = 0.0, 0, 0, None
+        """Newton's method from a state, at its pose; the state with the smallest residual."""
+        here = best = self.evaluate(surface, start)
+        penalty, since, count, newton = 0.0, 0, 0, None
         for _ in range(_STEPS):
             nearer = newton is None or here.residual_ratio < 0.5 * best.residual_ratio
             since = 0 if nearer else since + 1
@@ -251,28 +251,28 @@ class Equilibrium:
                     step = newton.direct(held)
                 except RuntimeError:  # singular
                     break
-                ahead = self._nearer(surface, here, step, often=since > 0)
-                if not np.isfinite(ahead.residual_ratio):
+                following = self._shortened(surface, here, step, always=since > 0)
+                if not np.isfinite(following.residual_ratio):
                     break
             else:
                 step = newton.solve(held)
-                if np.abs(step.motion).max() > self.reach_m:  # far off, loads turn too far
+                if np.abs(step.motion).max() > self.reach_m:  # too far for loads that turn
                     count += newton.factorisations
                     newton = self._step(here, turning=False)
                     step = newton.solve(held)
-                price = max(price, 2.0 * float(step.load.max(initial=0.0)))
-                ahead = self._downhill(surface, here, step, newton.residual, price)
-            count, here = count + newton.factorisations, ahead
+                penalty = max(penalty, 2.0 * float(step.load.max(initial=0.0)))
+                following = self._line_search(surface, here, step, newton.residual, penalty)
+            count, here = count + newton.factorisations, following
             if surface is None and not newton.is_minimum():
                 break
         stable = not best.accepted or (newton or self._step(best)).is_minimum()
         return Solved(best, stable, count)
 
-    def _step(self, looked: Looked, *, turning: bool = True) -> ContactStep:
-        """Newton's step; `turning`: loads turn with the object's surface."""
-        membrane, moving, state = self.membrane, self.membrane.moving, looked.state
+    def _step(self, at: Evaluated, *, turning: bool = True) -> ContactStep:
+        """Problem of Newton's step; `turning`: loads turn with the object's surface."""
+        membrane, moving, state = self.membrane, self.membrane.moving, at.state
         (pressure, beta), load = self.gas_at(state.x), state.load[moving]
-        planes, law, grip = looked.planes.of(moving), looked.law, None
+        planes, law, grip = at.planes.of(moving), at.law, None
         residual = self._residual(state.x, pressure)
         data = membrane.tangent(state.x, pressure).data
         touching = np.flatnonzero(load > 0.0)
@@ -286,9 +286,9 @@ class Equilibrium:
         own = self._factoriser, self._blocks, data
         return ContactStep(*own, residual[moving], gradient, beta, planes, grip)
 
-    def _after(self, looked: Looked, step: Step, length: float) -> State:
+    def _after(self, at: Evaluated, step: Step, length: float) -> State:
         """The state after a share of a step."""
-        state, law, moving = looked.state, looked.law, self.membrane.moving
+        state, law, moving = at.state, at.law, self.membrane.moving
         x, load, pull = state.x.copy(), state.load.copy(), state.pull
         x[moving] += length * step.motion
         load[moving] += length * (step.load - load[moving])
@@ -298,84 +298,89 @@ class Equilibrium:
             turned += law.start[moving]
             slips = held & grip.drag.any(axis=1, keepdims=True)
             aim = np.where(slips, step.load[:, None] * grip.drag + turned, 0.0)
-            across = step.load[:, None] * looked.planes.normal[moving] - step.pull
+            across = step.load[:, None] * at.planes.normal[moving] - step.pull
             aim = np.where(held & grip.stuck[:, None], across, aim)
             pull[moving] += length * (aim - pull[moving])
         return replace(state, x=x, load=load, pull=pull)
 
-    def _nearer(
-        self, surface: ObjectSurface | None, here: Looked, step: Step, *, often: bool
-    ) -> Looked:
-        """State along a step with friction: the nearest to equilibrium of some, if need be."""
+    def _shortened(
+        self, surface: ObjectSurface | None, here: Evaluated, step: Step, *, always: bool
+    ) -> Evaluated:
+        """State after a step with friction, shortened to the smallest residual if necessary."""
         longest = max(float(np.abs(step.motion).max()), 1e-300)
 
-        def at(share: float) -> Looked:
-            return self.look(surface, self._after(here, step, min(share, self.reach_m / longest)))
+        def at(share: float) -> Evaluated:
+            return self.evaluate(
+                surface, self._after(here, step, min(share, self.reach_m / longest))
+            )
 
-        ahead = at(1.0)
-        if often or not np.isfinite(ahead.residual_ratio):  # round in circles, or too far
-            ahead = min([ahead, *map(at, _SHARES)], key=lambda each: each.residual_ratio)
-        return ahead
+        following = at(1.0)
+        if always or not np.isfinite(following.residual_ratio):  # cycling, or too far
+            following = min([following, *map(at, _SHARES)], key=lambda each: each.residual_ratio)
+        return following
 
-    def _downhill(
+    def _line_search(
         self,
         surface: ObjectSurface | None,
-        here: Looked,
+        here: Evaluated,
         step: Step,
         residual: np.ndarray,
-        price: float,
-    ) -> Looked:
-        """State as far along a step as energy and penetration fall together.
+        penalty: float,
+    ) -> Evaluated:
+        """State after the share of a step that reduces the energy with a penalty on penetration.
 
-        Steps that are short for the mesh are taken whole where they come nearer to equilibrium.
+        Steps that are short for the mesh are taken whole if they halve the residual.
         """
         inside = self._inside(here)
-        slope = float(np.sum(residual * step.motion)) - price * inside
-        now = self.energy(here.state.x) + price * inside
+        slope = float(np.sum(residual * step.motion)) - penalty * inside
+        now = self.energy(here.state.x) + penalty * inside
         most = max(float(np.abs(step.motion).max()), 1e-300)
         length = min(1.0, self.reach_m / most)
-        wanted = now + 1e-13 * abs(now)
+        limit = now + 1e-13 * abs(now)  # with rounding
 
-        def at(state: State, length: float) -> tuple[Looked, bool]:
-            ahead = self.look(surface, state)
-            value = self.energy(state.x) + price * self._inside(ahead)
-            return ahead, value <= wanted + _FLATTEST * length * slope
+        def at(state: State, length: float) -> tuple[Evaluated, bool]:
+            following = self.evaluate(surface, state)
+            value = self.energy(state.x) + penalty * self._inside(following)
+            return following, value <= limit + _ARMIJO * length * slope
 
         if most < _SHORT * self.reach_m:
-            ahead, falls = at(self._after(here, step, 1.0), 1.0)
-            if falls or ahead.residual_ratio < 0.5 * here.residual_ratio:
-                return ahead
+            following, falls = at(self._after(here, step, 1.0), 1.0)
+            if falls or following.residual_ratio < 0.5 * here.residual_ratio:
+                return following
         while True:
-            ahead, falls = at(self._after(here, step, length), length)
+            following, falls = at(self._after(here, step, length), length)
             if not falls and step.held.any():
-                ahead, falls = at(self._put_back(ahead, here, step.held, length), length)
+                corrected = self._second_order_corrected(following, here, step.held, length)
+                following, falls = at(corrected, length)
             if falls or length < 1e-4 or most < _FINE_M:
-                return ahead
+                return following
             length *= 0.5
 
-    def _put_back(self, ahead: Looked, here: Looked, held: np.ndarray, length: float) -> State:
-        """The state with the `held` nodes as far from the object as its planes would have them.
+    def _second_order_corrected(
+        self, following: Evaluated, here: Evaluated, held: np.ndarray, length: float
+    ) -> State:
+        """The state with the `held` nodes moved to the distance that the linearised planes predict.
 
-        A long step along a curved surface leaves it to second order, which would shorten the step
-        again and again near the solution (Maratos).
+        A step along a curved surface departs from it to second order, which would shorten steps
+        near the solution (Maratos effect).
         """
         nodes = self.membrane.moving[held]
-        gap, normal, _ = ahead.planes.of(nodes)
+        gap, normal, _ = following.planes.of(nodes)
         off = gap - (1.0 - length) * here.planes.gap[nodes]
-        x = ahead.state.x.copy()
+        x = following.state.x.copy()
         x[nodes] -= np.where(np.isfinite(off), off, 0.0)[:, None] * normal
-        return replace(ahead.state, x=x)
+        return replace(following.state, x=x)
 
-    def _inside(self, looked: Looked) -> float:
+    def _inside(self, at: Evaluated) -> float:
         """Sum of the depths of the moving nodes in the object, m."""
-        return float(np.maximum(-looked.planes.gap[self.membrane.moving], 0.0).sum())
+        return float(np.maximum(-at.planes.gap[self.membrane.moving], 0.0).sum())
 
-    # -- what it tells --------------------------------------------------------------------------
+    # -- result ---------------------------------------------------------------------------------
 
     def contact(self, solved: Solved, rim_penetration_m: float | None = None) -> RubberContact:
-        """The contact at what was solved."""
-        membrane, mesh, looked = self.membrane, self.mesh, solved.at
-        state, planes, law = looked.state, looked.planes, looked.law
+        """Contact of a solved state."""
+        membrane, mesh, at = self.membrane, self.mesh, solved.at
+        state, planes, law = at.state, at.planes, at.law
         x, load = state.x, state.load
         pressure, _ = self.gas_at(x)
         displacement = x - mesh.nodes
@@ -402,7 +407,7 @@ class Equilibrium:
             complementarity=float(np.abs(gap * contact_pressure).max()),
             penetration_m=float(-gap[moving].min(initial=0.0)),
             rim_penetration_m=rim_penetration_m,
-            balance_residual=looked.balance,
+            balance_residual=at.balance,
             gas_law_residual=0.0,
             iterations=solved.factorisations,
             converged=solved.accepted,

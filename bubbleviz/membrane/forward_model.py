@@ -18,19 +18,18 @@ from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.membrane.triangle_scene import TriangleScene
 from bubbleviz.rigid_object import RigidObject
 
-# How far each node may move outward before it meets a rigid object (Eqs. 10 to 12).
+# Gap between each node and a rigid object along its normal (Eqs. 10 to 12).
 
 
 class GapFinder:
-    """Casts the normal lines of a membrane at rigid objects.
+    """Intersects the normal lines of a membrane with rigid objects.
 
-    The object presses from outside, so the membrane stays on the inner side of it: along its
-    normal line node k may go up to the lowest place where the line enters the object, whether
-    that is above the node (a gap) or below (a penetration, which Eq. 16 undoes). A place beyond
-    half way to the opposite side of the dome, or of the rim's cylinder below it, belongs to the
-    membrane over there; one deeper than a rim radius behind the rim to nobody. Both are left out,
-    unless the node itself is in the same stretch of the object. Where an object is not watertight
-    nothing tells in from out and every hit counts as an entry.
+    The object presses from outside, so the membrane stays inside of it: node k may move along its
+    normal up to the lowest point where the line enters the object, above the node (a gap) or below
+    it (a penetration, which Eq. 16 removes). Points more than half way to the opposite side of the
+    dome, or of the rim's cylinder below it, belong to the nodes there; points deeper than a rim
+    radius behind the rim belong to none. Both are ignored, unless the node itself is inside that
+    part of the object. If an object is not watertight, every intersection counts as an entry.
     """
 
     def __init__(self, mesh: MembraneMesh) -> None:
@@ -38,7 +37,7 @@ class GapFinder:
         self._surface: ObjectSurface | None = None
 
     def gaps(self, obj: RigidObject, T_B_O: np.ndarray) -> np.ndarray:
-        """Upper bound g of the displacement, shape (n,), m; inf where the object is not met."""
+        """Upper bound g of the displacement, shape (n,), m; inf without intersection."""
         pose = checked_pose(T_B_O)
         if self._surface is None or obj is not self._surface.obj:
             self._surface = ObjectSurface(obj)
@@ -49,7 +48,7 @@ class GapFinder:
     def _lowest_entry(self, ray: np.ndarray, where: np.ndarray, counts: np.ndarray) -> np.ndarray:
         n = len(self.mesh.nodes)
         lowest = np.full(n, np.inf)
-        # The stretch the node is in: its highest crossing below the node is an entry.
+        # The node is inside the object if the highest crossing below it is an entry.
         below = counts & (where <= 0.0)
         last = np.full(n, -np.inf)
         np.maximum.at(last, ray[where <= 0.0], where[where <= 0.0])
@@ -60,16 +59,16 @@ class GapFinder:
 
     @cached_property
     def reach(self) -> np.ndarray:
-        """Distance inward along each normal that belongs to the node's own line, (n,), m."""
+        """Distance inward along each normal within which points belong to the node, (n,), m."""
         mesh = self.mesh
-        step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # clear of the node's own triangles
+        step = 1e-3 * np.sqrt(mesh.facet_areas.sum())  # to miss the node's own triangles
         rays = np.hstack([mesh.nodes - step * mesh.normals, -mesh.normals])
         across = 0.5 * (TriangleScene(mesh.nodes, mesh.triangles).cast(rays).distance + step)
-        return np.minimum(across, _way_through_chamber(mesh))
+        return np.minimum(across, _chamber_depth(mesh))
 
 
-def _way_through_chamber(mesh: MembraneMesh) -> np.ndarray:
-    """Way inward to half through the rim's cylinder, or to one rim radius behind the rim."""
+def _chamber_depth(mesh: MembraneMesh) -> np.ndarray:
+    """Distance inward to half through the rim's cylinder, or to one rim radius behind the rim."""
     radius = float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
     x, n = mesh.nodes[:, :2], mesh.normals[:, :2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -97,7 +96,7 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
     return pose
 
 
-# The obstacle problem: a membrane under pressure that may not pass a bound (Eqs. 15 and 16).
+# The obstacle problem: a membrane under pressure with an upper bound (Eqs. 15 and 16).
 
 
 PressureRule = Callable[[float, float], float]
@@ -119,18 +118,18 @@ class Obstacle:
 class ObstacleSolver:
     """Primal–dual active set (semi-smooth Newton) on the free nodes of one mesh.
 
-    Every step fixes u = g on the active nodes, solves the rest, lets go of active nodes that
-    pull and takes in nodes that penetrate. On a mesh whose Laplacian is an M-matrix (Delaunay)
-    this goes down monotonically and ends after finitely many steps; where the number of wrong
-    nodes stops falling (slivers), Júdice and Pires' rule of changing only the last wrong node
-    takes over, which ends on any positive definite matrix.
+    Every step fixes u = g on the active nodes, solves for the others, removes active nodes with a
+    tensile reaction and adds nodes that penetrate. On a mesh whose Laplacian is an M-matrix
+    (Delaunay) this decreases monotonically and terminates; if the number of wrong nodes stops
+    decreasing (slivers), only the last wrong node is changed (Júdice and Pires), which terminates
+    for any positive definite matrix.
     """
 
     def __init__(
         self,
         laplacian: sparse.csr_array,  # (f, f) sparse, cotangent Laplacian of the free nodes
         areas: np.ndarray,  # (f,), nodal areas, m²
-        # (f,), volume change per displacement as the gas law has it, m²
+        # (f,), volume change per displacement, m²
         volume_gradient: np.ndarray,
     ) -> None:
         order = np.argsort(symmetric_lu(laplacian.tocsc()).perm_c)
@@ -143,11 +142,11 @@ class ObstacleSolver:
         self,
         bound: np.ndarray,  # (f,), g, m; inf where there is no object
         rule: PressureRule,  # see `PressureRule`; a constant for a fixed pressure
-        # (f,) bool, first guess of the nodes in contact; those that penetrate at rest by default
+        # (f,) bool, initial active set; nodes that penetrate at rest by default
         active: np.ndarray | None = None,
         max_iterations: int = 200,
     ) -> Obstacle:
-        """Solve for u, λ and the pressure that `rule` asks for."""
+        """Solve for u, λ and the pressure by `rule`."""
         order = self._order
         g = bound[order]
         guess = (g < 0.0) if active is None else active[order]
@@ -194,7 +193,7 @@ class ObstacleSolver:
     def _wrong(
         self, active: np.ndarray, u: np.ndarray, reaction: np.ndarray, g: np.ndarray
     ) -> np.ndarray:
-        """Active nodes that pull and inactive ones that penetrate, beyond rounding."""
+        """Active nodes with a tensile reaction and inactive ones that penetrate."""
         scale = max(float(np.abs(u).max()), 1e-9)
         pulls = reaction < -1e-11 * scale * self._diagonal
         return np.where(active, pulls, u > g + 1e-11 * scale)
@@ -202,7 +201,7 @@ class ObstacleSolver:
 
 @dataclass(frozen=True)
 class Contact:
-    """Equilibrium of the membrane pressed by a rigid object, and how well it holds."""
+    """Equilibrium of the membrane pressed by a rigid object, with its residuals."""
 
     displacement_m: np.ndarray  # (n,), u along the reference normals, m; 0 on the rim
     displacement_3d_m: np.ndarray  # (n, 3), the whole displacement, m
@@ -213,7 +212,7 @@ class Contact:
     gas_pressure_change_pa: float  # p_v, Pa
     complementarity: float  # max |φ p_c| with φ = g − u, Pa·m (Eq. 13)
     penetration_m: float  # max(u − g, 0) over the free nodes, m
-    # the same on the clamped rim, which cannot give way; above 0 the object sits on it
+    # the same on the clamped rim, which cannot move; above 0 the object touches the rim
     rim_penetration_m: float
     # max |K u − A p_v + A∘p_c| relative to the largest of its terms (Eq. 5)
     balance_residual: float
@@ -242,11 +241,11 @@ class ForwardModel:
         self._active: np.ndarray | None = None
 
     def press(self, obj: RigidObject, T_B_O: np.ndarray) -> Contact:
-        """Equilibrium with the object at the pose; the contact of the last call starts it."""
+        """Equilibrium with the object at the pose, warm-started from the last call."""
         return self.solve(self._finder.gaps(obj, T_B_O))
 
     def forget(self) -> None:
-        """Start the next call as if it were the first."""
+        """Discard the warm start of the next call."""
         self._active = None
 
     def solve(self, gap_m: np.ndarray) -> Contact:
@@ -260,7 +259,7 @@ class ForwardModel:
         return self.gas.at(volume, max(slope, 0.0) / self.tension)[0] / self.tension
 
     def _certified(self, state: Obstacle, gap_m: np.ndarray) -> Contact:
-        """Full-size fields and residuals, computed afresh from them."""
+        """Fields of all nodes, and residuals computed from them."""
         mesh, free = self.mesh, self.mesh.free
         u = np.zeros(len(mesh.nodes))
         u[free] = state.displacement

@@ -23,7 +23,7 @@ class Gas:
     # pressure left to the cap pressed flat
     lowest_change_pa: float = -np.inf
     highest_change_pa: float = np.inf
-    # standard deviation of the zero from which a measured p_v counts, Pa
+    # standard deviation of the zero of a measured p_v, Pa
     zero_sigma_pa: float = 0.0
 
     @classmethod
@@ -44,7 +44,7 @@ class Gas:
         return replace(self, dV_du=self.dV_du.sum() / mesh.areas.sum() * mesh.areas)
 
     def at(self, growth_m3: float, give: float = 0.0) -> tuple[float, float]:
-        """p_v, Pa, and −dp_v/dV, Pa/m³, of a volume that has grown; inf where none is left.
+        """p_v, Pa, and −dp_v/dV, Pa/m³, at a volume change; inf for a volume of 0 or less.
 
         With a `give` c in m³/Pa, by which something else makes room, it is the upper root of
         (P0 + p_v)(V + c p_v) = P0 V0.
@@ -57,7 +57,7 @@ class Gas:
             return pressure - self.P0, pressure / volume
         both = volume + give * self.P0
         root = np.hypot(volume - give * self.P0, 2.0 * np.sqrt(give * self.P0 * self.V0))
-        # Two forms of one root: whichever does not cancel.
+        # Two forms of one root: the one without cancellation.
         if both > 0.0:
             change = 2.0 * self.P0 * (self.V0 - volume) / (both + root)
         else:
@@ -66,19 +66,19 @@ class Gas:
         return change, beta / (1.0 + beta * give)
 
     def energy(self, growth_m3: float) -> float:
-        """Work −∫ p_v dV done on the gas, J; inf where no volume is left."""
+        """Work −∫ p_v dV done on the gas, J; inf for a volume of 0 or less."""
         if not self.V0 + growth_m3 > 0.0:
             return np.inf
         return self.P0 * (growth_m3 - self.V0 * float(np.log1p(growth_m3 / self.V0)))
 
     def measured_change(self, pressure_pa: float | None) -> float | None:
-        """p_v of a measured absolute pressure, Pa; None where nothing was measured, or NaN."""
+        """p_v of a measured absolute pressure, Pa; None without a measurement, or for NaN."""
         if pressure_pa is None or np.isnan(pressure_pa):
             return None
         return pressure_pa - self.P0
 
     def pressure_change(self, displacement: np.ndarray) -> float:
-        """p_v in Pa at displacement u, to first order in u, as the membrane is (Eq. 6)."""
+        """p_v in Pa at displacement u, to first order in u, as in the linear model (Eq. 6)."""
         return self.at(float(self.dV_du @ displacement))[0]
 
     @property
@@ -89,7 +89,7 @@ class Gas:
 
 @dataclass(frozen=True)
 class HeldPressure:
-    """Gas that keeps its pressure whatever its volume: an open chamber, or a measured pressure."""
+    """Gas with a pressure independent of its volume: open chamber, or measured pressure."""
 
     change_pa: float  # p_v
 

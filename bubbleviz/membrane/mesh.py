@@ -52,12 +52,12 @@ class MembraneMesh:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """The triangles by corner, (3, m): what is asked of all corners is fast along rows."""
+        """The triangles by corner, (3, m): contiguous rows for fast access to one corner of all."""
         return np.ascontiguousarray(self.triangles.T)
 
     @cached_property
     def rings(self) -> np.ndarray:
-        """Each node and its neighbours, (d, n) int: a column a node, filled up with the node."""
+        """Each node and its neighbours, (d, n) int: one column per node, padded with the node."""
         count = len(self.nodes)
         start, end = self.triangles.ravel(), np.roll(self.triangles, -1, axis=1).ravel()
         pairs = np.unique(np.concatenate([start * count + end, end * count + start]))
@@ -149,7 +149,7 @@ def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarra
     nodes, lowest = np.flatnonzero(mask), np.arange(len(mask))
     around = rings[:, nodes]
     around = np.where(mask[around], around, nodes)
-    while True:  # each node learns of the lowest one in its part, by neighbours and by that one
+    while True:  # lowest node of each part, propagated by neighbours and by that node
         lower = lowest[around].min(axis=0, initial=len(mask))
         if (lower == lowest[nodes]).all():  # `np.array_equal` takes several times as long
             break
@@ -160,7 +160,7 @@ def connected_parts(rings: np.ndarray, mask: np.ndarray) -> tuple[int, np.ndarra
 
 
 def parts_with(rings: np.ndarray, some: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Connected parts of a set of nodes (n,) bool that have one of `some` of them (n,) bool."""
+    """Connected parts of a set of nodes (n,) bool that contain one of `some` (n,) bool."""
     count, part = connected_parts(rings, mask)
     chosen = np.bincount(part, some[mask], minlength=count) > 0.0
     kept = mask.copy()
@@ -211,7 +211,7 @@ def level_line(
     inside = (above > 0.0).take(corners)
     count = inside.sum(axis=0)
     cut = np.flatnonzero((count == 1) | (count == 2))
-    # Turn each cut triangle so that its first corner is the one alone on its side.
+    # Rotate each cut triangle so that its first corner is the only one on its side.
     alone = np.argmax(inside[:, cut] == (count[cut] == 1), axis=0)
     a, b, c = (corners[(alone + k) % 3, cut] for k in range(3))
     start, height = points.take(a, axis=0), above[a]

@@ -15,16 +15,15 @@ from bubbleviz.membrane.mesh import MembraneMesh, area_vectors, cross, triangles
 from bubbleviz.membrane.triangle_scene import TriangleScene
 from bubbleviz.rigid_object import RigidObject
 
-# Objects whose sharp edges are rounded: a core inside them and all that is within a radius of it.
+# Objects with rounded edges: all points within a radius of a core inside the object.
 #
-# Nodes of a membrane cannot slide over a perfectly sharp edge. The triangle that spans it is kinked
-# at one corner on either side, and the tensions of the two sides need not be equal however fine the
-# mesh: the nodes catch on the edge as if there were friction. Over a rounding that is wider than
-# their distance they slide.
+# Nodes of a membrane cannot slide over a perfectly sharp edge: at any mesh size the tensions on
+# both sides of a triangle that spans it may differ, as if there were friction. Nodes slide over a
+# rounding that is wider than their distance.
 
 
-_ALIKE = 0.01
-"""Share of the largest eigenvalue below which normals at a vertex count as lying in a plane."""
+_COPLANAR = 0.01
+"""Share of the largest eigenvalue below which normals at a vertex count as coplanar."""
 _TRIES = 4  # times that a radius too large for an object's thinnest part or finest fillet is halved
 
 
@@ -48,7 +47,7 @@ def core_of(
 
 
 def _inward(obj: RigidObject) -> np.ndarray:
-    """Motion (n, 3) of the vertices, over the radius: all facets at a vertex go back by 1."""
+    """Motion (n, 3) of the vertices over the radius: all facets at a vertex recede by 1."""
     vectors = area_vectors(obj.vertices, obj.triangles)
     normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     squares = np.zeros((len(obj.vertices), 3, 3))
@@ -56,29 +55,28 @@ def _inward(obj: RigidObject) -> np.ndarray:
     for corner in obj.triangles.T:
         np.add.at(squares, corner, normals[:, :, None] * normals[:, None, :])
         np.add.at(sums, corner, normals)
-    inverse = np.linalg.pinv(squares, rcond=_ALIKE, hermitian=True)
+    inverse = np.linalg.pinv(squares, rcond=_COPLANAR, hermitian=True)
     moved: np.ndarray = -np.einsum("nij,nj->ni", inverse, sums)
     return moved
 
 
 CREASE_RAD = np.radians(20.0)
-"""Angle between facets from which their common edge is an edge of the object, and not of its mesh:
-a circle of 20 facets still counts as round."""
+"""Least angle between facets at an edge of the object (smaller ones approximate curved surfaces): a
+circle of 20 facets still counts as round."""
 _FLAT = np.radians(0.1)  # facets that meet at less are parts of one face
 _STEP = 0.01  # distance of points along creases over the object's size
 
 MOST_TURN_RAD = 0.6
-"""Turn of the object's normal along a triangle above which the triangle is too large to be taken as
-a chord of a smooth surface."""
+"""Largest turn of the object's normal along a triangle that approximates a smooth surface."""
 
 _ON_EDGE = 1e-5  # barycentric coordinate below which the closest point is on the edge of a facet
 _LEAST_M = 1e-6  # distance of a point from a sharp edge above which its direction is known, m
 
 
 class Planes(NamedTuple):
-    """Half-spaces that points may not leave: n·(x + δ − x) ≥ −gap, one a point."""
+    """Half-space constraints of points, one per point: n·δ ≥ −gap."""
 
-    # (k,), signed distance, m, negative inside the object; inf where there is no condition
+    # (k,), signed distance, m, negative inside the object; inf without a constraint
     gap: np.ndarray
     normal: np.ndarray  # (k, 3), unit, out of the object
     # (k, 3, 3), its derivative by the point, symmetric, 1/m: the curvature of the surface
@@ -86,16 +84,16 @@ class Planes(NamedTuple):
 
     @classmethod
     def nowhere(cls, count: int) -> Planes:
-        """No condition on any of so many points."""
+        """No constraints, for so many points."""
         return cls(np.full(count, np.inf), np.zeros((count, 3)), np.zeros((count, 3, 3)))
 
     def of(self, points: np.ndarray) -> Planes:
-        """Conditions of some of the points."""
+        """Constraints of some of the points."""
         return Planes(self.gap[points], self.normal[points], self.turn[points])
 
 
 class Closest(NamedTuple):
-    """The places on an object that are closest to some points, in O."""
+    """Closest points of an object, in O."""
 
     place: np.ndarray  # (k, 3)
     normal: np.ndarray  # (k, 3), outward, smooth but across creases
@@ -215,9 +213,9 @@ class ObjectSurface:
         points: np.ndarray,
         outward: np.ndarray,
         T_B_O: np.ndarray,  # (4, 4)
-        reach_m: float,  # points further from the object than this have no condition
+        reach_m: float,  # points further from the object than this are not constrained
     ) -> Planes:
-        """Conditions on points near the object."""
+        """Constraints of points near the object."""
         R = T_B_O[:3, :3]
         x, out = (points - T_B_O[:3, 3]) @ R, outward @ R
         gap, normal, turn = Planes.nowhere(len(x))
@@ -317,7 +315,7 @@ class ObjectSurface:
         return sides, vertices[triangles]
 
     def _way_back(self, x: np.ndarray, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Conditions of points nearest to the far side of a thin object: back the way they came."""
+        """Constraints of points nearest to the far side of a thin object: back to the near side."""
         facet, distance = self._scene.cast(np.hstack([x, -out]))
         met = np.isfinite(distance)
         facet[~met] = 0

@@ -23,7 +23,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 
 FAR_STRETCHED = 1e3
-"""λ in place of infinity: 1/det C is then below rounding, and the springs alone are left."""
+"""λ in place of infinity: 1/det C is then below rounding, and only the springs remain."""
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _FIRST, _SECOND, _SAME = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2], [0, 3, 5]
@@ -60,7 +60,7 @@ class _Facets(NamedTuple):
 
 
 class _Pattern(NamedTuple):
-    """Where the entries of the triangles go in a symmetric sparse matrix; fixed by the mesh."""
+    """Assembly pattern: positions of the triangles' entries in a symmetric sparse matrix."""
 
     # indices, indptr: int arrays, of the columns
     indices: np.ndarray
@@ -81,7 +81,7 @@ class _Pattern(NamedTuple):
         kept = (row >= 0) & (column >= 0)
         there, back = column[kept] * size + row[kept], row[kept] * size + column[kept]
         keys, where = np.unique(np.concatenate([there, back]), return_inverse=True)
-        slots = np.full(len(row), len(keys))  # held nodes: one place too many
+        slots = np.full(len(row), len(keys))  # fixed nodes: one extra entry
         slots[kept] = where[: len(there)]
         columns, rows = np.divmod(keys, size)
         indptr = np.searchsorted(columns, np.arange(size + 1))
@@ -113,8 +113,7 @@ class RubberMembrane:
         stress_free: np.ndarray,
         # float or (m,) array, shear modulus times stress-free thickness, N/m
         mu_h_n_per_m: float | np.ndarray,
-        # the rim is held by springs that give this much under the pull of the mean tension; clamped
-        # where it is None
+        # motion of the rim, on springs, under the mean tension; None for a clamped rim
         rim_slack_m: float | None = None,
     ) -> None:
         self.mesh, self.gauge_pressure_pa = mesh, gauge_pressure_pa
@@ -162,7 +161,7 @@ class RubberMembrane:
         mesh: MembraneMesh,
         parent: np.ndarray,  # (k,) int, triangle that each of the mesh's lies in
     ) -> RubberMembrane:
-        """The same rubber on triangles that are parts of its own, held where their mesh ends."""
+        """The same rubber on parts of its triangles, clamped at the border of their mesh."""
         own, finer = _edges(self.mesh)[parent], _edges(mesh)
         metric = own @ own.swapaxes(1, 2)
         back = np.linalg.inv(np.linalg.solve(metric, own @ finer.swapaxes(1, 2)))
@@ -183,12 +182,12 @@ class RubberMembrane:
         return float(0.5 * springs + by_area.sum() + 0.5 * rim)
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """Gradient of `energy`, (n, 3), N: what holds the nodes where they are."""
+        """Gradient of `energy`, (n, 3), N: external forces at equilibrium."""
         return self._springs_pull(x) + self._gathered(self._by_area(self._facets(x)))
 
     @cached_property
     def rest_force(self) -> np.ndarray:
-        """f_rest (n, 3), N: residual of the reference surface, which is taken as in equilibrium.
+        """f_rest (n, 3), N: residual of the reference surface, assumed to be in equilibrium.
 
         On a clamped rim it is the rim's pull at rest.
         """

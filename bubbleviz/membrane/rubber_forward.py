@@ -16,12 +16,12 @@ from bubbleviz.membrane.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber import RubberMembrane
 from bubbleviz.rigid_object import RigidObject
 
-MOST_FRICTION = 5.0  # μ above which it is taken for a mistake: rubber on glass has 1 to 3
-_SHORTEST = 0.02  # step of the object over the reach of its surface below which a press is given up
-_STEP, _SHORTEST_STEP = 0.25, 1.0 / 64.0
-"""Motion of the object between two equilibria with friction over the mesh's edges, and the share of
-it below which one is given up."""
-_SMALLEST_STEP = 0.005  # step over the pressure wanted below which an equilibrium is given up
+MOST_FRICTION = 5.0  # largest μ accepted: rubber on glass has 1 to 3
+_MIN_APPROACH = 0.02  # least step of the object over `reach_m` before a press counts as failed
+_STEP, _MIN_STEP = 0.25, 1.0 / 64.0
+"""Motion of the object between two equilibria with friction in mesh edges, and the least share of
+it before the equilibrium counts as failed."""
+_MIN_PRESSURE_STEP = 0.005  # least step over the target pressure before it counts as failed
 
 
 class RubberForward:
@@ -31,7 +31,7 @@ class RubberForward:
         self,
         membrane: RubberMembrane,
         gas: Gas,  # P0 and V0 of the reference configuration
-        rounding_m: float = 0.0,  # radius that sharp edges of the objects are given, m
+        rounding_m: float = 0.0,  # radius of rounding of sharp edges of objects, m
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self._equilibrium, self._rounding_m = Equilibrium(membrane, gas), rounding_m
@@ -44,17 +44,16 @@ class RubberForward:
         self,
         obj: RigidObject,
         T_B_O: np.ndarray,  # (4, 4)
-        # where to look first: displacement (n, 3), m, and contact pressure (n,), Pa
+        # initial state: displacement (n, 3), m, and contact pressure (n,), Pa
         near: tuple[np.ndarray, np.ndarray] | None = None,
         *,
-        # be content with what is found from there and from the linear model's equilibrium, even if
-        # it has not converged
+        # only try the initial state and the linear model's equilibrium, even without convergence
         quick: bool = False,
     ) -> RubberContact:
         """Equilibrium with the object at the pose, without friction.
 
-        It is looked for from the linear model's equilibrium, and where that fails by moving the
-        object in from outside. What is found does not depend on the poses before.
+        Solved from the linear model's equilibrium, and if that fails by moving the object in from
+        outside. The result does not depend on earlier poses.
 
         Raises InputError: the pose is no rigid transform in metres.
         """
@@ -80,19 +79,20 @@ class RubberForward:
         return self._surface
 
     def _from_outside(self, surface: ObjectSurface, pose: np.ndarray) -> Solved:
-        """Equilibrium by moving the object in along −z, in steps that shrink where they fail."""
-        way, reach_m = self._equilibrium.clear_of(surface, pose), self._equilibrium.reach_m
+        """Equilibrium by moving the object in along −z, in steps that are shortened on failure."""
+        height, reach_m = self._equilibrium.clearance(surface, pose), self._equilibrium.reach_m
         x, load = self.mesh.nodes, np.zeros(len(self.mesh.nodes))
         step, count = reach_m, 0
         while True:
-            left = max(way - step, 0.0)
-            solved = self._equilibrium.solve(surface, State.free(x, load, _lifted(pose, left)))
+            lower = max(height - step, 0.0)
+            solved = self._equilibrium.solve(surface, State.free(x, load, _lifted(pose, lower)))
             count += solved.factorisations
             if solved.accepted:
-                x, load, way, step = solved.at.state.x, solved.at.state.load, left, 1.5 * step
+                x, load = solved.at.state.x, solved.at.state.load
+                height, step = lower, 1.5 * step
             else:
-                step = 0.4 * min(step, way)
-            if way == 0.0 or step < _SHORTEST * reach_m:
+                step = 0.4 * min(step, height)
+            if height == 0.0 or step < _MIN_APPROACH * reach_m:
                 return replace(solved, factorisations=count)
 
     # -- with friction --------------------------------------------------------------------------
@@ -100,18 +100,17 @@ class RubberForward:
     def follow(
         self,
         obj: RigidObject,
-        # (4, 4), T_B_O. Where the first already touches, the object has come there along −z of B.
+        # (4, 4), T_B_O; if the first is in contact, the object approaches it along −z of B
         poses: Iterable[np.ndarray],
         friction: float,  # Coulomb's μ, above 0
-        # a contact at the first pose, without friction so far, in which the nodes stick from then
-        # on
+        # frictionless contact at the first pose, in which the nodes stick from then on
         start: RubberContact | None = None,
     ) -> Iterator[RubberContact]:
         """Equilibria with the object at poses, one after the other, until there is none.
 
-        Each pose follows from the one before, in steps of a quarter of an edge or less, for
-        sticking and sliding depend on the way. A node sticks from the end of the step in which it
-        was touched.
+        Each is solved from the one before, in steps of a quarter of an edge or less, as sticking
+        and sliding depend on the path. A node sticks from the end of the step in which it came into
+        contact.
 
         Raises InputError: μ is out of range, or a pose is no rigid transform in metres.
         """
@@ -120,21 +119,21 @@ class RubberForward:
         for each in poses:
             pose = checked_pose(each)
             if state is None:
-                state = self._begin(surface, pose, start)
-            state, contact = _moved(equilibrium, surface, state, pose)
+                state = self._initial(surface, pose, start)
+            state, contact = _advance(equilibrium, surface, state, pose)
             yield contact
-            if not contact.converged:  # what follows from it is not known
+            if not contact.converged:  # later poses depend on it
                 return
 
-    def _begin(
+    def _initial(
         self, surface: ObjectSurface, pose: np.ndarray, start: RubberContact | None
     ) -> State:
         nodes = self.mesh.nodes
         if start is None:
-            lifted = _lifted(pose, self._equilibrium.clear_of(surface, pose))
+            lifted = _lifted(pose, self._equilibrium.clearance(surface, pose))
             return State.free(nodes, np.zeros(len(nodes)), lifted)
         load = np.linalg.norm(start.nodal_force_n, axis=1)
-        return _stuck(State.free(nodes + start.displacement_3d_m, load, pose))
+        return _anchored(State.free(nodes + start.displacement_3d_m, load, pose))
 
 
 def checked_friction(friction: float) -> float:
@@ -151,44 +150,44 @@ def _lifted(pose: np.ndarray, height_m: float) -> np.ndarray:
     return lifted
 
 
-def _moved(
+def _advance(
     equilibrium: Equilibrium, surface: ObjectSurface, state: State, end: np.ndarray
 ) -> tuple[State, RubberContact]:
-    """Equilibrium at a pose, by way of others on the straight way, and what happened there."""
+    """State and contact at a pose, in steps along the straight path to it."""
     begin, vertices = state.pose, surface.obj.vertices
     turns = Slerp([0.0, 1.0], Rotation.from_matrix([begin[:3, :3], end[:3, :3]]))
     moved = end - begin
-    way = float(np.linalg.norm(vertices @ moved[:3, :3].T + moved[:3, 3], axis=1).max())
-    most = min(1.0, _STEP * equilibrium.mesh.edge_length / max(way, 1e-12))
-    done, step, count, slip, lost = 0.0, most, 0, np.zeros(len(state.x)), 0.0
+    path = float(np.linalg.norm(vertices @ moved[:3, :3].T + moved[:3, 3], axis=1).max())
+    most = min(1.0, _STEP * equilibrium.mesh.edge_length / max(path, 1e-12))
+    done, step, count, slip, dissipated = 0.0, most, 0, np.zeros(len(state.x)), 0.0
     while True:
-        ahead, pose = done + step, end
-        if ahead < 1.0 - 1e-9:
+        share, pose = done + step, end
+        if share < 1.0 - 1e-9:
             pose = np.eye(4)
-            pose[:3, :3] = turns(ahead).as_matrix()
-            pose[:3, 3] = (1.0 - ahead) * begin[:3, 3] + ahead * end[:3, 3]
-        solved = equilibrium.solve(surface, _carried(equilibrium, state, pose))
+            pose[:3, :3] = turns(share).as_matrix()
+            pose[:3, 3] = (1.0 - share) * begin[:3, 3] + share * end[:3, 3]
+        solved = equilibrium.solve(surface, _moved_along(equilibrium, state, pose))
         count += solved.factorisations
         law = solved.at.law
         assert law is not None
         if solved.accepted:
             slipped = np.linalg.norm(law.slip, axis=1)
             slip += slipped
-            lost += float(np.linalg.norm(law.pull, axis=1) @ slipped)
-            # anchors where nodes have slipped to, or were touched
+            dissipated += float(np.linalg.norm(law.pull, axis=1) @ slipped)
+            # anchors at the points that nodes slipped to, or came into contact with
             anchors = solved.at.state.anchors + law.slip @ pose[:3, :3]
-            state = _stuck(replace(solved.at.state, anchors=anchors, pull=law.pull))
-            done, step = min(ahead, 1.0), min(most, 2.0 * step)
+            state = _anchored(replace(solved.at.state, anchors=anchors, pull=law.pull))
+            done, step = min(share, 1.0), min(most, 2.0 * step)
         else:
             step *= 0.5
-        if (pose is end and solved.accepted) or step < _SHORTEST_STEP * most:
+        if (pose is end and solved.accepted) or step < _MIN_STEP * most:
             contact = equilibrium.contact(replace(solved, factorisations=count))
             slip = np.where(solved.at.state.load > 0.0, slip, 0.0)
-            return state, replace(contact, slip_m=slip, dissipated_j=lost)
+            return state, replace(contact, slip_m=slip, dissipated_j=dissipated)
 
 
-def _carried(equilibrium: Equilibrium, before: State, pose: np.ndarray) -> State:
-    """The state with the nodes that touch moved as the object."""
+def _moved_along(equilibrium: Equilibrium, before: State, pose: np.ndarray) -> State:
+    """The state with the touching nodes moved with the object."""
     x, turn = before.x.copy(), pose[:3, :3] @ before.pose[:3, :3].T
     moving = np.isin(np.arange(len(x)), equilibrium.membrane.moving)
     held = np.flatnonzero(np.isfinite(before.anchors[:, 0]) & moving)
@@ -196,8 +195,8 @@ def _carried(equilibrium: Equilibrium, before: State, pose: np.ndarray) -> State
     return replace(before, x=x, pull=before.pull @ turn.T, pose=pose)
 
 
-def _stuck(state: State) -> State:
-    """The state with anchors at all nodes that touch, and at no others."""
+def _anchored(state: State) -> State:
+    """The state with anchors at exactly the touching nodes."""
     fresh = (state.x - state.pose[:3, 3]) @ state.pose[:3, :3]
     anchors = np.where(np.isfinite(state.anchors), state.anchors, fresh)
     anchors[~(state.load > 0.0)] = np.nan
@@ -205,7 +204,7 @@ def _stuck(state: State) -> State:
 
 
 class Inflation:
-    """Equilibria of a membrane that nothing touches, under pressures of one's choice."""
+    """Equilibria of a membrane without contact under given pressures."""
 
     def __init__(
         self,
@@ -218,8 +217,8 @@ class Inflation:
     def at(self, pressure_pa: float, near: np.ndarray | None = None) -> np.ndarray:
         """Nodes (n, 3) in m under a gauge pressure.
 
-        Looked for from `near` or else from the reference surface, in steps of pressure that shrink
-        where they fail.
+        Solved from `near`, or else from the reference surface in steps of pressure that are
+        shortened on failure.
 
         Raises SolveError: no stable equilibrium: the pressure is beyond the membrane's limit.
         """
@@ -227,16 +226,16 @@ class Inflation:
         if found is not None:
             return found
         x, now = self.membrane.mesh.nodes, self.membrane.gauge_pressure_pa
-        left = step = pressure_pa - now
-        while abs(step) >= _SMALLEST_STEP * abs(pressure_pa) or step == left:
+        remaining = step = pressure_pa - now
+        while abs(step) >= _MIN_PRESSURE_STEP * abs(pressure_pa) or step == remaining:
             found = self._solve(now + step, x)
             if found is None:
                 step *= 0.5
                 continue
             x, now = found, now + step
-            if step == left:
+            if step == remaining:
                 return x
-            left = step = pressure_pa - now
+            remaining = step = pressure_pa - now
         raise SolveError(
             f"membrane: no equilibrium under {pressure_pa:.4g} Pa; it is beyond what this rubber"
             " can hold"

@@ -4,7 +4,7 @@ With K and g = ∂V/∂x of the rest at the reference surface, its border b and 
 
     S = K_bb − K_bf K_ff⁻¹ K_fb,   ĝ = g_b − K_bf K_ff⁻¹ g_f,   c = g_fᵀ K_ff⁻¹ g_f
 
-are its stiffness, and its change of volume by the border's motion and by the gas pressure.
+are its stiffness, and its volume change by motion of the border and by gas pressure.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from bubbleviz.membrane.sparse_factor import Factor, Factoriser
 
 
 class Tangent(NamedTuple):
-    """The factorised tangent at some nodes."""
+    """Factorised tangent at a shape."""
 
     factor: Factor
-    gas: np.ndarray  # (3f,), change of the volume by motions of the moving nodes, m²
-    stiffness: float  # fall of the gas pressure with it, Pa/m³
+    gas: np.ndarray  # (3f,), volume change by motion of the moving nodes, m²
+    stiffness: float  # −dp/dV of the gas, Pa/m³
     moving: np.ndarray  # (f,) int
 
     def moved(self, forces: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ class Tangent(NamedTuple):
 
 
 class Submodel:
-    """The membrane around one place.
+    """The membrane around one point.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Submodel:
         self._moving, self._gauge_pa = self._inner.moving, whole.gauge_pressure_pa
         self._rest_volume = self._inner.volume(self.mesh.nodes)
         self._border = np.zeros(0, int)
-        self._stiffness, self._gradient, self._give = np.zeros((0, 0)), np.zeros(0), 0.0
+        self._stiffness, self._gradient, self._compliance = np.zeros((0, 0)), np.zeros(0), 0.0
         if len(outside):
             self._condense(whole, outside)
         self._merge()
@@ -86,16 +86,16 @@ class Submodel:
         self._stiffness, self._gradient = K[b][:, b].toarray(), g[b]
         if not len(f):
             return
-        far = K[f][:, f].tocsc()
-        far.sort_indices()
+        interior = K[f][:, f].tocsc()
+        interior.sort_indices()
         right = np.column_stack([K[f][:, b].toarray(), g[f]])
-        back = right.T @ Factoriser(far).factor(far.data).solve(right)
+        back = right.T @ Factoriser(interior).factor(interior.data).solve(right)
         self._stiffness = self._stiffness - back[:-1, :-1]
         self._gradient = self._gradient - back[:-1, -1]
-        self._give = float(back[-1, -1])
+        self._compliance = float(back[-1, -1])
 
     def _merge(self) -> None:
-        """Pattern of the tangent inside and the dense S together."""
+        """Joint sparsity pattern of the tangent inside and the dense S."""
         own = self._inner.tangent(self.mesh.nodes, 0.0)
         size = own.shape[0]
         columns = np.repeat(np.arange(size), np.diff(own.indptr))
@@ -109,7 +109,7 @@ class Submodel:
         self._factoriser, self._entries = Factoriser(pattern), len(keys)
 
     def covers(self, center: np.ndarray, reach_m: float) -> bool:
-        """Whether all within some way of a place is inside."""
+        """Whether the part contains all within a distance of a point."""
         return float(np.linalg.norm(center - self._center)) + reach_m <= self._reach_m
 
     def linearised(
@@ -121,21 +121,21 @@ class Submodel:
         added: np.ndarray,
         gas: Gas | HeldPressure,
     ) -> tuple[Tangent, np.ndarray]:
-        """Tangent at nodes x (k, 3), and the forces (k, 3) that are missing for equilibrium."""
+        """Tangent at nodes x (k, 3), and the residual forces (k, 3)."""
         inner = self._inner
         border = (x - self.mesh.nodes)[self._moving].ravel()[self._border]
         growth = inner.volume(x) - self._rest_volume + float(self._gradient @ border)
-        change, weight = gas.at(growth, self._give)
-        missed = forces - inner.residual(x, self._gauge_pa + change)
+        change, weight = gas.at(growth, self._compliance)
+        residual = forces - inner.residual(x, self._gauge_pa + change)
         rest = np.zeros(3 * len(self._moving))
         rest[self._border] = self._stiffness @ border - change * self._gradient
-        missed[self._moving] -= rest.reshape(-1, 3)
+        residual[self._moving] -= rest.reshape(-1, 3)
         data = np.zeros(self._entries)
         data[self._inner_places] = inner.tangent(x, self._gauge_pa + change, added).data
         data[self._outer_places] += self._stiffness.T.ravel()
         gradient = inner.volume_gradient(x)[self._moving].ravel()
         gradient[self._border] += self._gradient
-        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), missed
+        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), residual
 
 
 def _rows(nodes: np.ndarray) -> np.ndarray:

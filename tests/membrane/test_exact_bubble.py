@@ -32,7 +32,7 @@ def film(contact, ball):
 
 @pytest.mark.parametrize("ball", [np.inf, BALL])
 @pytest.mark.parametrize("depth", [0.002, 0.010, pytest.param(0.025, marks=pytest.mark.long)])
-def test_force_is_what_the_rim_does_not_hold(ball, depth):
+def test_the_contact_force_balances_rim_and_gas(ball, depth):
     contact = pressed(depth, ball)
     dr, dz = np.diff(contact.profile_m[-3:], axis=0).T
     before, last = np.arctan2(-dz, dr)  # slopes at the middles of the last two chords

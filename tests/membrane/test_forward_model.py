@@ -93,7 +93,7 @@ def test_an_object_whose_normals_point_inward_bounds_the_same(mesh, name):
     np.testing.assert_allclose(same, finder.gaps(obj, at(z=H - 0.004)), atol=1e-12)
 
 
-def test_object_at_the_far_side_of_a_tall_dome_is_left_to_that_side():
+def test_an_object_at_the_opposite_side_of_a_tall_dome_bounds_only_that_side():
     tall = mesh_cap(spherical_cap(A, 1.6 * A), 800)
     radius = (1 + 1.6**2) / 3.2 * A
     ball = load_object("sphere")
@@ -133,7 +133,7 @@ def test_inward_is_a_node_s_own_as_far_as_halfway_through_the_chamber():
     assert (side < down)[inside].any() and (down < side)[inside].any()
 
 
-def test_object_beside_every_normal_line_bounds_nothing(mesh):
+def test_an_object_that_no_normal_line_meets_bounds_nothing(mesh):
     gap = GapFinder(mesh).gaps(load_object("sphere"), at(0.5, 0.0, -0.3))
     assert np.isinf(gap).all()
 
@@ -297,7 +297,7 @@ def test_sliver_meshes_reach_equilibrium(mesh):
 
 
 @pytest.mark.parametrize("seed", [268, 1165, 1244])
-def test_last_wrong_node_rule_ends_where_the_active_set_cycles(seed):
+def test_the_last_wrong_node_rule_terminates_where_the_active_set_cycles(seed):
     """Dense positive definite matrices, no M-matrices, on which exchanging all wrong cycles."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(3, 14))
@@ -346,7 +346,7 @@ def test_warm_start_changes_iterations_not_the_answer(mesh):
     assert warm_total < cold_total
 
 
-def test_gas_behind_a_membrane_that_is_held_everywhere(mesh):
+def test_gas_behind_a_membrane_that_is_fixed_everywhere(mesh):
     """Nothing gives way: p_v is Boyle's law at the volume that the bound leaves."""
     gas = gas_of(mesh, chamber=1e-4)
     model = ForwardModel(mesh, TENSION, gas)

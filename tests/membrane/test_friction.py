@@ -166,7 +166,7 @@ def test_a_plate_that_sticks_to_a_pressed_dome_twists_its_free_part():
     assert force(turned)[2] == pytest.approx(force(start)[2], rel=2e-3)
 
 
-def test_without_friction_it_is_the_press_that_was():
+def test_without_friction_the_press_does_not_change():
     membrane, gas = dome(300)
     poses = [pose(0.003, 0.0, H - depth) for depth in (0.002, 0.004, 0.006)]
     free = RubberForward(membrane, gas).press(made("puck"), poses[-1])

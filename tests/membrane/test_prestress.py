@@ -209,7 +209,7 @@ def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration(pun
     assert varied_rubber(told, mesh, tension)[1].gauge_pressure_pa == pytest.approx(raised)
 
 
-def test_what_is_varied_has_the_stress_that_its_own_surface_and_pressure_ask_for():
+def test_a_varied_membrane_has_the_stress_of_its_own_surface_and_pressure():
     """Found once and handed on, it is that of each variant found anew; without λ there is none."""
     sensor = load_sensor("punyo_oval_d405")
     mesh = build_mesh(sensor, 300)

@@ -66,7 +66,7 @@ def test_tangent_is_the_derivative_of_the_residual(mesh, prestretch, slack, kind
 
 
 @pytest.mark.parametrize("prestretch", [1.1, None])
-def test_turning_and_moving_changes_nothing(mesh, prestretch):
+def test_energy_is_invariant_to_rigid_motion(mesh, prestretch):
     membrane = RubberMembrane.uniform(mesh, GAUGE, TENSION, prestretch)
     x = mesh.nodes + moved(mesh, membrane, 1e-3, 6)
     R = Rotation.from_rotvec([0.4, -0.3, 1.0]).as_matrix()
@@ -150,7 +150,7 @@ def test_sprung_rim_gives_the_slack_under_the_tension():
     ("tension", "prestretch", "said"),
     [(76.0, 1.0, "prestretch"), (76.0, np.nan, "prestretch"), (0.0, 1.2, "tension")],
 )
-def test_what_is_no_membrane_is_refused(mesh, tension, prestretch, said):
+def test_invalid_material_parameters_are_refused(mesh, tension, prestretch, said):
     with pytest.raises(InputError, match=said):
         RubberMembrane.uniform(mesh, GAUGE, tension, prestretch)
 

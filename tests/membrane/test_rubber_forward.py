@@ -258,7 +258,7 @@ def test_a_press_takes_few_factorisations():
     assert count < 75
 
 
-def test_where_the_linear_model_leads_astray_the_object_moves_in_from_outside():
+def test_if_the_linear_model_fails_the_object_moves_in_from_outside():
     """A ring deep in at the side: no Newton from the linear equilibrium gets there."""
     model = forward(200, 1.5)
     assert_equilibrium(model.press(load_object("torus"), pose(0.02, 0.0, H - 0.012)))
@@ -271,7 +271,7 @@ def test_no_object_no_change():
     assert contact.iterations == 0
 
 
-def test_where_the_object_was_before_does_not_matter():
+def test_a_press_does_not_depend_on_earlier_poses():
     obj, model = load_object("cylinder"), forward(300, 1.2)
     poses = [pose(0.004, 0.0, H - d) for d in (0.002, 0.005, 0.008)]
     there = [model.press(obj, pose) for pose in poses]

@@ -63,7 +63,7 @@ def test_products_and_shifts(matrix):
     np.testing.assert_allclose(dense(matrix, blocks.shifted(matrix.data, SHIFT)), expected)
 
 
-def test_held_nodes_move_across_their_normals_alone(matrix):
+def test_constrained_nodes_move_only_across_their_normals(matrix):
     K, rng = matrix.toarray(), np.random.default_rng(3)
     nodes = np.array([2, 7, 11])
     normals = rng.standard_normal((3, 3))
