@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from bubbleviz.camera import IMAGE_ERRORS
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
 from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, estimator, pressed, seen
 
 ROWS, COLUMNS = np.indices((CAMERA.intrinsics.height, CAMERA.intrinsics.width))
@@ -113,3 +115,20 @@ def test_one_bad_pixel_changes_nothing(solver, value_m, right_m):
     assert np.linalg.norm(estimate.force_n - usual.force_n) < 0.01 * size
     touching = estimate.contact_pressure_pa > 0.0
     assert np.count_nonzero(touching != (usual.contact_pressure_pa > 0.0)) <= 1
+
+
+def test_an_image_of_no_membrane_is_refused_after_a_few_steps(monkeypatch):
+    """Each step costs a new tangent, and as many responses as nodes are selected."""
+    pipeline, count = Pipeline.of(load_sensor("punyo_oval_d405")), 0
+    bubble = pipeline.estimator.bubble
+    linearised, size = bubble.linearised, (480, 640)
+
+    def counted(*given):
+        nonlocal count
+        count += 1
+        return linearised(*given)
+
+    monkeypatch.setattr(bubble, "linearised", counted)
+    estimate, _ = pipeline.estimator.estimate(np.full(size, 0.06, np.float32))
+    assert estimate.status == "implausible"
+    assert count <= 8
