@@ -79,9 +79,8 @@ IMAGE_ERRORS = ("offset", "tilt to the right", "tilt downwards", "scale")
 in m; offsets that grow with the tangent of the angle off the optical axis, in m; and a share of the
 depth."""
 
-_HUBER = (
-    1.345  # residual in σ beyond which a pixel has less weight: 95 % efficient on Gaussian noise
-)
+_HUBER = 1.345
+"""Residual in σ beyond which a pixel has less weight: 95 % efficient on Gaussian noise."""
 
 _OUTLIER, _OUTLIER_SHARE = 4.0, 1e-3
 """Outliers: Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise. Nor is

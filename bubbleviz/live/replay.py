@@ -152,7 +152,9 @@ class SyntheticLive(LiveSource):
 
 
 class FramesLive(LiveSource):
-    """Streams frames as they come, stamped with the time of their arrival where they have none."""
+    """Streams frames as they come; those without a stamp get the time of their arrival."""
+
+    closing_s = 2.0  # chosen: the thread may be waiting for the next frame
 
     def __init__(
         self,

@@ -34,8 +34,8 @@ _IN_A_FOLDER = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
 """Suffix of the file of such a kind in a folder with others."""
 
 _SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
-_DATASETS = {"lerobot": LeRobotDataset}
-KINDS = ("table", "parquet", "plots", *_DATASETS, *SERIES)
+_SEVERAL_FILES: dict[str, Callable[..., Exporter]] = {"lerobot": LeRobotDataset, **SERIES}
+KINDS = (*_IN_A_FOLDER, *_SEVERAL_FILES)
 _SEVERAL = {"png": ("depth", "pressure")}
 
 
@@ -102,7 +102,7 @@ class ExportPlan:
             if kind in _IN_A_FOLDER:
                 made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}", pipeline))
             else:
-                made.append({**SERIES, **_DATASETS}[kind](at, name, pipeline.model))
+                made.append(_SEVERAL_FILES[kind](at, name, pipeline.model))
         return made
 
     def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:

@@ -42,7 +42,7 @@ class LeRobotDataset(Exporter):
         row, estimate = summary_row(result), result.trusted_estimate
         nodes, torque_nm = np.full(3 * len(self._model.mesh.nodes), np.nan), row["torque_nm"]
         if estimate is not None:
-            torque_nm = np.nan_to_num(torque_nm)  # not known of no contact, but it has none
+            torque_nm = np.nan_to_num(torque_nm)  # NaN without contact, where it is 0
         if estimate is not None and estimate.nodal_force_n is not None:
             nodes = estimate.nodal_force_n.ravel()
         self._rows.append(
@@ -132,12 +132,12 @@ def _feature(name: str, values: np.ndarray) -> dict[str, Any]:
 
 
 def _stats(values: np.ndarray) -> dict[str, Any]:
-    """Of the frames that tell a value; NaN where none does is 0, as JSON has none."""
+    """Statistics over the frames in which a value is known; 0 if in none: JSON has no NaN."""
     rows = values.reshape(len(values), -1).astype(float)
-    told = rows[np.isfinite(rows).all(axis=1)]
-    rows = told if len(told) else np.zeros((1, rows.shape[1]))
+    known = rows[np.isfinite(rows).all(axis=1)]
+    rows = known if len(known) else np.zeros((1, rows.shape[1]))
     found = {"min": rows.min(0), "max": rows.max(0), "mean": rows.mean(0), "std": rows.std(0)}
-    return {**{name: each.tolist() for name, each in found.items()}, "count": [len(told)]}
+    return {**{name: each.tolist() for name, each in found.items()}, "count": [len(known)]}
 
 
 def _stored(values: np.ndarray) -> Any:

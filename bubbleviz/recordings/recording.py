@@ -291,13 +291,17 @@ def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
     return VALUES[kind](messages.message(k))
 
 
+_ROS_SUFFIXES = {"", ".mcap", ".db3", ".bag", ".yaml"}
+"""No plug-in is looked for where a recording has one of these: that takes some 10 ms."""
+
+
 def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
     """Open a recording of ROS, or of a format that a plug-in reads.
 
     Parameters
     ----------
     path : path
-        A plug-in is asked where it has the suffix of one.
+        A plug-in reads it if its suffix is not one of ROS and a plug-in has that suffix.
     **topics : str or None
         Of `Recording`.
 
@@ -307,7 +311,8 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
         It cannot be opened, or a topic was chosen of a format without topics.
     """
     path = Path(path)
-    read = plugin("readers", path.suffix.removeprefix(".").lower()) if path.suffix else None
+    suffix = path.suffix.lower()
+    read = None if suffix in _ROS_SUFFIXES else plugin("readers", suffix.removeprefix("."))
     if read is None:
         return Recording(path, **topics)
     if chosen := next(filter(None, topics.values()), None):
@@ -318,7 +323,7 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
         opened: FrameSource = read(path)
     except InputError:
         raise
-    except Exception as error:  # whatever a plug-in raises of a file that is not as it should be
+    except Exception as error:  # a plug-in may raise anything
         raise InputError(f"{path}: the plug-in that reads this format failed: {error}") from error
     return opened
 

@@ -71,6 +71,12 @@ def test_a_source_of_a_package(lab):
     assert " N" in done.stdout
 
 
+def test_a_source_that_waits_for_its_next_frame_can_be_stopped(lab):
+    words = "watch --source lab:press.npy?rate=0.001 --sensor small.toml --duration 1"
+    done = bubbleviz(lab, *words.split())  # the next frame comes in 1,000 s, after the time-out
+    assert done.returncode == 0, done.stderr
+
+
 def test_errors_are_one_sentence(lab):
     (lab / "bad.npy").write_bytes(b"no array")
     estimate = "estimate --sensor small.toml --out other.npz"
