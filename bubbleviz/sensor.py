@@ -199,6 +199,23 @@ MEASURED = {
 """What `Calibration` tells of a value, by the value's key."""
 
 
+def contradiction(sensor: Sensor) -> str:
+    """Sentence on a value outside the interval of the file's own calibration; else empty."""
+    for key, (name, *_) in MEASURED.items():
+        section, value_name = key.split(".")
+        value = getattr(getattr(sensor, section), value_name)
+        interval = None if sensor.calibration is None else getattr(sensor.calibration, name)
+        if value is None or interval is None:
+            continue
+        if not interval[0] <= value <= interval[1]:
+            return (
+                f"{value_name} = {value:g} in the sensor file is outside the interval of its "
+                f"calibration, {interval[0]:g} to {interval[1]:g}; correct the value or identify "
+                "the sensor again"
+            )
+    return ""
+
+
 def edited(
     sensor: Sensor,
     # by key, such as `pneumatics.gauge_pressure_pa`; None: absent from the file

@@ -195,8 +195,7 @@ def estimate(
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, seen)
-        warnings = frame_solver.gas_warning("recording"), _camera_warning(pipeline), equal.warning
-        _end(run, chosen, frame_solver, *warnings)
+        _end(run, chosen, frame_solver, frame_solver.sensor_warning("recording"), equal.warning)
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -411,21 +410,6 @@ def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
     source = frames.source
     return watch_recorded_texture(
         pipeline, source, lambda: find_contact_free(source).frames, friction
-    )
-
-
-def _camera_warning(pipeline: Pipeline) -> str:
-    """Warning where the intrinsics differ from the calibrated ones by more than the noise."""
-    model, moved = pipeline.model, pipeline.model.camera_change_m
-    if model.pixels is None or moved == 0.0:
-        return ""
-    weight = pipeline.estimator.observer.observe_everything().weight
-    if moved < 1.0 / np.sqrt(np.median(weight[weight > 0.0])):
-        return ""
-    there, own = model.camera.intrinsics.fx, model.sensor.camera.fx
-    return (
-        f"the recording's camera info has fx = {there:.1f} pixels but the sensor file {own:.1f}, "
-        f"which shifts depth by {1e3 * moved:.2f} mm; choose the sensor file of this camera"
     )
 
 

@@ -25,7 +25,7 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame, FrameSource, gas_warning, has_returns, metres
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
-from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
+from bubbleviz.sensor import Sensor, contradiction, load_sensor, with_colour_delay
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
@@ -292,12 +292,15 @@ class FrameSolver:
             "corrected for that. Let the camera warm up, or identify the sensor again"
         )
 
-    def gas_warning(self, where: str) -> str:
-        """Warning if the gas pressure does not fit this sensor; else empty."""
+    def sensor_warning(self, where: str) -> str:
+        """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
         known_pa = self.pipeline.model.gas.P0
         if self.zero is None or self.zero.rest_pa is None:
-            return gas_warning(self._measured_pa, known_pa, f"in the {where}")
-        return gas_warning(self.zero.rest_pa, known_pa, f"without contact in the {where}")
+            gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
+        else:
+            gas = gas_warning(self.zero.rest_pa, known_pa, f"without contact in the {where}")
+        file = contradiction(self.pipeline.model.sensor)
+        return "; ".join(filter(None, (file, gas, _camera_warning(self.pipeline, where))))
 
 
 def patch_options(kappa: float | None) -> FrameOptions:
@@ -323,3 +326,18 @@ def solved(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> I
     for done, index in enumerate(frames.chosen, 1):
         yield solver.solve(frames.source[index])
         progress("solving", done / len(frames))
+
+
+def _camera_warning(pipeline: Pipeline, where: str) -> str:
+    """Warning where the intrinsics differ from the calibrated ones by more than the noise."""
+    model, moved = pipeline.model, pipeline.model.camera_change_m
+    if model.pixels is None or moved == 0.0:
+        return ""
+    weight = pipeline.estimator.observer.observe_everything().weight
+    if moved < 1.0 / np.sqrt(np.median(weight[weight > 0.0])):
+        return ""
+    there, own = model.camera.intrinsics.fx, model.sensor.camera.fx
+    return (
+        f"the {where}'s camera info has fx = {there:.1f} pixels but the sensor file {own:.1f}, "
+        f"which shifts depth by {1e3 * moved:.2f} mm; choose the sensor file of this camera"
+    )

@@ -233,7 +233,7 @@ def _watch(
     if shear is not None and texture is not None:
         shear.reference = texture.words
     solver = watcher.solver
-    warnings = solver.gas_warning("source"), solver.drift_warning(), stream.frozen
+    warnings = solver.sensor_warning("source"), solver.drift_warning(), stream.frozen
     return WatchSummary(
         frames=statuses.total(),
         status=dict(statuses),

@@ -31,7 +31,7 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, contradiction
 from bubbleviz.simulation import truth_of
 from bubbleviz_ui.engine.source import NOTHING, Source
 from bubbleviz_ui.engine.worker import Deferred
@@ -394,7 +394,8 @@ def _facts(session: Session, sensor: Sensor, measured_pa: float | None) -> Sourc
     """What the window says about a source that was opened."""
     opened, source, zero = session.opened, session.source, session.zero
     stream, recording = opened.stream, session.recording
-    remarks = [str(getattr(source, "remark", ""))]  # recordings have one
+    # recordings have a remark
+    remarks = [str(getattr(source, "remark", "")), contradiction(sensor)]
     if stream is None:  # else its zero tells, once it is known
         remarks.append(gas_warning(measured_pa, session.pipeline.model.gas.P0))
         remarks.append(_told(zero))

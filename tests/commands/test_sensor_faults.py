@@ -1,0 +1,164 @@
+"""Errors of pressure, depth and camera in the recording of the real press, by the command alone.
+
+A frame must be refused, warned of, or have the force of the undisturbed recording in its interval.
+"""
+
+import csv
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from bubbleviz.cli.command_line import main
+
+PRESETS = Path(__file__).parents[2] / "presets" / "sensors"
+ROWS, COLUMNS, DENT = 480, 640, (259, 289)
+"""Size of the images, and the pixel (u, v) of the press."""
+FOCAL_LENGTHS = (132, 164, 276, 316)
+"""Where a camera info has fx, fy, fx, fy."""
+STEP = 3
+"""Of so many frames one is kept."""
+
+
+def rewritten(source, target, change):
+    """Copy an MCAP file; `change(topic, data, k)` edits the k-th message of a topic."""
+    counts, channels = {}, {}
+    with next(source.glob("*.mcap")).open("rb") as file, target.open("wb") as out:
+        writer = Writer(out)
+        writer.start(profile="ros2")
+        for schema, channel, message in make_reader(file).iter_messages():
+            k = counts[channel.topic] = counts.get(channel.topic, -1) + 1
+            if channel.topic.endswith("image_rect_raw") and k % STEP:
+                continue
+            if channel.id not in channels:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                named = (channel.topic, channel.message_encoding, known, channel.metadata)
+                channels[channel.id] = writer.register_channel(*named)
+            data = bytearray(message.data)
+            change(channel.topic, data, k)
+            times = (message.log_time, bytes(data), message.publish_time, message.sequence)
+            writer.add_message(channels[channel.id], *times)
+        writer.finish()
+    return target
+
+
+def depth(change):
+    def edit(topic, data, k):
+        if topic.endswith("image_rect_raw"):
+            image = np.frombuffer(data, "<f4", offset=len(data) - 4 * ROWS * COLUMNS)
+            image = image.reshape(ROWS, COLUMNS)
+            image[:] = change(image.copy(), k)
+
+    return edit
+
+
+def pressure(shift_pa):
+    def edit(topic, data, _):
+        if topic.endswith("/pressure"):
+            (value,) = struct.unpack_from("<d", data, len(data) - 16)
+            struct.pack_into("<d", data, len(data) - 16, value + shift_pa)
+
+    return edit
+
+
+def focal_length(share):
+    def edit(topic, data, _):
+        for at in FOCAL_LENGTHS if topic.endswith("camera_info") else ():
+            (value,) = struct.unpack_from("<d", data, at)
+            struct.pack_into("<d", data, at, value * share)
+
+    return edit
+
+
+def with_hole(size):
+    (u, v), half = DENT, size // 2
+
+    def change(image, _):
+        image[v - half : v + half, u - half : u + half] = 0.0
+        return image
+
+    return depth(change)
+
+
+def with_pixel(depth_m):
+    def change(image, k):
+        image[(37 * k) % ROWS, (101 * k) % COLUMNS] = depth_m
+        return image
+
+    return depth(change)
+
+
+def drift(image, k):
+    return np.where(image > 0.0, image - np.float32(0.5e-3 * min(k, 59) / 59), 0.0)
+
+
+def estimated(recording, folder, sensor="punyo_oval_d405"):
+    """Status, force, σ of each frame and what stderr says."""
+    table = folder / f"{recording.stem}.csv"
+    words = ("estimate", recording, "--sensor", sensor, "--out", table.with_suffix(".npz"))
+    done = CliRunner().invoke(main, [*map(str, words), "--csv", str(table)])
+    assert done.exit_code in (0, 2), done.output
+    if done.exit_code:
+        return [], np.zeros((0, 3)), np.zeros((0, 3)), done.stderr
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    force, sigma = (
+        np.array([[float(row[f"{name}_{axis}_n"] or "nan") for axis in "xyz"] for row in rows])
+        for name in ("force", "force_sigma")
+    )
+    return [row["status"] for row in rows], force, sigma, done.stderr
+
+
+@pytest.fixture(scope="module")
+def undisturbed(punyo_press, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed")
+    copy = rewritten(punyo_press, folder / "copy.mcap", lambda *_: None)
+    statuses, force, _, warnings = estimated(copy, folder)
+    assert set(statuses) == {"no_contact", "ok"} and not warnings
+    return force
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *(pytest.param(pressure(pa), id=f"pressure {pa:+} Pa") for pa in (300, 1000, 3000, -1000)),
+        pytest.param(depth(drift), id="depth drifts by 0.5 mm"),
+        pytest.param(depth(lambda image, _: image * np.float32(0.995)), id="depth × 0.995"),
+        pytest.param(focal_length(1.02), id="focal lengths × 1.02"),
+        pytest.param(depth(lambda image, _: image[::-1, ::-1]), id="turned by 180°"),
+        pytest.param(with_hole(16), id="hole of 16 pixels at the press"),
+        pytest.param(with_pixel(10.0), id="one pixel at 10 m"),
+        pytest.param(with_pixel(0.02), id="one pixel at 20 mm"),
+    ],
+)
+def test_no_wrong_force_is_ok(punyo_press, undisturbed, tmp_path, change):
+    recording = rewritten(punyo_press, tmp_path / "changed.mcap", change)
+    statuses, force, sigma, warnings = estimated(recording, tmp_path)
+    if warnings:
+        return
+    solved = np.isin(statuses, ["ok", "no_contact"])
+    limit = 3.0 * sigma + 0.02  # some thirty components are compared
+    wrong = solved & (np.abs(force - undisturbed) > limit).any(axis=1)
+    assert not wrong.any(), np.c_[force, undisturbed, sigma][wrong]
+
+
+def test_a_bad_pixel_loses_no_frame(punyo_press, undisturbed, tmp_path):
+    recording = rewritten(punyo_press, tmp_path / "changed.mcap", with_pixel(10.0))
+    statuses, *_ = estimated(recording, tmp_path)
+    assert statuses == ["ok" if touched else "no_contact" for touched in undisturbed.any(axis=1)]
+
+
+def test_a_tension_outside_its_interval_is_refused_or_warned_of(punyo_press, tmp_path):
+    shutil.copytree(PRESETS, tmp_path / "sensors")
+    sensor = tmp_path / "sensors" / "punyo_oval_d405.toml"
+    text = sensor.read_text(encoding="utf-8")
+    assert "tension_n_per_m = 219.285" in text
+    sensor.write_text(text.replace("= 219.285", "= 21.9285"), encoding="utf-8")
+    recording = rewritten(punyo_press, tmp_path / "copy.mcap", lambda *_: None)
+    *_, warnings = estimated(recording, tmp_path, sensor)
+    assert "tension_n_per_m = 21.9285 in the sensor file is outside the interval" in warnings
