@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bubbleviz.errors import InputError
+from bubbleviz.files import refuse_existing
 from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.recordings import (
     MARKERS,
     STRING,
+    Kept,
     McapFile,
     Message,
     are_static_poses,
@@ -91,7 +93,7 @@ class Recorder:
         session.put(message)
 
     def start(self, path: str | Path) -> None:
-        """Begin to write, with the pre-roll.
+        """Begin to write, with the pre-roll: the file is made when the first message arrives.
 
         Raises InputError: the path exists or cannot be written, or something is being recorded
         already.
@@ -99,8 +101,8 @@ class Recorder:
         with self._lock:
             if self._session is not None:
                 raise InputError(f"{path}: something is being recorded already; stop it first")
-            file = McapFile(path, compression="lz4")
-            session = _Session(file, tuple(self._static.values()))
+            refuse_existing(path)
+            session = _Session(Path(path), tuple(self._static.values()))
             for message in self._before:
                 session.put(message)
             self._before.clear()
@@ -146,8 +148,9 @@ class _Session:
     The messages `before`, however old, are logged with the first one.
     """
 
-    def __init__(self, file: McapFile, before: tuple[Message, ...]) -> None:
-        self._file = file
+    def __init__(self, path: Path, before: tuple[Message, ...]) -> None:
+        self._path = path
+        self._file: McapFile | None = None
         self._queue: deque[Message] = deque()
         self._before = before
         self._bytes = sum(len(message.payload) for message in before)
@@ -178,32 +181,29 @@ class _Session:
 
     def status(self) -> RecorderStatus:
         with self._changed:
-            return RecorderStatus(
-                self._file.path,
-                self._file.count,
-                self._bytes,
-                self._most,
-                self._stalls,
-                self._file.synced_bytes,
-                self._problem,
-            )
+            file = self._file
+            count, synced = (0, 0) if file is None else (file.count, file.synced_bytes)
+            queue = self._bytes, self._most, self._stalls
+            return RecorderStatus(self._path, count, *queue, synced, self._problem)
 
     def _run(self) -> None:
         try:
             self._write_all()
-            self._file.close() if self._file.count else self._file.discard()
+            if self._file is not None:
+                self._file.close()
         except (OSError, InputError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             with self._changed:
-                self._problem = f"{self._file.path}: recording ended ({reason}); {self._left()}"
+                self._problem = f"{self._path}: recording ended ({reason}); {self._left()}"
                 self._queue.clear()
                 self._bytes = 0
                 self._changed.notify_all()
-            self._file.abandon()
+            if self._file is not None:
+                self._file.abandon()
 
     def _left(self) -> str:
         """What the file has in spite of a failed write, in words."""
-        kept = self._file.kept
+        kept = Kept() if self._file is None else self._file.kept
         if not kept.messages:
             return "nothing was saved, as less than 1 MB of disk space was free"
         return (
@@ -216,17 +216,18 @@ class _Session:
         while True:
             messages, ending = self._take(SYNC_S / 2)
             for message in self._with_before(messages):
-                self._file.write(message, message.arrival_ns)
+                file = self._file = self._file or McapFile(self._path, compression="lz4")
+                file.write(message, message.arrival_ns)
                 unflushed += len(message.payload)
                 if unflushed >= FLUSH_BYTES:
-                    self._file.flush()
+                    file.flush()
                     unflushed = 0
                 with self._changed:
                     self._bytes -= len(message.payload)
                     self._changed.notify_all()
             if ending and not messages:
                 return
-            if time.monotonic() - synced >= SYNC_S:
+            if self._file is not None and time.monotonic() - synced >= SYNC_S:
                 self._file.sync()
                 synced = time.monotonic()
 

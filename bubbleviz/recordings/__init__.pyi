@@ -68,7 +68,10 @@ from .image_folder import (
     read_times as read_times,
     read_wrench as read_wrench,
 )
-from .mcap_file import McapFile as McapFile
+from .mcap_file import (
+    Kept as Kept,
+    McapFile as McapFile,
+)
 from .message_decoding import (
     COMPRESSED as COMPRESSED,
     decode_cloud as decode_cloud,
