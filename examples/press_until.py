@@ -13,8 +13,6 @@ from __future__ import annotations
 import sys
 from typing import Protocol
 
-import numpy as np
-
 import bubbleviz as bv
 from bubbleviz.api.results import FrameResult
 from bubbleviz.live import LiveStream
@@ -56,7 +54,7 @@ def press_until(stream: LiveStream, robot: Robot, force_n: float) -> FrameResult
     try:
         for last in bv.estimate(stream):
             known = last.status in ("ok", "no_contact")
-            if not known or np.linalg.norm(last.force_n) >= force_n:
+            if not known or last.force_magnitude_n >= force_n:
                 break
             if last.age_s < LATEST_S:
                 robot.move(SPEED_M_PER_S, VALID_S)

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import EllipsisType
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
@@ -18,7 +19,6 @@ from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz.live import STOPPED_AFTER_S
 from bubbleviz.pipeline import OF_OBJECT, SHEAR, Pipeline, Product
 from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.progress import Progress, quiet
@@ -55,7 +55,7 @@ class Solving(TypedDict, total=False):
     zero_gas: bool
     out: str | Path | None
     overwrite: bool
-    timeout_s: float | None
+    timeout_s: float | EllipsisType | None
     progress: Progress
 
 
@@ -99,7 +99,7 @@ def estimate(
     out: str | Path | None = None,
     csv: str | Path | None = None,
     overwrite: bool = False,
-    timeout_s: float | None = STOPPED_AFTER_S,
+    timeout_s: float | EllipsisType | None = ...,
     progress: Progress = quiet,
 ) -> FrameResult | Run | Iterator[FrameResult]:
     """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
@@ -135,7 +135,7 @@ def estimate(
     overwrite : bool
         Replace existing files.
     timeout_s : float, optional
-        Longest wait for a frame of a stream, s; None waits for ever.
+        Longest wait for a frame of a stream, s, by default that of `connect`; None waits for ever.
     progress : Progress
 
     Returns
@@ -256,7 +256,7 @@ def track(
     object_patch: bool = False,
     out: str | Path | None = None,
     overwrite: bool = False,
-    timeout_s: float | None = STOPPED_AFTER_S,
+    timeout_s: float | EllipsisType | None = ...,
     progress: Progress = quiet,
 ) -> Run | Iterator[FrameResult]:
     """Follow a known object through frames, as `bubbleviz pose` does.
@@ -353,7 +353,7 @@ def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
 def _watched(
     stream: LiveStream,
     sensor: SensorName,
-    timeout_s: float | None,
+    timeout_s: float | EllipsisType | None,
     *files: str | Path | None,
     **how: Any,
 ) -> Iterator[FrameResult]:
@@ -363,7 +363,8 @@ def _watched(
     for path in filter(None, files):
         raise InputError(f"{path}: estimate of a stream writes no files; use watch(source, out=…)")
     own = stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
-    return Watcher.on(stream, own, **how).results(timeout_s)
+    patience_s = stream.timeout_s if isinstance(timeout_s, EllipsisType) else timeout_s
+    return Watcher.on(stream, own, **how).results(patience_s)
 
 
 def _begun(

@@ -219,7 +219,7 @@ def _discard(temporary: Path) -> None:
 
 
 def _exists(path: Path) -> InputError:
-    return InputError(f"{path}: exists already; choose another name or delete it first")
+    return InputError(f"{path}: exists already; choose another name, or allow overwriting")
 
 
 def cannot_write(path: Path, error: Exception) -> InputError:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
+from zenoh.handlers import Callback
 
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic
@@ -74,6 +76,8 @@ class ZenohSource(LiveSource):
         self._counts: dict[tuple[bytes, str], int] = {}
         self._gate = threading.Lock()  # held while delivering, which may wait for a disk
         self._watchers: list[Any] = []
+        self._callbacks = 0  # each runs in a thread of Zenoh's
+        self._ended: queue.SimpleQueue[threading.Thread] = queue.SimpleQueue()
         self._deliver: Deliver | None = None
 
     def start(self, deliver: Deliver) -> None:
@@ -129,7 +133,8 @@ class ZenohSource(LiveSource):
             self._subscribe_to_wanted()
             liveliness = self._session.liveliness()
             self._watchers = [
-                liveliness.declare_subscriber(key, self._on_token, history=True) for key in TOKENS
+                liveliness.declare_subscriber(key, self._callback(self._on_token), history=True)
+                for key in TOKENS
             ]
             while self._wait_until(time.monotonic() + LOOK_S):
                 while not self._tokens.empty():
@@ -144,6 +149,20 @@ class ZenohSource(LiveSource):
                         why, looked = self._look_why(why), time.monotonic()
         finally:
             self._session.close()
+            self._join_callbacks()
+
+    def _callback(self, function: Callable[[Any], None]) -> Callback[Any]:
+        self._callbacks += 1
+        return Callback(function, lambda: self._ended.put(threading.current_thread()))
+
+    def _join_callbacks(self) -> None:
+        """Wait for Zenoh's threads: one that ends while Python exits aborts the process."""
+        deadline = time.monotonic() + self.closing_s
+        for _ in range(self._callbacks):
+            try:
+                self._ended.get(timeout=max(deadline - time.monotonic(), 0.0)).join()
+            except queue.Empty:
+                return
 
     def _look_why(self, before: str) -> str:
         """Why the session is not back, once two checks agree: it may just be returning."""
@@ -204,9 +223,7 @@ class ZenohSource(LiveSource):
         key = subscription(announced.topic, announced.layout, self._domain)
         self._subscribers[place] = (announced.type, None)  # refused ones are not tried again
 
-        def receive(sample: Any) -> None:
-            self._on_sample(sample, announced)
-
+        receive = self._callback(lambda sample: self._on_sample(sample, announced))
         try:
             if are_static_poses(announced.topic, announced.type):  # sent once, perhaps long ago
                 history = HistoryConfig(detect_late_publishers=True)
@@ -216,6 +233,7 @@ class ZenohSource(LiveSource):
             else:
                 subscriber = self._session.declare_subscriber(key, receive)
         except zenoh.ZError:  # a name that Zenoh does not take is one of no sensor
+            self._callbacks -= 1
             return
         self._subscribers[place] = (announced.type, subscriber)
 

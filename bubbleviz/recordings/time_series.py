@@ -166,7 +166,8 @@ class StampClock:
         step = stamp_ns - last.stamp
         if step == 0:
             return Judged("duplicate", stamp_ns)
-        if -REORDERED_NS < step < 0:
+        late = arrival_ns - last.arrival < REORDERED_NS  # else it is a clock that was set back
+        if -REORDERED_NS < step < 0 and late:
             return Judged("out_of_order", stamp_ns)
         if stamp_ns > 0 and _follows(stamp_ns, arrival_ns, last):
             return self._accept("ok", stamp_ns, arrival_ns)

@@ -146,6 +146,16 @@ def test_a_clock_that_was_set_is_followed_after_three_frames():
     assert found[-1].time_s == pytest.approx(4 * PERIOD * 1e-9)
 
 
+def test_a_short_loop_that_repeats_its_stamps_is_followed():
+    """From its last frame on, every other one is older for as long as it lasts."""
+    assembler = FrameAssembler()
+    sent = [
+        depth(NOW + (k % 20) * PERIOD, k, arrival=NOW + k * PERIOD + 1_000_000)
+        for k in range(19, 219)
+    ]
+    assert len(frames_of(assembler, *sent)) > 40
+
+
 def test_wrong_sizes_types_and_bytes_are_told_apart():
     assembler = FrameAssembler(size=(WIDTH, HEIGHT))
     stamps = [NOW + k * PERIOD for k in range(8)]

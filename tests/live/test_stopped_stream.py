@@ -1,6 +1,7 @@
 """A stream whose camera dies ends with one clear error; `watch` says so and waits."""
 
 import json
+import threading
 import time
 from dataclasses import replace
 
@@ -69,9 +70,17 @@ def test_who_is_patient_gets_the_frames_after_the_gap(timeout_s, gaps, sensor):
     assert times_s[-1] > 2.0 * GAP_S and stream.ended
 
 
+def test_estimate_waits_as_long_as_its_connection(gaps, sensor):
+    with bv.connect(f"replay:{gaps}", sensor, timeout_s=2.0 * GAP_S) as stream:
+        assert [found.time_s for found in bv.estimate(stream)][-1] > 2.0 * GAP_S
+
+
 def test_a_robot_that_is_killed_ends_the_loop(sensor):
-    """Until then every result has the time of its image, and after it its age grows."""
-    port = free_port()
+    """Until then every result has the time of its image, and after it its age grows.
+
+    No thread of Zenoh's outlives the stream: one that ended while Python exits would abort it.
+    """
+    port, threads = free_port(), set(threading.enumerate())
     with (
         robot(port) as process,
         bv.connect(f"zenoh:tcp/127.0.0.1:{port}", of_robot(sensor)) as stream,
@@ -86,6 +95,7 @@ def test_a_robot_that_is_killed_ends_the_loop(sensor):
             if count == 3:
                 process.kill()
     assert found.age_s > age_s + 0.5
+    assert set(threading.enumerate()) <= threads
 
 
 @pytest.mark.parametrize("made", [iter, bv.estimate])
