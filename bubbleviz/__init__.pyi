@@ -4,6 +4,9 @@ from .api.batching import (
 from .api.checking import (
     check as check,
 )
+from .api.comparing import (
+    compare as compare,
+)
 from .api.connecting import (
     connect as connect,
 )

@@ -11,11 +11,9 @@ import numpy as np
 
 from bubbleviz.api.estimating import SensorName, estimate
 from bubbleviz.api.frames import open
-from bubbleviz.api.summary import Summary
+from bubbleviz.api.saved_summary import SavedSummary, check_out
 from bubbleviz.calibration import Interval, WrenchComparison, compare_with_wrench
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_existing, to_json, whole_file, write_rows
-from bubbleviz.output import DPI
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame
 from bubbleviz.wording import count_of, decimals_of, rounded
@@ -23,11 +21,9 @@ from bubbleviz.wording import count_of, decimals_of, rounded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PICTURES = (".png", ".svg", ".pdf")
-
 
 @dataclass(frozen=True)
-class ValidationSummary(Summary):
+class ValidationSummary(SavedSummary):
     """Comparison of the estimated with a measured force; the sensor is not changed.
 
     Attributes
@@ -38,6 +34,8 @@ class ValidationSummary(Summary):
     out : str or None
         Where it was written.
     """
+
+    stem = "validation"
 
     recording: str
     sensor: str
@@ -128,32 +126,6 @@ class ValidationSummary(Summary):
             axes.legend(fontsize=8)
         return figure
 
-    def save(self, out: str | Path, *, overwrite: bool = False) -> None:
-        """Write a plot (.png, .svg, .pdf), a table (.csv), numbers (.json), or a folder of all.
-
-        Raises
-        ------
-        InputError
-            The name ends otherwise, or the file exists.
-        """
-        out = Path(out)
-        _check(out, overwrite=overwrite)
-        with whole_file(out, overwrite=overwrite) as temporary:
-            if out.suffix:
-                self._write(temporary)
-                return
-            temporary.mkdir()
-            for suffix in (".png", ".csv", ".json"):
-                self._write(temporary / f"validation{suffix}")
-
-    def _write(self, path: Path) -> None:
-        if path.suffix == ".csv":
-            write_rows(path, self.rows())
-        elif path.suffix == ".json":
-            path.write_text(to_json(self.facts()) + "\n", encoding="utf-8")
-        else:
-            self.plot().savefig(path, dpi=DPI)
-
 
 def validate(
     frames: Sequence[Frame] | str | Path,
@@ -197,8 +169,7 @@ def validate(
     >>> found = bv.validate("press.mcap", "mine.toml", wrench="/ft_sensor/wrench").found
     >>> found.gain.value, found.gain.half_width
     """
-    if out is not None:
-        _check(Path(out), overwrite=overwrite)
+    check_out(out, overwrite=overwrite)
     if isinstance(frames, str | Path):
         with open(frames, wrench_topic=wrench) as opened:
             return validate(
@@ -223,12 +194,6 @@ def validate(
     if out is not None:
         done.save(out, overwrite=overwrite)
     return done
-
-
-def _check(out: Path, *, overwrite: bool) -> None:
-    if out.suffix not in ("", ".csv", ".json", *_PICTURES):
-        raise InputError(f"{out}: end it in .png, .svg, .pdf, .csv or .json, or name a folder")
-    refuse_existing(out, overwrite=overwrite)
 
 
 def _largest(force_n: np.ndarray) -> float:

@@ -317,6 +317,30 @@ def validate(recording: Path, **options: Any) -> None:
 
 
 @click.command()
+@click.argument("first", metavar="A", type=PATH)
+@click.argument("other", metavar="B", type=PATH)
+@sensor_option
+@option("--other-sensor", help="Sensor file or preset of B; by default that of A.")
+@option(
+    "--align",
+    type=click.Choice(["time", "contact"]),
+    default="time",
+    help="By the time since A and B began (default), or since their first frame with contact.",
+)
+@out_option(
+    "PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.", required=False
+)
+@json_option
+def compare(first: Path, other: Path, **options: Any) -> None:
+    """Compare force and patch of two recordings.
+
+    A and B are recordings, or RESULT.npz of estimate; the same recording with two sensor files,
+    too. Reports the median, 95th percentile and maximum of the differences in contact.
+    """
+    run("compare", first, other, **options)
+
+
+@click.command()
 @click.argument("folder", metavar="FOLDER", type=PATH)
 @sensor_option
 @out_option("New folder for the results.")
