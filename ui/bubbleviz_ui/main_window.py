@@ -46,6 +46,7 @@ from bubbleviz_ui.model.units import SYSTEMS
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
+from bubbleviz_ui.panels.membrane_beside import MembraneBeside
 from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.status_bar import CostsPopup, StatusBar
@@ -147,6 +148,7 @@ class MainWindow(QMainWindow):
         self.live_controller = LiveController(controller, self.pair, self.view, self.settings)
         self.live = LiveBar(self.live_controller, state.units)
         self.picture_age = PictureAge(controller, self.view)
+        self.beside = MembraneBeside(controller, self.scene, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
         self._asks = True
@@ -278,7 +280,7 @@ class MainWindow(QMainWindow):
             host.let_go()
         self.gamma0.close_all()
         self.exporting.close()
-        for worker in (self.importing, self._reading, self.pose.loading):
+        for worker in (self.importing, self._reading, self.pose.loading, self.compare.other.worker):
             worker.cancel()
             worker.close()
         self._memory.close()
@@ -370,6 +372,8 @@ class MainWindow(QMainWindow):
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.compare.measured.connect(self.scene.compare)
+        self.compare.other.aligned.connect(self.plots.show_beside)
+        self.compare.other.membrane.connect(self.beside.take)
         self.view.dropped_files.connect(self._open_dropped)
         panels, keys = self.open_panels, self.shortcuts
         watch = self.settings.watch

@@ -1,27 +1,34 @@
-"""Compare panel: two settings of the estimator, measured side by side on the frame one sees."""
+"""Compare panel: two settings on the frame that is shown, and another recording beside this one."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QCheckBox,
+    QComboBox,
     QGridLayout,
+    QHBoxLayout,
     QLabel,
     QPushButton,
     QVBoxLayout,
     QWidget,
 )
 
+from bubbleviz.errors import InputError
 from bubbleviz.output import Measured
 from bubbleviz.pipeline import FrameOptions
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import ComparedOptions
-from bubbleviz_ui.engine.worker import Failed
+from bubbleviz_ui.engine.source import RECORDINGS, Source, sensor_for
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import force_text, tangential_text
@@ -29,6 +36,11 @@ from bubbleviz_ui.model.units import NOTHING, Units
 from bubbleviz_ui.panels.binding import bind_member, control, watch_controls
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
+
+if TYPE_CHECKING:
+    from bubbleviz.api.results import Run
+    from bubbleviz_ui.panels.other_recording import Beside
 
 NOT_MEASURED = None, None
 ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
@@ -46,6 +58,8 @@ ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
     "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),
 }
 """What is measured, by its title and its text."""
+STATISTICS = {"median": "median", "p95": "95 %", "max": "largest"}
+"""Words for the statistics of a `Comparison`."""
 
 
 class Column:
@@ -98,6 +112,174 @@ class Column:
         self.values["status"].setToolTip(measured if isinstance(measured, str) else "")
 
 
+class OtherRecording(QWidget):
+    """Controls of another recording, or of another sensor file, and how it differs.
+
+    Both runs are solved in a thread of their own, with the settings of the window.
+    """
+
+    aligned = Signal(object)  # A `Beside` whose curves are drawn, or None
+    membrane = Signal(object)  # The same where its membrane is drawn, too
+
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__()
+        self._state, self._controller = state, controller
+        self.worker = Worker("compare")
+        self._recording: Path | None = None
+        self._sensor_file: Path | None = None
+        self._solved_how = self._how
+        self._runs: tuple[Run, Run] | None = None
+        self._beside: Beside | None = None
+        self.recording, self.sensor_file = QPushButton(), QPushButton()
+        self.align = QComboBox()
+        self.align.addItem("By time", "time")
+        self.align.addItem("By first contact", "contact")
+        self.start = QPushButton("Compare")
+        self.remove = QPushButton("Remove")
+        self.drawn = QCheckBox("Membrane beside")
+        self.result = QLabel(wordWrap=True)
+        self._lay_out()
+        self._forget()
+        self.recording.clicked.connect(self._choose_recording)
+        self.sensor_file.clicked.connect(self._choose_sensor)
+        self.align.currentIndexChanged.connect(self._align)
+        self.start.clicked.connect(self._start)
+        self.remove.clicked.connect(self._forget)
+        self.drawn.toggled.connect(self._draw_membrane)
+        self.worker.progressed.connect(
+            lambda title, done: self.result.setText(f"solving {title}: {100 * done:.0f} %")
+        )
+        state.source_changed.connect(self._drop)
+        state.frame_changed.connect(self._write)
+        state.choices_changed.connect(self._on_choices)
+
+    def _lay_out(self) -> None:
+        self.align.setAccessibleName("Alignment")
+        self.align.setToolTip(
+            "What happens at one time: since the recordings began, or since contact"
+        )
+        self.start.setToolTip("Solve all frames of both with the settings of the window")
+        self.remove.setToolTip("Forget the other recording and sensor file")
+        self.recording.setToolTip("Recording to compare with the one that is open")
+        self.sensor_file.setToolTip("Sensor file of that recording, or of the open one")
+        self.drawn.setToolTip("Draw its membrane beside the open recording's, at the same time")
+        self.result.setObjectName("value")
+        choices = fill(QHBoxLayout(), (self.recording, 1), (self.sensor_file, 1))
+        actions = fill(QHBoxLayout(), (self.align, 1), self.start, self.remove)
+        title = QLabel("Another recording or sensor file")
+        fill(
+            QVBoxLayout(self), title, choices, actions, self.drawn, self.result,
+            margins=(0, 8, 0, 0), spacing=3,
+        )  # fmt: skip
+
+    def _choose_recording(self) -> None:
+        self._recording = file_to_open(self, "Compare with", RECORDINGS, of="recording")
+        self._drop()
+
+    def _choose_sensor(self) -> None:
+        self._sensor_file = file_to_open(self, "Sensor file", SENSOR_FILES, of="sensor")
+        self._drop()
+
+    def _forget(self) -> None:
+        self._recording = self._sensor_file = None
+        self._drop()
+
+    def _on_choices(self, _: object) -> None:
+        if (self._runs or self.worker.busy) and self._how != self._solved_how:
+            self._drop()
+        self._write()  # in the operator's units
+
+    def _drop(self, _: object = None) -> None:
+        """Show nothing any more that was solved otherwise; what was chosen stays."""
+        self.worker.cancel()
+        self._runs = None
+        for button, path, title in (
+            (self.recording, self._recording, "Recording…"),
+            (self.sensor_file, self._sensor_file, "Sensor file…"),
+        ):
+            button.setText(title if path is None else path.name)
+        facts = self._state.facts
+        possible = facts is not None and not (facts.nothing or facts.grows)
+        chosen = self._recording is not None or self._sensor_file is not None
+        self.start.setEnabled(possible and chosen)
+        self.remove.setEnabled(chosen)
+        self.result.clear()
+        self._take(None)
+
+    @property
+    def _how(self) -> ComparedOptions:
+        """What the window makes estimates and patches with."""
+        return self._state.choices.options, FrameOptions(*self._state.choices.rule)
+
+    def _start(self) -> None:
+        # with the first comparison: the window starts without
+        from bubbleviz_ui.panels.other_recording import solve
+
+        source, sensor = self._controller.opening.source, self._controller.sensor
+        if source is None or sensor is None:
+            return
+        other, path, file = source, self._recording, self._sensor_file
+        open_other: Callable[[], Any] = lambda: sensor  # noqa: E731
+        if path is not None:
+            other, open_other = Source.of_recording(path), partial(sensor_for, path, sensor)
+        if file is not None:
+            open_other = partial(load_sensor, file)
+        how = self._solved_how = self._how
+        first = partial(solve, source, lambda: sensor, *how, self.worker.progress)
+        second = partial(solve, other, open_other, *how, self.worker.progress)
+        self.start.setEnabled(False)
+        self.result.setText("opening …")
+        self.worker.submit(lambda: (first(), second()), self._on_solved, self._on_failed)
+
+    def _on_solved(self, runs: tuple[Run, Run]) -> None:
+        self.start.setEnabled(True)
+        self._runs = runs
+        self._align()
+
+    def _on_failed(self, failed: Failed) -> None:
+        self.start.setEnabled(True)
+        self.result.setText(failed.message)
+
+    def _align(self, _: object = None) -> None:
+        from bubbleviz_ui.panels.other_recording import Beside  # as in `_start`
+
+        if self._runs is None:
+            return
+        try:
+            self._take(Beside.of(*self._runs, self.align.currentData()))
+        except InputError as error:
+            self._take(None)
+            self.result.setText(str(error))
+
+    def _take(self, beside: Beside | None) -> None:
+        self._beside = beside
+        self.drawn.setEnabled(beside is not None)
+        self.aligned.emit(beside)
+        self._draw_membrane()
+        self._write()
+
+    def _draw_membrane(self, _: object = None) -> None:
+        self.membrane.emit(self._beside if self.drawn.isChecked() else None)
+
+    def _write(self, *_: object) -> None:
+        """Write the differences, and those of the frame at the cursor."""
+        if self._beside is None:
+            return
+        found, units, k = self._beside.found, self._state.units, self._state.frame
+        told = found.facts()
+        shift = units.time.text(found.shift_s, signed=True)
+        lines = [f"{found.other}: dashed in Plots, {shift}"]
+        for title, unit, name, here in (
+            ("|ΔF|", units.force, "force_difference_n", found.force_difference_n[k]),
+            ("|Δarea|", units.area, "area_difference_m2", abs(found.area_difference_m2[k])),
+        ):
+            sizes = [
+                f"{unit.text(told[f'{key}_{name}'])} {word}" for key, word in STATISTICS.items()
+            ]
+            lines.append(f"{title} here {unit.text(here)}; in contact {', '.join(sizes)}")
+        self.result.setText("\n".join(lines))
+
+
 class ComparePanel(QWidget):
     """Two settings A and B; measures whenever the frame or a setting is another.
 
@@ -116,6 +298,7 @@ class ComparePanel(QWidget):
         self.outlines = QCheckBox("Outlines in the 3-D view")
         self.outlines.setToolTip("Draw the patch outlines of A and B in their colours")
         bind_member(self.outlines, state, "layers", "compared")
+        self.other = OtherRecording(state, controller)
         self._lay_out()
         controller.compared.connect(self._on_compared)
         controller.failed.connect(self._on_failed)
@@ -149,7 +332,8 @@ class ComparePanel(QWidget):
             "Force error and IoU need the ground truth of a simulation.", wordWrap=True
         )
         self.hint.setObjectName("dim")
-        fill(QVBoxLayout(self), grid, self.outlines, self.hint, 1, margins=(6, 8, 2, 8))
+        parts = (grid, self.outlines, self.hint, self.other, 1)
+        fill(QVBoxLayout(self), *parts, margins=(6, 8, 2, 8))
 
     @property
     def _seen(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, QTimer
@@ -17,6 +17,9 @@ from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell.dock import fill, scrolled
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.panels.other_recording import Beside
 
 EVERY_MS = 200
 """Curves take some ms to draw, and nobody reads faster."""
@@ -38,6 +41,7 @@ class PlotsPanel(QWidget):
         self._host = PlotHost(self._make)
         self._arranged: list[tuple[int, int, int]] | None = None
         self._pointed: tuple[str, float] | None = None
+        self._beside: Beside | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
         self.choose, self.boxes = menu_button(state, "plots")
@@ -87,6 +91,11 @@ class PlotsPanel(QWidget):
         self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._show_kappa)
         self._host.seen.connect(self._on_seen)
+
+    def show_beside(self, beside: Beside | None) -> None:
+        """Draw another recording's curves, too, or none."""
+        self._beside = beside
+        self._draw()
 
     # -- events -------------------------------------------------------------------------------
 
@@ -184,6 +193,7 @@ class PlotsPanel(QWidget):
         for name, plot in self.plots.items():
             if name in self._state.choices.plots:
                 plot.draw(facts, self._state.history, self._state.units)
+                plot.draw_beside(self._beside, self._state.units)
         self._draw_cursor()
         self._show_statistics()
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PySide6.QtCore import Qt
@@ -20,6 +20,9 @@ from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_host import PlotFrame
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.panels.other_recording import Beside
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,7 @@ class TimePlot:
         # By quantity
         self.bands = {name: Band(self.box, trace.curves[name]) for name in trace.bands}
         self.cursor = pg.InfiniteLine(movable=True)  # Can be dragged
+        self.beside: dict[str, Any] = {}  # Those of another recording, once there is one
         for item in (*self.curves.values(), *self.dots.values()):
             self.box.addItem(item)
         self.box.addItem(self.cursor, ignoreBounds=True)
@@ -130,6 +134,23 @@ class TimePlot:
             if name in self.bands:
                 half = history.of(self.trace.bands[name])
                 self.bands[name].draw(facts, known * scale, half * scale, (low, high))
+
+    def draw_beside(self, beside: Beside | None, units: Units) -> None:
+        """Draw the curves of another recording dashed, or none."""
+        import pyqtgraph as pg  # 0.2 s later than the window
+
+        if beside is None:
+            for curve in self.beside.values():
+                curve.clear()
+            return
+        scale, window_s = self.trace.unit(units).of(1.0), self.box.viewRange()[0]
+        for name, colour in self.trace.curves.items():
+            if name not in self.beside:
+                pen = pg.mkPen(colour, style=Qt.PenStyle.DashLine)
+                self.beside[name] = pg.PlotDataItem(pen=pen, connect="finite")
+                self.box.addItem(self.beside[name])
+            times, values = thinned(beside.times_s, beside.history.of(name), window_s)
+            self.beside[name].setData(times, values * scale)
 
     def show_all(self, times_s: np.ndarray) -> None:
         """Show all of time."""

@@ -1,0 +1,144 @@
+"""Another recording, or another sensor file, beside the open one: curves, numbers, membrane."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fakes import FRAMES, DentSource, record, small_sensor
+from PySide6.QtWidgets import QApplication, QFileDialog
+from vtkmodules.vtkRenderingCore import vtkAssembly
+from window_driver import props
+
+from bubbleviz.sensor import save_sensor
+from bubbleviz_ui.engine.source import Source
+
+LATER, STEP_S = 3, 1.0 / 30.0
+"""Frames by which the press of the other recording is later."""
+PRESSED = 8
+
+
+@pytest.fixture
+def driver(drive, tmp_path, sensor):
+    """A window on a press, of which `later.mcap` is a recording that began earlier."""
+    dent = DentSource(sensor)
+    frames = [dent[k] for k in range(FRAMES)]
+    press = record(tmp_path / "press.mcap", frames)
+    waiting = LATER * [frames[0]] + frames
+    later = [replace(each, index=k, time_s=k * STEP_S) for k, each in enumerate(waiting)]
+    record(tmp_path / "later.mcap", later)
+    driver = drive(Source.of_recording(press), frame=PRESSED)
+    driver.state.choose(plots=frozenset({"force", "area"}), layers=frozenset({"membrane", "rim"}))
+    driver.window.resize(1280, 800)
+    driver.show("plots", "compare")
+    driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
+    QApplication.processEvents()
+    driver.settle()
+    yield driver
+    driver.let_go()
+
+
+@pytest.fixture
+def choose(driver, monkeypatch):
+    """Click a button that asks for a file, and choose one."""
+
+    def chosen(button, path):
+        monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(path), ""))
+        driver.click(button)
+
+    return chosen
+
+
+def numbers(driver, title):
+    """Those of a line of the panel: at the cursor, median, 95 %, largest."""
+    (line,) = [line for line in driver.window.compare.other.result.text().splitlines()
+               if line.startswith(title)]  # fmt: skip
+    return [float(text) for text in re.findall(r"([\d.]+) (?:N|mm²)", line)]
+
+
+def membranes_beside(driver):
+    return [p for p in props(driver) if isinstance(p, vtkAssembly) and p.GetVisibility()]
+
+
+def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path):
+    panel, plots = driver.window.compare.other, driver.window.plots
+    assert not panel.start.isEnabled() and not panel.drawn.isEnabled()
+    choose(panel.recording, tmp_path / "later.mcap")
+    assert panel.recording.text() == "later.mcap"
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
+    by_time = numbers(driver, "|ΔF|")
+    driver.pick(panel.align, "By first contact")
+    assert f"+{LATER * STEP_S:.3f} s" in panel.result.text()
+    here, median, _, largest = numbers(driver, "|ΔF|")
+    assert max(here, median) <= largest < 0.2 * by_time[1]
+    assert numbers(driver, "|Δarea|")[1] < 0.1 * 1e6 * driver.result.patch.area_m2
+    # the curves of both lie on each other
+    driver.click(plots.analyse)
+    known = driver.state.history.of
+    driver.wait(lambda: np.isfinite(known("force_n")).all())
+    for plot, quantity, scale in (("force", "force_n", 1.0), ("area", "area_m2", 1e6)):
+        times, values = plots.plots[plot].beside[quantity].getOriginalDataset()
+        own, same = scale * known(quantity), times > -0.5 * STEP_S
+        np.testing.assert_allclose(times[same], np.arange(FRAMES) * STEP_S, atol=1e-6)
+        np.testing.assert_allclose(values[same], own, atol=0.1 * own.max())
+    # another setting makes other numbers: none of the old ones stays
+    driver.state.choose(kappa=3.0)
+    assert panel.result.text() == "" and plots.plots["force"].beside["force_n"].getData()[0] is None
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
+    driver.click(panel.remove)
+    assert panel.result.text() == "" and not panel.start.isEnabled()
+    assert panel.recording.text() == "Recording…"
+
+
+def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, tmp_path):
+    panel = driver.window.compare.other
+    driver.pick(panel.align, "By first contact")
+    choose(panel.recording, tmp_path / "later.mcap")
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
+    assert not membranes_beside(driver)
+    driver.click(panel.drawn)
+    driver.painted_anew()
+    (beside,) = membranes_beside(driver)
+    low, high = np.array(beside.GetBounds()).reshape(3, 2).T
+    own = driver.nodes()
+    assert low[0] > own[:, 0].max() and high[1] == pytest.approx(own[:, 1].max(), rel=0.05)
+
+    def warm_halves():
+        """Pixels in the colours of pressure, left and right of the middle of the picture."""
+        columns = driver.warm_pixels()[:, 1]
+        middle = driver.pixels().shape[1] / 2
+        return np.count_nonzero(columns < middle), np.count_nonzero(columns > middle)
+
+    left, right = warm_halves()
+    assert min(left, right) > 20 and right == pytest.approx(left, rel=0.5)
+    driver.seek(0)
+    driver.painted_anew()
+    assert warm_halves() == (0, 0)  # neither touches
+    driver.click(panel.drawn)
+    assert not membranes_beside(driver)
+    driver.click(panel.drawn)
+    driver.opens("nothing of this", DentSource, small_sensor())
+    driver.wait(lambda: panel.result.text() == "")
+    assert not membranes_beside(driver)
+    driver.settle()
+
+
+def test_the_same_recording_is_compared_with_another_sensor_file(driver, choose, sensor, tmp_path):
+    panel = driver.window.compare.other
+    gauge = {"gauge_pressure_pa": 1.5 * sensor.pneumatics.gauge_pressure_pa}
+    pneumatics = sensor.pneumatics.model_copy(update=gauge)
+    save_sensor(sensor.model_copy(update={"pneumatics": pneumatics}), tmp_path / "other.toml")
+    choose(panel.sensor_file, tmp_path / "other.toml")
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
+    here, *_ = numbers(driver, "|ΔF|")
+    force = np.linalg.norm(driver.result.patch.force_n)
+    assert here == pytest.approx(0.5 * force, rel=0.15)  # force is proportional to the gauge
+    # what cannot be read is said
+    choose(panel.recording, tmp_path / "missing.mcap")
+    driver.click(panel.start)
+    driver.wait(lambda: "missing.mcap" in panel.result.text())
+    assert panel.start.isEnabled()

@@ -1,0 +1,67 @@
+"""Another recording, or the same with another sensor file, on the time axis of the open one.
+
+No Qt in here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from bubbleviz.api.comparing import Alignment, Comparison, compare
+from bubbleviz.api.estimator import PRODUCTS, FrameSolver, recorded_zero, solved
+from bubbleviz.api.frames import Frames
+from bubbleviz.api.results import OneBlasThread, Run
+from bubbleviz.diagnostics import numbers_of
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.pipeline import FrameOptions, Pipeline
+from bubbleviz.progress import Progress
+from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.model.frame_history import History
+
+
+def solve(
+    source: Source,
+    open_sensor: Callable[[], Sensor],
+    options: EstimatorOptions,
+    rule: FrameOptions,
+    progress: Progress,
+) -> Run:
+    """Results of all frames of a source that is opened anew; in a thread."""
+    sensor = open_sensor()
+    with closing(source.open(sensor)) as opened, OneBlasThread():
+        frames = Frames(opened)
+        pipeline = Pipeline.of(sensor, frames[0].intrinsics, options)
+        zero = recorded_zero(opened, pipeline)
+        run = Run(pipeline.model, {"recording": source.title}, {})
+        step = partial(_titled, progress, source.title)
+        for result in solved(frames, FrameSolver(pipeline, PRODUCTS, rule, zero), step):
+            run.add(result, keep=True)
+    return run
+
+
+def _titled(progress: Progress, title: str, _: str, done: float) -> None:
+    progress(title, done)
+
+
+@dataclass(frozen=True)
+class Beside:
+    """The other run, at the times of the open recording."""
+
+    found: Comparison
+    run: Run
+    times_s: np.ndarray  # (F,) of its frames
+    history: History
+
+    @classmethod
+    def of(cls, first: Run, other: Run, align: Alignment) -> Beside:
+        """Align two runs. Raises InputError: They have no time, or no contact, in common."""
+        found, history = compare(first, other, align=align), History(len(other))
+        for k, each in enumerate(other):
+            history.take(k, numbers_of(each.result, other.model.gas), patch=True)
+        return cls(found, other, other.times_s - found.shift_s, history)
