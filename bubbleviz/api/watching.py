@@ -211,6 +211,8 @@ def _watch(
     shear = None if texture is None else ShearSummary()
     began = told = time.monotonic()
     silent = False
+    for message in messages.placed(stream):
+        send(message)
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
         for result in _until_over(watcher, stop, duration_s):
             if result is not None:

@@ -151,6 +151,11 @@ class FrameAssembler:
         self._known = KnownCameras("")
         self._begin()
 
+    @property
+    def depth_frame(self) -> str:
+        """Frame of reference of the depth images; empty until one came."""
+        return self._known.depth_frame
+
     def _begin(self) -> None:
         """Forget the stream, keep the counts."""
         self._known = KnownCameras(self._names.depth or "", poses=self._known.poses)

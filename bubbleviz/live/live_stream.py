@@ -311,6 +311,11 @@ class LiveStream:
         return self._assembler.equal.warning
 
     @property
+    def depth_frame(self) -> str:
+        """Frame of reference that the depth images name; empty before the first."""
+        return self._assembler.depth_frame
+
+    @property
     def counters(self) -> Counters:
         """Counts of received, skipped and faulty messages so far."""
         # the window asks for them and waits for no image to be decoded

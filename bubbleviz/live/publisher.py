@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publisher
 
 from bubbleviz.live.assembler import Counters
-from bubbleviz.live.live_stream import Status
+from bubbleviz.live.live_stream import LiveStream, Status
 from bubbleviz.live.zenoh_session import (
     Attachment,
     Layout,
@@ -31,6 +31,7 @@ from bubbleviz.recordings import (
     Message,
     are_static_poses,
     make_header,
+    make_static_pose,
     make_wrench,
     ros2_types,
     serialise,
@@ -171,8 +172,8 @@ class ResultMessages:
     Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
     deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
     membrane, its torque about B's origin), `object_pose` (PoseWithCovarianceStamped, while it is
-    found), those of `shear_messages` and `/diagnostics`. Of an estimate that is not to be trusted
-    only the last, which says why.
+    found), those of `shear_messages`, `/tf_static` and `/diagnostics`. Of an estimate that is not
+    to be trusted only the last, which says why.
     """
 
     def __init__(
@@ -182,6 +183,17 @@ class ResultMessages:
         frame_id: str = "bubble",  # name of B in the headers
     ) -> None:
         self._mesh, self._prefix, self._frame_id = mesh, prefix.rstrip("/"), frame_id
+
+    def placed(self, stream: LiveStream) -> Iterator[Message]:
+        """Pose of B in the frame of reference of a stream's depth images, on `/tf_static`.
+
+        B is the child, as the camera may have a parent on the robot. Nothing where the images name
+        no frame, or before the first.
+        """
+        camera_frame = stream.depth_frame
+        if camera_frame not in ("", self._frame_id):
+            T_C_B = np.linalg.inv(stream.sensor.camera.T_B_C)
+            yield make_static_pose(camera_frame, self._frame_id, T_C_B, time.time_ns())
 
     def of(self, result: Result) -> Iterator[Message]:
         """Messages of what there is of a result, stamped as its frame."""

@@ -76,6 +76,18 @@ def make_wrench(header: Any, values: np.ndarray) -> Any:
     return kinds[WRENCH](header, wrench(vector(*numbers[:3]), vector(*numbers[3:])))
 
 
+def make_static_pose(parent: str, child: str, pose: np.ndarray, stamp_ns: int) -> Message:
+    """Message on `/tf_static` of T_parent_child (4, 4), which does not change."""
+    kinds = ros2_types().types
+    transform = kinds["geometry_msgs/msg/Transform"](
+        kinds["geometry_msgs/msg/Vector3"](*pose[:3, 3].tolist()),
+        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
+    )
+    stamped = kinds["geometry_msgs/msg/TransformStamped"](make_header(0, parent), child, transform)
+    content = kinds[TRANSFORMS]([stamped])
+    return Message(STATIC_TRANSFORMS, TRANSFORMS, serialise(content, TRANSFORMS), stamp_ns)
+
+
 def serialise(message: Any, kind: str) -> bytes:
     return bytes(ros2_types().serialize_cdr(message, kind))
 
@@ -129,8 +141,7 @@ class FrameMessages:
         if not (camera.placed and np.array_equal(camera.T_D_C, np.eye(4))):
             frame_id = f"{frame_id}_color"
         if camera.placed and frame_id != self._frame_id:
-            pose = _transforms(make_header(0, self._frame_id), frame_id, camera.T_D_C)
-            yield Message(STATIC_TRANSFORMS, TRANSFORMS, serialise(pose, TRANSFORMS), stamp)
+            yield make_static_pose(self._frame_id, frame_id, camera.T_D_C, stamp)
         header = make_header(stamp, frame_id)
         if camera.intrinsics is not None and camera.own:
             info = _camera_info(header, camera.intrinsics)
@@ -161,17 +172,6 @@ def _image(header: Any, encoded: EncodedImage) -> Any:
         return kinds[COMPRESSED_IMAGE](header, encoded.encoding, data)
     place = (encoded.height, encoded.width, encoded.encoding)
     return kinds[IMAGE](header, *place, is_bigendian=0, step=encoded.step, data=data)
-
-
-def _transforms(header: Any, child: str, pose: np.ndarray) -> Any:
-    """`tf2_msgs/TFMessage` of one pose (4, 4) in the header's frame."""
-    kinds = ros2_types().types
-    transform = kinds["geometry_msgs/msg/Transform"](
-        kinds["geometry_msgs/msg/Vector3"](*pose[:3, 3].tolist()),
-        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
-    )
-    stamped = kinds["geometry_msgs/msg/TransformStamped"](header, child, transform)
-    return kinds[TRANSFORMS]([stamped])
 
 
 def _camera_info(header: Any, camera: Intrinsics) -> Any:

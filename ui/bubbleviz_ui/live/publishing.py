@@ -51,6 +51,8 @@ class ResultSender:
         """Send what there is of a result; in the solver thread."""
         if self._messages is None or mesh is not self._mesh:
             self._mesh, self._messages = mesh, ResultMessages(mesh, self._prefix, self._frame_id)
+            for message in self._messages.placed(self._stream):
+                self._send(message)
         self._last = result
         for message in self._messages.of(result):
             self._send(message)

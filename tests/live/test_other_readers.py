@@ -1,0 +1,70 @@
+"""A watch that was recorded, read by programs of others: rosbags, and Rerun where it is."""
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+import bubbleviz as bv
+from bubbleviz.recordings import StaticPoses
+
+TOPICS = {
+    "/bubble/depth/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/bubble/depth/image_raw": "sensor_msgs/msg/Image",
+    "/bubble/pressure": "sensor_msgs/msg/FluidPressure",
+    "/bubbleviz/contact_patch": "sensor_msgs/msg/PointCloud2",
+    "/bubbleviz/contact_wrench": "geometry_msgs/msg/WrenchStamped",
+    "/bubbleviz/object_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+DECODED = {
+    "/bubble/depth/camera_info": "Pinhole:image_from_camera",
+    "/bubble/depth/image_raw": "DepthImage:buffer",
+    "/bubble/pressure": "Measurements:values",
+    "/bubbleviz/contact_patch": "Points3D:positions",
+    "/bubbleviz/contact_wrench": "geometry_msgs.msg.WrenchStamped:message",
+    "/bubbleviz/object_pose": "geometry_msgs.msg.PoseWithCovarianceStamped:message",
+    "/tf_static": "Transform3D:translation",
+    "/diagnostics": "diagnostic_msgs.msg.DiagnosticArray:message",
+}
+"""What Rerun makes of each topic, by the names of its components."""
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory, small_sensor):
+    out = tmp_path_factory.mktemp("watch") / "watch.mcap"
+    source = "synthetic:cylinder?frames=20&rate=10&ahead=1"
+    done = bv.watch(source, small_sensor, out=out, object="cylinder", duration_s=5.0)
+    assert done.status.get("ok", 0) > 3
+    return out
+
+
+def test_rosbags_reads_every_topic_and_all_frames_of_reference_are_connected(watched, small_sensor):
+    named, poses = defaultdict(set), StaticPoses()
+    with AnyReader([watched]) as bag:
+        assert {name: topic.msgtype for name, topic in bag.topics.items()} == TOPICS
+        for connection, _, raw in bag.messages():
+            message = bag.deserialize(raw, connection.msgtype)  # by the schema in the file
+            if connection.topic == "/tf_static":
+                poses = poses.after(message)
+            elif message.header.frame_id:  # diagnostics have no place
+                named[message.header.frame_id].add(connection.topic)
+    assert named.keys() == {"bubble", "bubble_depth_optical_frame"}
+    T_B_C = poses.pose("bubble_depth_optical_frame", "bubble")
+    np.testing.assert_allclose(T_B_C, small_sensor.camera.T_B_C, atol=1e-12)
+    assert poses.parents.keys() == {"bubble"}  # the camera may have a parent on the robot
+
+
+def test_rerun_decodes_every_topic_and_connects_the_frames_of_reference(watched):
+    pytest.importorskip("rerun", reason="a viewer of others, not a dependency")
+    from rerun.chunk import McapReader
+
+    store = McapReader(str(watched)).stream().collect()
+    found = defaultdict(set)
+    for column in store.schema().component_columns():
+        found[column.entity_path].add(column.component)
+    assert found.keys() >= TOPICS.keys()
+    assert {topic for topic, what in DECODED.items() if what not in found[topic]} == set()
+    assert {"Transform3D:parent_frame", "Transform3D:child_frame"} <= found["/tf_static"]
