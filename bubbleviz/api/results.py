@@ -24,6 +24,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import checked, read_npz, refuse_existing, whole_file, write_rows
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import (
+    ARROW,
     COLUMNS,
     DPI,
     NODAL_FIELDS,
@@ -39,6 +40,7 @@ from bubbleviz.output import (
     pose_row,
     result_arrays,
     results_of,
+    scene_of,
     summary_row,
     write_poses,
 )
@@ -49,11 +51,11 @@ from bubbleviz.wording import count_of, how_to_install
 
 if TYPE_CHECKING:
     import pandas
+    import trimesh
     import xarray
     from matplotlib.figure import Figure
 
 
-_ARROW = 0.5  # of the membrane's width, the length of the force's arrow
 _PRESSURE = "contact pressure, kPa"
 _NO_IMAGE = np.empty((0, 0), np.float32)
 """In place of the depth images of a `Run`, which would fill the memory as colour images would."""
@@ -219,6 +221,16 @@ class FrameResult:
                 return plotter.show(jupyter_backend=backend)
             with whole_file(screenshot, overwrite=overwrite) as temporary:
                 return plotter.show(jupyter_backend=backend, screenshot=str(temporary))
+
+    def scene(self) -> trimesh.Scene:
+        """Scene of what `plot` shows, in B, m; the colours end at four gauge pressures.
+
+        Examples
+        --------
+        >>> found.scene().show()  # in a notebook: turned by the mouse, and kept when it is saved
+        >>> found.scene().export("press.glb")  # for other programs
+        """
+        return scene_of(self.model, self.result)
 
     def _numbers(self, name: str) -> np.ndarray:
         return np.asarray(summary_row(self.result)[name])
@@ -639,7 +651,7 @@ def _draw(plotter: Any, pyvista: Any, found: FrameResult) -> None:
         plotter.add_mesh(edge, color="white", line_width=4, render_lines_as_tubes=True)
         size = float(np.linalg.norm(patch.force_n))
         direction = patch.force_n / size
-        length = _ARROW * float(np.ptp(mesh.nodes[:, 0]))
+        length = ARROW * float(np.ptp(mesh.nodes[:, 0]))
         tail = patch.center_of_pressure_m - length * direction
         arrow = pyvista.Arrow(
             start=tail, direction=direction, scale=length, shaft_radius=0.02, tip_radius=0.05

@@ -18,6 +18,7 @@ from .results import (
     summary_row as summary_row,
     surface_arrays as surface_arrays,
 )
+from .scene import ARROW as ARROW, scene_of as scene_of
 from .series import VtkSeries as VtkSeries
 from .side_by_side import Measured as Measured, SideBySide as SideBySide, iou as iou
 from .table_export import (

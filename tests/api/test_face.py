@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 from small_press import HEIGHTS, write_press, write_small_sensor
+from trimesh.viewer.notebook import scene_to_html
 
 import bubbleviz as bv
 from bubbleviz.api.simulating import Simulation
@@ -351,6 +353,25 @@ def test_pictures(estimated, tmp_path):
     assert figure.axes[0].get_ylabel() == "force, N"
     with pytest.raises(bv.InputError, match="exists already"):
         run[1].plot(tmp_path / "frame.png")
+
+
+def test_a_scene_for_notebooks_and_other_programs(estimated, tmp_path):
+    found = estimated[2]
+    assert found.scene().geometry.keys() == {"membrane", "patch", "force"}
+    assert estimated[0].scene().geometry.keys() == {"membrane"}  # nothing touches it
+    found.scene().export(tmp_path / "press.glb")
+    read = trimesh.load_scene(tmp_path / "press.glb").geometry
+    membrane = read["membrane"]
+    # the file repeats no node and keeps their order
+    np.testing.assert_allclose(membrane.vertices, found.nodes_m, atol=1e-6)
+    brightest = membrane.visual.vertex_colors[:, :3].sum(axis=1).argmax()
+    assert found.contact_pressure_pa[brightest] > 0.9 * found.contact_pressure_pa.max()
+    low, high = read["force"].bounds
+    np.testing.assert_allclose(low[2], found.center_of_pressure_m[2], atol=1e-3)  # points down
+    assert high[2] > low[2] + 0.05
+    # a notebook's view is one page, without the network
+    page = scene_to_html(found.scene())
+    assert not re.search(r"<(script|link)[^>]+(src|href)=", page) and 1e5 < len(page) < 2e6
 
 
 def test_a_table_and_a_dataset(estimated):
