@@ -173,7 +173,7 @@ def estimate(
         name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
         texture, products = None, _PRODUCTS
         if shear:
-            texture, products = _texture(chosen, pipeline, friction), products | SHEAR
+            texture, products = watch_texture(chosen, pipeline, friction), products | SHEAR
         zero, run = _begun(chosen, name, pipeline, out, **how)
         run.said |= {
             "solver": run.made_by["solver"],
@@ -342,6 +342,21 @@ def sensor_for(frames: Frames, sensor: SensorName) -> tuple[str, Sensor, Intrins
     return *fitting_sensor(source, sensor), intrinsics
 
 
+def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
+    """Have a pipeline see shear in a recording's colour images; what it is measured against."""
+    from bubbleviz.shear import watch_recorded_texture  # needs OpenCV
+
+    if not isinstance(frames.source, Recording):
+        raise InputError(
+            f"{frames.name}: shear needs a recording with colour images; record the source to a "
+            "file and open that"
+        )
+    source = frames.source
+    return watch_recorded_texture(
+        pipeline, source, lambda: find_contact_free(source).frames, friction
+    )
+
+
 def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
     given = [Path(path) for path in paths if path is not None]
     for path in given:
@@ -398,20 +413,6 @@ def _end(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:
     """Have a run say what does not fit together; a recording also what is missing of it."""
     note = frames.source.bag.note if isinstance(frames.source, Recording) else ""
     run.said["warning"] = "; ".join(filter(None, (note, *warnings, solver.drift_warning()))) or None
-
-
-def _texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
-    from bubbleviz.shear import watch_recorded_texture  # needs OpenCV
-
-    if not isinstance(frames.source, Recording):
-        raise InputError(
-            f"{frames.name}: shear needs a recording with colour images; record the source to a "
-            "file and open that"
-        )
-    source = frames.source
-    return watch_recorded_texture(
-        pipeline, source, lambda: find_contact_free(source).frames, friction
-    )
 
 
 def _check_any_data(run: Run, seen: bool) -> None:

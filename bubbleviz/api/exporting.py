@@ -6,14 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bubbleviz.api.estimating import Recorded, SensorName, as_frames, pipeline_for
+from bubbleviz.api.estimating import (
+    Recorded,
+    SensorName,
+    as_frames,
+    pipeline_for,
+    watch_texture,
+)
 from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
 from bubbleviz.files import whole_file
 from bubbleviz.output import ExportPlan, read_poses
-from bubbleviz.pipeline import FrameOptions, Pipeline, stages
+from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Recording
 from bubbleviz.wording import count_of
@@ -49,6 +55,8 @@ def export(
     kappa: float | None = None,
     solver: str | None = None,
     friction: float | None = None,
+    shear: bool = False,
+    colour_delay_s: float | None = None,
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> ExportSummary:
@@ -61,8 +69,8 @@ def export(
     frames : sequence of Frame or path
     out : path
         TABLE.csv, TABLE.parquet, PLOTS.png (or .svg, .pdf), or a new folder for `what`.
-    sensor, kappa, solver, friction, progress
-        As of `estimate`.
+    sensor, kappa, solver, friction, shear, colour_delay_s, progress
+        As of `estimate`; with `shear`, tables and the LeRobot dataset have slip.
     what : str or sequence of str
         Into a folder: table, parquet, plots, lerobot (dataset of one episode, v3.0), vtk
         (ParaView), ply, patch (points with pressure), depth, pressure (pictures; png for both);
@@ -84,8 +92,11 @@ def export(
     plan = ExportPlan.of(out, kinds, joined, overwrite=overwrite)
     options, chosen = patch_options(kappa), as_frames(frames)
     with OneBlasThread():
-        _, pipeline = pipeline_for(chosen, sensor, solver, friction)
-        summary = export_frames(chosen, pipeline, options, plan, progress)
+        _, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
+        if shear:
+            watch_texture(chosen, pipeline, friction)
+        besides = SHEAR if shear else frozenset()
+        summary = export_frames(chosen, pipeline, options, plan, progress, besides)
     note = chosen.source.bag.note if isinstance(chosen.source, Recording) else ""
     return replace(summary, warning=note or None)
 
@@ -96,8 +107,9 @@ def export_frames(
     options: FrameOptions,
     plan: ExportPlan,
     progress: Progress = quiet,
+    besides: frozenset[Product] = frozenset(),
 ) -> ExportSummary:
-    """Run the stages that the plan's kinds need on some frames, and write the files.
+    """Run the stages that the plan's kinds need, and `besides`, and write the files.
 
     The pipeline is for this export alone: it warm-starts from frame to frame. Nothing is left
     behind where an InputError or `Cancelled` ends it.
@@ -106,7 +118,7 @@ def export_frames(
         if plan.is_folder:
             temporary.mkdir()
         exporters = plan.exporters(pipeline, temporary)
-        products = frozenset().union(*(each.products for each in exporters))
+        products = besides.union(*(each.products for each in exporters))
         zero = recorded_zero(frames.source, pipeline) if "estimate" in stages(products) else None
         for result in solved(frames, FrameSolver(pipeline, products, options, zero), progress):
             for each in exporters:

@@ -184,12 +184,15 @@ def pose(**options: Any) -> None:
 @kappa_option
 @solver_option
 @friction_option
+@shear_option
+@colour_delay_option
 @json_option
 def export(**options: Any) -> None:
     """Write tables, plots, meshes, points or pictures of a recording.
 
     Only what the chosen files need is computed.
     """
+    _check_shear(options)
     run_on_frames("export", **options)
 
 

@@ -1,4 +1,4 @@
-"""A LeRobot dataset (v3.0) of a recording: one episode with force, σ, patch and node forces.
+"""A LeRobot dataset (v3.0) of a recording: one episode with force, σ, patch, node forces, slip.
 
 The format is that of Hugging Face's `lerobot`: `meta/info.json` describes the columns of
 `data/…/file-000.parquet`, a row a frame. Several datasets are joined by its `aggregate_datasets`.
@@ -26,6 +26,7 @@ _FIRST = "chunk-000/file-000.parquet"
 _TASK = "contact with a Soft-bubble sensor"
 _WRENCH = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
 _COUNTS = ("frame_index", "episode_index", "index", "task_index")
+_SLIP = ("slip", "slip_sigma")  # only where shear was asked for
 _FPS = 30
 """Frames a second of a recording that is too short to tell."""
 
@@ -53,6 +54,7 @@ class LeRobotDataset(Exporter):
                 "observation.gas_pressure_pa": row["gas_pressure_pa"],
                 "observation.node_forces_n": nodes,
                 "observation.trusted": estimate is not None,
+                **{f"observation.{key}": row[key] for key in _SLIP if key in row},
                 "timestamp": row["time_s"],
             }
         )

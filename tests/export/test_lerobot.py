@@ -9,6 +9,7 @@ import pytest
 
 import bubbleviz as bv
 from bubbleviz.errors import InputError
+from tests.shear.texture_bag import HELD, write_texture_press
 
 FIRST = "chunk-000/file-000.parquet"
 DEFAULT_FEATURES = {
@@ -84,3 +85,33 @@ def test_a_dataset_is_replaced_only_when_asked(dataset, press, sensor):
     assert (dataset / "meta/info.json").read_bytes() == before
     bv.export(press, dataset, sensor, what="lerobot", overwrite=True)
     assert (dataset / "meta/info.json").read_bytes() == before
+
+
+def test_slip_is_there_where_shear_was_asked_for_and_only_there(dataset, tmp_path):
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    assert not [name for name in described(dataset) if "slip" in name]
+    press, sensor = write_texture_press(tmp_path, {})
+    frames, out = bv.open(press)[HELD - 2 : HELD + 3], tmp_path / "sheared"
+    bv.export(frames, out, sensor, what="lerobot", shear=True)
+    table = pyarrow.parquet.read_table(out / "data" / FIRST).to_pydict()
+    rows = bv.estimate(frames, sensor, shear=True).rows()
+    for column in ("slip", "slip_sigma"):
+        assert described(out)[f"observation.{column}"]["dtype"] == "float32"
+        found, known = table[f"observation.{column}"], [row[column] for row in rows]
+        np.testing.assert_allclose(found, known, rtol=1e-5, atol=1e-7)  # NaN where it is NaN
+        assert np.isfinite(found).any()
+
+
+def described(dataset):
+    return json.loads((dataset / "meta/info.json").read_text())["features"]
+
+
+def test_rerun_reads_the_dataset(dataset, estimated):
+    pytest.importorskip("rerun", reason="a viewer of others, not a dependency")
+    from rerun.experimental import LeRobotReader
+
+    reader = LeRobotReader(str(dataset))
+    (episode,) = reader.episodes()
+    columns = reader.stream(episode).collect().schema().component_columns()
+    paths = {column.entity_path for column in columns}
+    assert {"/observation.wrench", "/observation.force_sigma_n"} <= paths
