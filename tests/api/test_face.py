@@ -21,6 +21,7 @@ from bubbleviz.files import parse_pose
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import with_colour_delay
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
@@ -176,6 +177,11 @@ def test_a_run_travels_without_what_can_be_made_again(estimated):
     assert got.status.tolist() == estimated.status.tolist()
     np.testing.assert_array_equal(got[2].force_n, estimated[2].force_n)
     np.testing.assert_array_equal(got[2].pixel_mask, mask)
+
+
+def test_a_calibration_of_every_pixel_travels_as_in_its_file():
+    model = SensorModel.of(bv.load_sensor("punyo_oval_d405"))
+    assert len(pickle.dumps(model)) < 2.5e6  # 640×480 pixels: 5.5 MB in double precision
 
 
 def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
