@@ -266,7 +266,7 @@ class OtherRecording(QWidget):
         if self._beside is None:
             return
         found, units, k = self._beside.found, self._state.units, self._state.frame
-        told = found.facts()
+        told = self._beside.facts
         shift = units.time.text(found.shift_s, signed=True)
         lines = [f"{found.other}: dashed in Plots, {shift}"]
         for title, unit, name, here in (

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -54,6 +55,7 @@ class Beside:
     """The other run, at the times of the open recording."""
 
     found: Comparison
+    facts: dict[str, Any]  # Of the comparison
     run: Run
     times_s: np.ndarray  # (F,) of its frames
     history: History
@@ -64,4 +66,4 @@ class Beside:
         found, history = compare(first, other, align=align), History(len(other))
         for k, each in enumerate(other):
             history.take(k, numbers_of(each.result, other.model.gas), patch=True)
-        return cls(found, other, other.times_s - found.shift_s, history)
+        return cls(found, found.facts(), other, other.times_s - found.shift_s, history)
