@@ -10,7 +10,7 @@ from bubbleviz.api.estimating import Recorded, SensorName, as_frames, sensor_for
 from bubbleviz.api.frames import parse_frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
-from bubbleviz.calibration import Checked, SensorCheck, check_sensor
+from bubbleviz.calibration import CheckRow, SensorCheck, check_sensor
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, KeptFrames, Recording, find_contact_free, shown_name
@@ -89,10 +89,10 @@ def check(
     return CheckSummary(**fields, recording=shown_name(chosen.source), sensor=name)
 
 
-def _temperature(source: Any) -> list[Checked]:
+def _temperature(source: Any) -> list[CheckRow]:
     """Temperature of the camera at the end of a recording, if recorded."""
     if not isinstance(source, Recording):
         return []
     topics = [each for each in source.bag.topics if each.type == _TEMPERATURE and each.count]
     last = (source.bag.messages(each).message(each.count - 1).temperature for each in topics)
-    return [Checked("camera temperature", "°C", 1.0, float(degrees)) for degrees in last]
+    return [CheckRow("camera temperature", "°C", 1.0, float(degrees)) for degrees in last]

@@ -14,10 +14,10 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import (
     Identification,
     KnownPress,
-    Name,
     Parameter,
     Settings,
     Step,
+    SurfaceName,
     Validation,
     Workbench,
     as_ranges,
@@ -148,7 +148,7 @@ def identify(
     sensor: str | Path | Sensor,
     *,
     contact_free: Sequence[int] | str | None = None,
-    surface: Name | None = None,
+    surface: SurfaceName | None = None,
     nodes: int = 1000,
     levels: Iterable[FrameSource | str | Path] = (),
     level_sigma: float | None = None,
@@ -228,7 +228,7 @@ def identify(
         level_sigma_pa=level_sigma,
         press=_known_press(source, object, pose, pressed),
         held_press=held_press,
-        scored=False,
+        search=False,
     )
     with OneBlasThread():
         draft = Workbench(source, load_sensor(sensor)).work(settings, progress)

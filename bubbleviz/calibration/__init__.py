@@ -1,4 +1,4 @@
-"""Calibration: pixels to trust, reference surface, tension, rubber, and the sensor file."""
+"""Calibration: usable pixels, reference surface, tension, rubber, and the sensor file."""
 
 import lazy_loader
 

@@ -1,10 +1,10 @@
+from .cluster_covariance import (
+    covariances as covariances,
+)
 from .ellipsoid import (
     Ellipsoid as Ellipsoid,
     fit_ellipsoid as fit_ellipsoid,
     fit_sphere as fit_sphere,
-)
-from .errors import (
-    covariances as covariances,
 )
 from .identification import (
     Identification as Identification,
@@ -15,7 +15,7 @@ from .material import (
     RubberEstimate as RubberEstimate,
     Vented as Vented,
     collect_press as collect_press,
-    held_frames as held_frames,
+    press_hold_frames as press_hold_frames,
     with_rubber as with_rubber,
 )
 from .pictures import (
@@ -32,24 +32,24 @@ from .rest_frames import (
     Ranges as Ranges,
     as_ranges as as_ranges,
     collect as collect,
-    numbers as numbers,
+    frame_numbers as frame_numbers,
 )
 from .segmentation import (
     rim_height as rim_height,
 )
 from .sensor_check import (
-    Checked as Checked,
+    CheckRow as CheckRow,
     SensorCheck as SensorCheck,
     check_sensor as check_sensor,
 )
 from .sensor_comparison import (
     Comparison as Comparison,
-    Kind as Kind,
+    QuantityKind as QuantityKind,
     compare as compare,
 )
 from .surface import (
-    NAMES as NAMES,
-    Name as Name,
+    SURFACE_NAMES as SURFACE_NAMES,
+    SurfaceName as SurfaceName,
     Surfaces as Surfaces,
 )
 from .tension import (

@@ -16,14 +16,14 @@ from bubbleviz.recordings import robust_sigma, tukey_loss
 
 Loss = Callable[[np.ndarray], np.ndarray]
 
-_FINE_NODES = 2_000  # of a mesh to integrate over: some 2 mm
-_SEARCH_POINTS = 5_000  # to get near; all of them finish
-_CLOSE = 1e-6  # relative change of the loss that ends a fit: of 10⁴ points, far below their noise
+_FINE_NODES = 2_000  # of a mesh to integrate over: edges of some 2 mm
+_COARSE_POINTS = 5_000  # for all fits but the last, which uses every point
+_LOSS_TOLERANCE = 1e-6  # relative; far below the noise of 10⁴ points
 
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid with semi-axes along the frame's; a sphere is one with equal ones."""
+    """An ellipsoid with axes parallel to the frame's; a sphere has three equal semi-axes."""
 
     centre_m: np.ndarray  # (3,), m, in the frame of the points
     semi_axes_m: np.ndarray  # (3,), m
@@ -31,8 +31,8 @@ class Ellipsoid:
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed orthogonal distance of points (k, 3), positive outside, m; shape (k,).
 
-        To first order in distance over radius of curvature, far below the noise for the
-        millimetre or so by which a membrane differs from an ellipsoid.
+        To first order in distance over radius of curvature. For the millimetre or so by which a
+        membrane differs from an ellipsoid, the error of this is far below the noise.
         """
         _, radius, slope = self._scaled(points)
         return (radius - 1.0) * radius / slope
@@ -57,26 +57,26 @@ class Ellipsoid:
         return Ellipsoid(self.centre_m + step[:3], np.abs(self.semi_axes_m + step[3:]))
 
     @property
-    def over_rim(self) -> EllipsoidalCap:
+    def cap_above_rim(self) -> EllipsoidalCap:
         """The part above the rim plane z = 0. Raises InputError: it does not reach the plane."""
         ax, ay, c = (float(x) for x in self.semi_axes_m)
-        sunk = float(self.centre_m[2]) / c
-        if not -1.0 < sunk < 1.0:
+        centre_height = float(self.centre_m[2]) / c
+        if not -1.0 < centre_height < 1.0:
             raise InputError(
                 "contact-free cloud: the fitted dome does not reach the rim plane z = 0; correct"
                 " camera.position_m in the sensor file"
             )
-        at_rim = float(np.sqrt(1.0 - sunk**2))
-        return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + sunk), c)
+        at_rim = float(np.sqrt(1.0 - centre_height**2))
+        return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + centre_height), c)
 
     @cached_property
-    def fine(self) -> MembraneMesh:
-        """Mesh to integrate over the part above the rim plane, where it lies."""
-        mesh = mesh_cap(self.over_rim, _FINE_NODES)
+    def fine_mesh(self) -> MembraneMesh:
+        """Fine mesh of the part above the rim plane, for integrals over it."""
+        mesh = mesh_cap(self.cap_above_rim, _FINE_NODES)
         return replace(mesh, nodes=mesh.nodes + self.centre_m * (1.0, 1.0, 0.0))
 
     def curvature(self, points: np.ndarray) -> np.ndarray:
-        """κ1 + κ2 in 1/m below or above points (k, 3), on the line to the centre.
+        """κ1 + κ2 in 1/m where lines from the centre through points (k, 3) meet the surface.
 
         2H = (Σa² − Σx²) / (Πa² (Σx²/a⁴)^{3/2}) (Gray, Modern Differential Geometry, 3rd ed., 13.5).
         """
@@ -87,7 +87,7 @@ class Ellipsoid:
         return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
 
     def _scaled(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points over the semi-axes a, |x/a| (1 on the surface) and |x/a²| in 1/m."""
+        """Points divided by the semi-axes a, |x/a| (1 on the surface) and |x/a²| in 1/m."""
         scaled, tiny = (points - self.centre_m) / self.semi_axes_m, np.finfo(float).tiny
         radius, slope = (
             np.sqrt(np.einsum("ij,ij->i", each, each))
@@ -97,41 +97,41 @@ class Ellipsoid:
 
 
 def fit_sphere(points: np.ndarray) -> Ellipsoid:
-    """Sphere through points (k, 3) in m, with outliers down-weighted to nothing."""
-    points = _known(points)
-    centre, radius = _algebraic_sphere(_thinned(points))
+    """Robust fit of a sphere to points (k, 3) in m; outliers have no weight."""
+    points = _finite_points(points)
+    centre, radius = _algebraic_sphere(_subsample(points))
     return _fit(points, Ellipsoid(centre, np.full(3, radius)), sphere=True)
 
 
 def fit_ellipsoid(points: np.ndarray) -> Ellipsoid:
-    """Ellipsoid through points (k, 3) in m, with outliers down-weighted to nothing.
+    """Robust fit of an ellipsoid to points (k, 3) in m; outliers have no weight.
 
-    Raises InputError: too few points, or no ellipsoid explains them (a flat membrane, depth in a
-    wrong unit).
+    Raises InputError: too few points, or no ellipsoid fits them (a flat membrane, depth in a wrong
+    unit).
     """
-    points = _known(points)
-    return _fit(points, fit_sphere(_thinned(points)), sphere=False)
+    points = _finite_points(points)
+    return _fit(points, fit_sphere(_subsample(points)), sphere=False)
 
 
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Robust least squares: Cauchy's loss to get near, Tukey's to finish, at its own scale."""
-    few = _thinned(points)
+    """Robust least squares: Cauchy loss first, then Tukey loss from the surface it found."""
+    few = _subsample(points)
     for loss in ("cauchy", tukey_loss, tukey_loss):
-        surface = _descend(few, surface, loss, sphere=sphere)
+        surface = _minimise(few, surface, loss, sphere=sphere)
     if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
         raise InputError(
             "contact-free cloud: no dome fits it (flat or concave); check that the"
             " membrane is inflated and the depth is in metres"
         )
     if len(points) > len(few):
-        surface = _descend(points, surface, tukey_loss, sphere=sphere)
+        surface = _minimise(points, surface, tukey_loss, sphere=sphere)
     return surface
 
 
-def _descend(
+def _minimise(
     points: np.ndarray, start: Ellipsoid, loss: Literal["cauchy"] | Loss, *, sphere: bool
 ) -> Ellipsoid:
-    """Least of a loss whose scale is that of the distances at the start."""
+    """Minimum of a loss scaled by the spread of the distances from the initial surface."""
     sigma = max(robust_sigma(start.distance(points), center=0.0), 1e-9)
     count = 4 if sphere else 6
 
@@ -143,13 +143,13 @@ def _descend(
 
     scale = np.full(count, start.semi_axes_m.max())
     step = least_squares(
-        distances, np.zeros(count), slopes, x_scale=scale, ftol=_CLOSE,
+        distances, np.zeros(count), slopes, x_scale=scale, ftol=_LOSS_TOLERANCE,
         loss=loss,  # type: ignore[arg-type]  # the stub's protocol names its argument
     ).x  # fmt: skip
     return start.moved(step)
 
 
-def _known(points: np.ndarray) -> np.ndarray:
+def _finite_points(points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, float).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 20:
@@ -160,12 +160,12 @@ def _known(points: np.ndarray) -> np.ndarray:
     return points
 
 
-def _thinned(points: np.ndarray) -> np.ndarray:
-    return points[:: max(1, len(points) // _SEARCH_POINTS)]
+def _subsample(points: np.ndarray) -> np.ndarray:
+    return points[:: max(1, len(points) // _COARSE_POINTS)]
 
 
 def _algebraic_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Sphere of least squares in x² + y² + z² = 2 c·x + k, on the central half of the points."""
+    """Sphere by least squares of x² + y² + z² = 2 c·x + k, over the central 80 % of the points."""
     middle = np.median(points, axis=0)
     far = np.linalg.norm(points - middle, axis=1)
     local = points[far <= np.quantile(far, 0.8)] - middle

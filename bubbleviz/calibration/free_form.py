@@ -1,13 +1,13 @@
 """Free-form reference surface: the fitted cap plus a smooth correction.
 
-Nodes move along the line from the centre of the rim plane, so that those of the rim stay in it.
+Nodes move along the line from the centre of the rim plane, so that rim nodes stay in the plane.
 The correction c is the P1 field that minimises
 
     Σ w (measured − cast range)² + λ cᵀ Q c,   Q = (M/ℓ² + L) M⁻¹ (M/ℓ² + L)
 
-with mass M and stiffness L of the mesh: bending at scales below ℓ, back to the cap (zero) where
-nothing is seen. λ is the one under which tiles of pixels left out are predicted best: smaller
-follows the camera's fixed pattern, which is no shape; larger misses the shape.
+with mass M and stiffness L of the mesh: bending energy at scales below ℓ, decay to the cap (zero)
+where nothing is measured. λ is chosen by cross-validation over tiles of pixels: a smaller one fits
+the camera's fixed pattern, a larger one misses part of the shape.
 """
 
 from __future__ import annotations
@@ -23,52 +23,51 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
 
 FOLDS = 5  # of the cross-validation; the usual number
-_DECADES = np.arange(-4.0, 4.5, 0.5)  # of λ around the one at which data and prior weigh alike
-_RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones change nothing
+_DECADES = np.arange(-4.0, 4.5, 0.5)  # log10 of λ over the one that balances data and prior
+_RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres
 
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A free-form surface and the numbers behind it."""
+    """A free-form surface, its residuals, and the last linear system of the fit."""
 
     mesh: MembraneMesh  # the corrected surface in B
-    left_out_rms_m: float  # robust rms error of ranges in tiles left out of the fit, m
+    left_out_rms_m: float  # robust rms error of predicted ranges in tiles left out of the fit, m
     # (H, W), measured minus cast range, m; NaN where there is no return or the ray misses the mesh
     residual_m: np.ndarray
-    # (H, W), measured minus predicted range of pixels whose tile was left out, m; NaN elsewhere
+    # (H, W), measured minus predicted range of each pixel, by a fit without its tile, m; NaN: none
     left_out_m: np.ndarray
-    # the fit's last linear system, in the pixels that took part
-    pixels: np.ndarray  # (P,) int, flat indices
-    # (P, n) sparse, derivative of their ranges for motion of the nodes along the arms
+    pixels: np.ndarray  # (P,) int, flat indices of the pixels fitted
+    # (P, n) sparse, derivative of their ranges by motion of the nodes along their lines
     D: sparse.csr_array
     weights: np.ndarray  # (P,)
     matrix: sparse.csc_array  # (n, n) sparse, normal matrix with the prior
-    # mean weight over mean slope of the robust loss: by how much the matrix overstates what it
-    # takes to move the fit
+    # mean weight over mean slope of the robust loss: factor by which the matrix of weights
+    # overstates the curvature of the loss
     efficiency: float
 
     def influence(
         self,
-        # (n, Q), change of each number per motion of each node along its arm, unit/m
+        # (n, Q), derivative of each quantity by motion of each node along its line, unit/m
         gradients: np.ndarray,
     ) -> np.ndarray:
-        """Change of numbers per change of each pixel's range, (P, Q), unit/m."""
+        """Derivative of quantities by each pixel's range, (P, Q), unit/m."""
         adjoint = symmetric_lu(self.matrix).solve(np.ascontiguousarray(gradients))
         return self.efficiency * self.weights[:, None] * (self.D @ adjoint)
 
 
 Normal = tuple[sparse.csc_array, np.ndarray]
-"""Normal equations of some pixels: matrix n×n and right side (n,)."""
+"""Normal equations: matrix n×n and right side (n,)."""
 
 
 def fit_free_form(
     start: MembraneMesh,  # mesh of the fitted cap in B
     camera: DepthCamera,
     range_m: np.ndarray,  # (H, W), mean contact-free range, m; NaN: no return
-    use: np.ndarray,  # (H, W) bool, pixels of the membrane that may take part
-    scale_m: float,  # length ℓ beyond which a correction is the cap's business, m
-    # side of the tiles left out in turn, pixels; several times the noise's correlation length, or
-    # what is left out is still known from its neighbours
+    use: np.ndarray,  # (H, W) bool, pixels of the membrane to fit
+    scale_m: float,  # length ℓ beyond which the correction is damped, m
+    # side of the tiles of the cross-validation, pixels; several times the noise's correlation
+    # length, or neighbours predict the noise of a tile that is left out
     tile_px: int,
     progress: Progress = quiet,
 ) -> FreeForm:
@@ -92,13 +91,13 @@ def fit_free_form(
         sigma = robust_sigma(residual)
         weights = tukey_weights(about, sigma)
         unit = _balance(D, weights, prior)
-        if k < 2:  # later rounds move by micrometres: the choice stands
-            near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse choice
+        if k < 2:  # later rounds move by micrometres: λ stays
+            near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse search
             tried = _DECADES[near] if k else _DECADES[::2]
             smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit, tried)
             left_out_image[hits.ray] = missed
-        of_data, right = _normal(D, target, weights)
-        matrix = (of_data + prior * (smoothing * unit)).tocsc()
+        data_matrix, right = _normal(D, target, weights)
+        matrix = (data_matrix + prior * (smoothing * unit)).tocsc()
         correction = symmetric_lu(matrix).solve(right)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
@@ -127,7 +126,7 @@ def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:
 
 
 def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
-    """Fold 0 … 4 of each pixel: whole tiles, offset by a knight's move from row to row."""
+    """Fold 0 … 4 of each pixel: all pixels of a tile share one; neighbouring tiles differ."""
     row, column = np.divmod(pixels, width)
     return (row // tile_px * 2 + column // tile_px) % FOLDS
 
@@ -149,19 +148,19 @@ def _choose(
     fold: np.ndarray,
     prior: sparse.csc_array,
     unit: float,
-    decades: np.ndarray,  # of λ to try
+    decades: np.ndarray,  # log10 of the λ / unit to try
 ) -> tuple[float, float, np.ndarray]:
-    """λ / unit that predicts the tiles left out best, its rms error and errors (k,), m."""
+    """λ / unit of least cross-validation error, its rms error and errors (k,), m."""
     parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(FOLDS)]
-    whole = _normal(D, target, weights)
+    all_folds = _normal(D, target, weights)
     errors = np.zeros(len(decades))
     missed = np.empty((len(decades), len(target)), np.float32)
     for k, part in enumerate(parts):
-        matrix, right = whole[0] - part[0], whole[1] - part[1]
+        matrix, right = all_folds[0] - part[0], all_folds[1] - part[1]
         rows, wanted, weight = D[fold == k], target[fold == k], weights[fold == k]
         for j, decade in enumerate(decades):
-            left = (matrix + prior * (10.0**decade * unit)).tocsc()
-            error = wanted - rows @ symmetric_lu(left).solve(right)
+            regularised = (matrix + prior * (10.0**decade * unit)).tocsc()
+            error = wanted - rows @ symmetric_lu(regularised).solve(right)
             errors[j] += float(np.sum(weight * error**2))
             missed[j, fold == k] = error
     errors /= float(weights.sum())

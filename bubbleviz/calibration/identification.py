@@ -1,4 +1,4 @@
-"""A sensor as its own contact-free frames describe it."""
+"""A sensor identified from its contact-free frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import Surfaces
 from bubbleviz.calibration.tension import Quantity, TensionEstimate
 from bubbleviz.camera import DepthCamera, PixelModel
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Identification:
-    """A sensor as its own contact-free frames describe it."""
+    """A sensor identified from its contact-free frames."""
 
-    # of shape "spherical_cap" where the sphere was chosen, else "mesh", whose files do not exist
-    # before `write_sensor`
+    # with the shape "spherical_cap" where the sphere was chosen, else "mesh"; `write_sensor` writes
+    # the mesh file
     sensor: Sensor
-    given: Sensor  # the sensor file it started from
-    samples: Samples
+    given: Sensor  # the sensor file before identification
+    samples: FrameSamples
     surfaces: Surfaces
     pixels: PixelModel
     tension: TensionEstimate
-    # where inflation levels, a press or the open chamber told of gauge pressure and rubber
+    # None without inflation levels, press and open chamber
     rubber: RubberEstimate | None = None
 
     @property
@@ -51,7 +51,6 @@ class Identification:
 
     @property
     def statistics(self) -> DepthStatistics:
-        """Of every pixel."""
         return self.samples.statistics
 
     @property
@@ -60,7 +59,7 @@ class Identification:
 
     @property
     def gauge(self) -> Quantity | None:
-        """Gauge pressure, Pa, whose interval γ0's holds; None where nothing tells how well."""
+        """Gauge pressure, Pa, whose error is part of γ0's interval; None: of unknown error."""
         if self.rubber is not None and self.rubber.gauge is not None:
             return self.rubber.gauge
         pneumatics = self.sensor.pneumatics
@@ -68,9 +67,9 @@ class Identification:
         return None if sigma is None else Quantity.normal(pneumatics.gauge_pressure_pa, sigma)
 
     @property
-    def gauge_rests_on(self) -> str:
-        """What the gauge pressure comes from, in words."""
-        return "the sensor file" if self.rubber is None else self.rubber.gauge_rests_on
+    def gauge_source(self) -> str:
+        """Source of the gauge pressure, as text."""
+        return "the sensor file" if self.rubber is None else self.rubber.gauge_source
 
     @cached_property
     def model(self) -> SensorModel:
@@ -79,37 +78,37 @@ class Identification:
 
     @property
     def modelled_range_m(self) -> np.ndarray:
-        """Range of the rays cast on the reference surface, (H, W), m; NaN where they miss."""
+        """Range of the reference surface, (H, W), m; NaN where the ray misses it."""
         return self.statistics.range_m - self.surfaces.residual_m
 
 
-def rest_gauge(samples: Samples, sensor: Sensor) -> tuple[float, float | None]:
+def rest_gauge(samples: FrameSamples, sensor: Sensor) -> tuple[float, float | None]:
     """Gauge pressure of the contact-free frames and its standard deviation, Pa.
 
-    The sensor file's where that says how well it is known, or no gas pressure was recorded; else
-    the recorded one less the sensor file's atmospheric pressure, which leaves the weather's. A
-    sensor file that says how well its gauge pressure is known is off by as much as the recorded
-    pressure is another one than its, too: either the weather changed since, or the inflation, and
-    nothing tells which. None: nothing tells how well it is known.
+    The sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
+    recorded pressure less the sensor file's atmospheric pressure, with the weather's deviation.
+    Where the recorded pressure differs from that of the sensor file, either the weather or the
+    inflation has changed, so the difference, up to the weather's, adds to the file's deviation. A
+    deviation of None: not known.
     """
     pneumatics = sensor.pneumatics
     gauge, sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
     if samples.gas_pressure_pa is None:
         return gauge, sigma
-    rest = float(np.median(samples.gas_pressure_pa))
+    recorded = float(np.median(samples.gas_pressure_pa))
     if sigma is not None:
-        if not ATMOSPHERES[0] <= rest - gauge <= ATMOSPHERES[1]:
+        if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
             raise InputError(
-                f"{samples.source_name}: gas pressure {rest:.0f} Pa minus the sensor file's gauge "
-                f"pressure {gauge:.0f} Pa is not a plausible atmospheric pressure; record the "
-                "absolute pressure, or correct the sensor file"
+                f"{samples.source_name}: gas pressure {recorded:.0f} Pa minus the sensor file's "
+                f"gauge pressure {gauge:.0f} Pa is not a plausible atmospheric pressure; record "
+                "the absolute pressure, or correct the sensor file"
             )
-        moved = abs(rest - pneumatics.reference_pressure_pa)
-        return gauge, float(np.hypot(sigma, min(moved, WEATHER_SIGMA_PA)))
-    gauge = rest - pneumatics.atmospheric_pressure_pa
+        change = abs(recorded - pneumatics.reference_pressure_pa)
+        return gauge, float(np.hypot(sigma, min(change, WEATHER_SIGMA_PA)))
+    gauge = recorded - pneumatics.atmospheric_pressure_pa
     if gauge <= 0.0:
         raise InputError(
-            f"{samples.source_name}: gas pressure {rest:.0f} Pa is not above the atmospheric"
+            f"{samples.source_name}: gas pressure {recorded:.0f} Pa is not above the atmospheric"
             f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the atmospheric pressure in "
             "the sensor file, or inflate the bubble"
         )
@@ -118,12 +117,12 @@ def rest_gauge(samples: Samples, sensor: Sensor) -> tuple[float, float | None]:
 
 def assemble(
     sensor: Sensor,
-    samples: Samples,
+    samples: FrameSamples,
     surfaces: Surfaces,
     pixels: PixelModel,
     tension: TensionEstimate,
 ) -> Identification:
-    """Put what the steps found into a sensor."""
+    """Combine the results of all steps into a sensor."""
     sigma = rest_gauge(samples, sensor)[1]
     pneumatics = sensor.pneumatics.model_copy(update=pressures(samples, tension, sigma))
     update = {
@@ -143,9 +142,9 @@ def assemble(
 
 
 def pressures(
-    samples: Samples, tension: TensionEstimate, gauge_sigma_pa: float | None
+    samples: FrameSamples, tension: TensionEstimate, gauge_sigma_pa: float | None
 ) -> dict[str, float | None]:
-    """Pressures and γ0 of the sensor file; the recorded gas pressure is that of its rest."""
+    """Pressures and γ0 for the sensor file."""
     gauge = tension.gauge_pressure_pa
     values = {
         "gauge_pressure_pa": round(gauge, 1),
@@ -161,7 +160,7 @@ def pressures(
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
     section = Membrane(shape="mesh", mesh_file="membrane.ply", nodes=len(surfaces.mesh.nodes))
     if surfaces.chosen == "sphere":
-        cap = surfaces.sphere.over_rim
+        cap = surfaces.sphere.cap_above_rim
         section = Membrane(
             shape="spherical_cap",
             rim_radius_m=round(cap.rim_semi_axes_m[0], 7),

@@ -1,4 +1,4 @@
-"""Images of an identification, for the window, and the pictures of its report."""
+"""Images of an identification for the window, and the figures of its report."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from bubbleviz.calibration.validation import Validation
 from bubbleviz.membrane import local_tension
 
 _SEQUENTIAL, _DIVERGING = "viridis", "RdBu_r"
-_MISSING = "#28282c"  # colour of pixels without a number
-_BLUR = 0.1  # of the dome's size: below it the spread is the facets'
+_MISSING = "#28282c"  # colour of pixels without a value
+_BLUR = 0.1  # of the dome's size: finer variation comes from the flat facets
 
 
 def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
-    """The last contact-free frame less the surface, before rectification and after it.
+    """Range of the last contact-free frame minus the surface, before and after rectification.
 
-    Ranges (H, W), m; NaN outside the pixels in use.
+    Images (H, W), m; NaN outside the pixels in use.
     """
     frame = found.model.camera.range_image(found.samples.depth_m[-1])
     pixels, line = found.pixels, found.pixels.line
@@ -31,7 +31,7 @@ def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
 
 
 def local_tension_image(found: Identification) -> np.ndarray:
-    """γ0 by the balance of each neighbourhood as the camera sees it, (H, W), N/m."""
+    """γ0 by the force balance of each pixel's neighbourhood, (H, W), N/m."""
     scale = _BLUR * float(np.sqrt(found.mesh.areas.sum()))
     field = local_tension(found.mesh, found.tension.gauge_pressure_pa, scale)
     hits = found.model.view.hits(np.zeros(len(field)))
@@ -57,21 +57,21 @@ def pictures(found: Identification, validation: Validation | None) -> list[dict[
                  around, _DIVERGING),
         _picture("Last frame before rectification", "range minus surface", 1e3 * before,
                  "mm", around, _DIVERGING),
-        _picture("Last frame after rectification", "the same less each pixel's offset",
+        _picture("Last frame after rectification", "range minus surface and pixel offset",
                  1e3 * after, "mm", around, _DIVERGING),
-        _picture("Local γ0", "balance of each neighbourhood", local_tension_image(found), "N/m",
+        _picture("Local γ0", "force balance around each pixel", local_tension_image(found), "N/m",
                  (0.8 * tension, 1.2 * tension), _DIVERGING),
-        *([] if validation is None else _of_validation(validation)),
+        *([] if validation is None else _validation_pictures(validation)),
     ]  # fmt: skip
 
 
-def _of_validation(validation: Validation) -> list[dict[str, str]]:
+def _validation_pictures(validation: Validation) -> list[dict[str, str]]:
     limit = 1e3 * max(3.0 * validation.rms_m, 1e-9)
     patches = validation.predicted_patch + 2.0 * validation.measured_patch
     return [
         _picture("Known press: distance of the cloud", "from the predicted membrane, inside: < 0",
                  1e3 * validation.distance_image_m, "mm", (-limit, limit), _DIVERGING),
-        _picture("Known press: patches", "0: none, 1: only predicted, 2: only estimated, 3: both",
+        _picture("Known press: patches", "0 none, 1 predicted only, 2 estimated only, 3 both",
                  patches, "", (0.0, 3.0)),
     ]  # fmt: skip
 
@@ -84,8 +84,8 @@ def _picture(
     ends: tuple[float, float],
     colours: str = _SEQUENTIAL,
 ) -> dict[str, str]:
-    """Title, text and PNG as a data URI of an image (H, W) in a unit, with its colour bar."""
-    from matplotlib import colormaps  # 0.4 s, which the window starts without
+    """Title, text, and data URI of a PNG of an image (H, W) with its colour bar."""
+    from matplotlib import colormaps  # takes 0.4 s, so not when the window starts
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.0, 6.0 * image.shape[0] / image.shape[1]), layout="constrained")

@@ -1,4 +1,4 @@
-"""Per-pixel rectification of the range: an offset from one inflation level, a line from more."""
+"""Per-pixel correction of the range: an offset from one inflation level, a line from several."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from dataclasses import replace
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import Surfaces
 from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import robust_sigma
 
-_TOLERANCE = 3.0  # standard deviations of a sample at the outermost level
-_APART = 10.0  # standard deviations of a sample that levels must differ by
+_TOLERANCE = 3.0  # standard deviations of a sample beyond the outermost levels
+_MIN_SPAN = 10.0  # standard deviations of a sample by which levels must differ
 
-Level = tuple[Samples, Surfaces, PixelModel]
-"""Contact-free frames at one inflation, the surface fitted to them, and the pixels to use."""
+Level = tuple[FrameSamples, Surfaces, PixelModel]
+"""Contact-free frames at one inflation level, the surface fitted to them, and the usable pixels."""
 
 
 def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
-    """Identification with a range correction per pixel fitted to further inflation levels.
+    """Identification with a range correction per pixel, fitted to further inflation levels.
 
-    The bias stays that of its own level, so that the untouched sensor shows no contact; pixels
-    that are not seen at every level are left out.
+    The bias stays that of the rest level, so that the untouched sensor shows no contact. Pixels
+    without a measurement at every level are not used.
 
-    Raises InputError: images of different sizes, or levels too alike to tell a slope.
+    Raises InputError: images of different sizes, or levels too close to determine a slope.
     """
     if not levels:
         return found
@@ -68,17 +68,17 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
 
 
 def fit_lines(
-    # (L, H, W), mean range along the ray, and that of the surface fitted to it, m; NaN: none
+    # (L, H, W), mean measured range, and range of the surface fitted to it, m; NaN: none
     measured_m: np.ndarray,
     modelled_m: np.ndarray,
     noise_m: np.ndarray,  # (L, H, W), standard deviation of one sample, m
-    frames: np.ndarray,  # (L,), independent samples that a mean is worth
+    frames: np.ndarray,  # (L,), effective number of independent frames in a mean
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """True change of range per measured one, and ranges (m) between which it holds, (H, W) each.
+    """Slope of true over measured range, and ranges (m) between which it is valid, (H, W) each.
 
-    Each level is weighted by its noise. Towards the rim levels differ by little: slopes are shrunk
-    towards 1 according to their standard error (the mean of the posterior, with the slopes' own
-    spread over the better half of the pixels as the prior's). NaN where unknown.
+    Each level is weighted by its noise. Towards the rim levels differ little, so slopes are shrunk
+    towards 1 according to their standard error: the posterior mean under a prior whose spread is
+    that of the slopes of the better half of the pixels. NaN where unknown.
     """
     nearest, farthest, noise = measured_m.min(axis=0), measured_m.max(axis=0), noise_m.max(axis=0)
     _check_apart(farthest - nearest, noise)
@@ -101,8 +101,8 @@ def fit_lines(
 def _check_apart(span_m: np.ndarray, noise_m: np.ndarray) -> None:
     known = np.isfinite(span_m) & np.isfinite(noise_m)
     if not known.any():
-        raise InputError("rectification: no pixel is seen at every level; record them again")
-    span, needed = float(np.median(span_m[known])), _APART * float(np.median(noise_m[known]))
+        raise InputError("rectification: no pixel is valid at every level; record them again")
+    span, needed = float(np.median(span_m[known])), _MIN_SPAN * float(np.median(noise_m[known]))
     if span < needed:
         raise InputError(
             f"rectification: the levels are only {1e3 * span:.2g} mm apart, within the noise;"

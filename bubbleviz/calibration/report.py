@@ -1,4 +1,4 @@
-"""What is written of an identification: sensor file, mesh and pixels, and a report."""
+"""Files of an identification: sensor file, mesh, pixel images, and report."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
 _MESH_COMMENT = "membrane in the bubble frame B, metres"
 
 Origin = dict[str, Any]
-"""Of an identification: `recording`, `recording_sha256`, `sensor_file`, `date` (ISO 8601, UTC) and
-`report`, its path from the sensor file's folder."""
+"""`recording`, `recording_sha256`, `sensor_file`, `date` (ISO 8601, UTC) and `report`, the path
+relative to the sensor file's folder."""
 
 
 def output_files(
     out_toml: str | Path, report: Path | None = None, *, overwrite: bool = False
 ) -> list[Path]:
-    """Paths of the sensor file, its mesh and its pixel images, and of the report where it has one.
+    """Paths of the sensor file, its mesh, its pixel images, and the report if there is one.
 
-    Raises InputError: one is taken, or, to overwrite, is no file of ours.
+    Raises InputError: one exists and may not be overwritten.
     """
     path = Path(out_toml)
     if path.suffix != ".toml":
@@ -50,25 +50,25 @@ def output_files(
 def write_sensor(
     found: Identification, out_toml: str | Path, origin: Origin | None = None
 ) -> Sensor:
-    r"""Write `X.toml`, `X.npz` and, where it has one, `X.ply`, all or none; return the sensor.
+    r"""Write `X.toml`, `X.npz` and, for a mesh surface, `X.ply`, all or none; return the sensor.
 
     The shipped Punyo preset is made by (move the old files away first)::
 
         bubbleviz identify punyo_press_a --sensor OLD/punyo_oval_d405.toml \
             --out presets/sensors/punyo_oval_d405.toml
 
-    which keeps the rim plane, camera axes and name of the old one.
+    which keeps the rim plane, camera axes and name of the old preset.
 
     Raises
     ------
     InputError
-        A file exists, or cannot be written; nothing is written then.
+        A file exists, or cannot be written; then nothing is written.
     """
     path, mesh_path, pixels_path = output_files(out_toml)
     origin = origin or {"recording": found.samples.source_name}
     sensor = _described(found, path, origin)
     with ExitStack() as files:
-        # Published last to first: the sensor file comes last, when what it names is there.
+        # Files appear in reverse order: the sensor file last, after the files that it names.
         toml = files.enter_context(whole_file(path))
         if sensor.membrane.mesh_file is not None:
             mesh, ply = found.mesh, files.enter_context(whole_file(mesh_path))
@@ -94,19 +94,19 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
 
 
 def _intervals(found: Identification) -> dict[str, Any]:
-    """What the file keeps of gauge pressure and λ beside their values."""
+    """Intervals and sources of gauge pressure and λ for the sensor file."""
     keys: dict[str, Any] = {}
     if (gauge := found.gauge) is not None:
         keys["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
-        keys["gauge_from"] = found.gauge_rests_on
+        keys["gauge_from"] = found.gauge_source
     if (rubber := found.rubber) is not None and (stretch := rubber.prestretch) is not None:
         keys["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
-        keys["prestretch_from"] = rubber.prestretch_rests_on
+        keys["prestretch_from"] = rubber.prestretch_source
     return keys
 
 
 def _comment(found: Identification) -> str:
-    """Where the numbers come from, as comment lines."""
+    """Sources of the numbers, as TOML comment lines."""
     surfaces, tension, free = found.surfaces, found.tension, found.samples.frames
     axes = "/".join(f"{1e3 * x:.1f}" for x in surfaces.cap.semi_axes_m)
     misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
@@ -128,7 +128,7 @@ def _comment(found: Identification) -> str:
 def summary(
     found: Identification,
     origin: Origin,
-    validation: Validation | None = None,  # by a known object at a known pose, where there is one
+    validation: Validation | None = None,  # by a known press
 ) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
@@ -156,8 +156,8 @@ def summary(
         "ellipsoid": {name: value.tolist() for name, value in asdict(cap).items()},
         "rim_height_m": surfaces.rim_height_m,
         "rim_height_sigma_m": surfaces.rim_height_sigma_m,
-        "seen": surfaces.seen,
-        "wander_m": surfaces.wander_m,
+        "seen": surfaces.visible_share,
+        "wander_m": surfaces.motion_m,
         "pixels": {"used": int(found.pixels.mask.sum()), "removed": found.pixels.removed}
         | {"correlated": statistics.correlated_pixels, "quantum_m": statistics.quantum_m}
         | {"noise_median_m": float(np.median(found.pixels.noise_m[found.pixels.mask]))},
@@ -179,7 +179,7 @@ def write_report(
 
     Raises InputError: the folder exists or cannot be made.
     """
-    # 0.4 s, which the window starts without
+    # takes 0.4 s, so not when the window starts
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from bubbleviz.calibration.pictures import pictures
@@ -202,7 +202,7 @@ def write_report(
 
 
 def _rectification(found: Identification) -> dict[str, Any]:
-    """Levels, and what the line through them says; an offset from one level has no limits."""
+    """Count of levels, and slope and span of the line through them."""
     line, mask = found.pixels.line, found.pixels.mask
     if line is None:
         return {"levels": 1}
@@ -211,20 +211,20 @@ def _rectification(found: Identification) -> dict[str, Any]:
 
 
 def _rubber(found: Identification) -> dict[str, Any] | None:
-    """λ and gauge pressure with intervals and what they rest on, SI units, ready for JSON."""
+    """λ and gauge pressure with intervals and sources, SI units, ready for JSON."""
     rubber = found.rubber
     if rubber is None:
         return None
-    told = np.isfinite(rubber.unexplained_rms_m)
+    fitted = np.isfinite(rubber.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
         "prestretch": rubber.prestretch and asdict(rubber.prestretch),
-        "prestretch_from": rubber.prestretch_rests_on if rubber.prestretch else None,
+        "prestretch_from": rubber.prestretch_source if rubber.prestretch else None,
         "why_not_determined": rubber.why_not or None,
         "gauge_pressure_pa": rubber.gauge and asdict(rubber.gauge),
-        "gauge_from": rubber.gauge_rests_on,
-        "from": rubber.told_by if told else None,
-        "levels": {name: getattr(rubber, name) for name in names} if told else None,
+        "gauge_from": rubber.gauge_source,
+        "from": rubber.shapes_kind if fitted else None,
+        "levels": {name: getattr(rubber, name) for name in names} if fitted else None,
     }
 
 
@@ -245,17 +245,17 @@ def _validation(validation: Validation | None) -> dict[str, Any] | None:
 
 def save(
     found: Identification,
-    source: FrameSource,  # what it was made from; hashed where it is a file
-    sensor_file: str,  # what it started from
-    out: Path,  # SENSOR.toml; its mesh and pixels go beside it
+    source: FrameSource,  # its frames; hashed where it is a file
+    sensor_file: str,  # the sensor file before identification
+    out: Path,  # SENSOR.toml; its mesh and pixels go into the same folder
     report: Path | None,  # new folder
     progress: Progress = quiet,
     validation: Validation | None = None,  # by a known press
 ) -> dict[str, Any]:
-    """Write the sensor at `out` and its report; the numbers of the report.
+    """Write the sensor to `out`, and its report; returns the numbers of the report.
 
-    Raises InputError: something exists or cannot be written; nothing is written then. Raises
-    Cancelled: by `progress`; nothing is written then.
+    Raises InputError: a file exists or cannot be written. Raises Cancelled: by `progress`. Nothing
+    is written in either case.
     """
     files = output_files(out, report)
     path = getattr(source, "path", None)
@@ -264,7 +264,7 @@ def save(
         "recording_sha256": None if path is None else file_hash(path),
         "sensor_file": sensor_file,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "report": None if report is None else _from(out.parent, report / "report.html"),
+        "report": None if report is None else _relative(report / "report.html", out.parent),
     }
     numbers = summary(found, origin, validation)
     progress("writing", 0.0)
@@ -274,13 +274,13 @@ def save(
             write_report(found, numbers, report, validation)
         except BaseException:
             for each in files[:3]:
-                each.unlink(missing_ok=True)  # none of them was there before
+                each.unlink(missing_ok=True)  # none existed before: `output_files`
             raise
     return numbers
 
 
-def _from(folder: Path, path: Path) -> str:
-    """Path as seen from a folder, so that both can be moved together."""
+def _relative(path: Path, folder: Path) -> str:
+    """Path relative to a folder, so that both can be moved together."""
     try:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:  # on another drive

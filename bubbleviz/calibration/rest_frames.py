@@ -1,4 +1,4 @@
-"""Contact-free frames of an identification with their per-pixel statistics."""
+"""Frames for an identification with per-pixel statistics, and the choice of usable pixels."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from bubbleviz.recordings import (
 from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 
-MAX_FRAMES = 150  # frames above which more of them only cost memory: every so many-th is used then
+MAX_FRAMES = 150  # of more frames, evenly spaced ones are used: the rest only cost memory
 
-_WRONG_UNIT = np.sqrt(10.0)  # half way, in ratio, to a unit ten times as large
+_WRONG_UNIT = np.sqrt(10.0)  # geometric mean of 1 and a factor of ten
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Contact-free frames of one camera."""
+class FrameSamples:
+    """Frames of one camera with the membrane at rest, or in one steady press."""
 
     source_name: str
-    frames: tuple[int, ...]  # their numbers in the recording
+    frames: tuple[int, ...]  # indices in the recording
     depth_m: np.ndarray  # (F, H, W) float32, z-depth, m; NaN: no return
     gas_pressure_pa: np.ndarray | None  # (F,), absolute; None where a frame lacks it
-    camera: DepthCamera  # as the sensor file has it in B, with the recording's intrinsics
+    camera: DepthCamera  # at the sensor file's pose in B, with the recording's intrinsics
     statistics: DepthStatistics
 
 
 def collect(
     source: FrameSource,
-    # camera pose, intrinsics where the recording has none, and how far away a membrane is
+    # gives the camera pose, the distance of the membrane, and intrinsics if the recording has none
     sensor: Sensor,
-    chosen: Sequence[int],  # contact-free frames: any, so that one can be taken out again
+    chosen: Sequence[int],  # indices of contact-free frames
     progress: Progress = quiet,
-) -> Samples:
-    """Read the chosen frames and measure every pixel over them.
+) -> FrameSamples:
+    """Read the chosen frames and compute statistics of every pixel over them.
 
     Raises InputError: fewer than 5 frames, frames of another camera, no returns, or depth in a
     wrong unit.
@@ -78,7 +78,7 @@ def collect(
     progress("measuring pixels", 0.0)
     depth = np.stack(images).astype(np.float32, copy=False)
     gas = np.array(pressures)
-    return Samples(
+    return FrameSamples(
         source_name=source.name,
         frames=tuple(chosen),
         depth_m=depth,
@@ -92,7 +92,7 @@ def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCam
     """Refuse depths whose scale differs from the sensor file's by a power of ten (mm for m)."""
     valid = depth_m[np.isfinite(depth_m)]
     if not valid.size:
-        return  # measure_depth says so, over all frames
+        return  # measure_depth raises an error if this holds for all frames
     drawn = (build_mesh(sensor).nodes - camera.center) @ camera.T_B_C[:3, 2]
     measured, expected = float(np.median(valid)), float(np.median(drawn))
     if not expected / _WRONG_UNIT < measured < expected * _WRONG_UNIT:
@@ -111,21 +111,21 @@ _SAMPLE_SCALE = 3.0  # robust standard deviations: 1 in 370 of a normal populati
 
 def select_pixels(
     statistics: DepthStatistics,  # of the contact-free frames
-    membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane (`segment.membrane_pixels`)
+    membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane (`membrane_pixels`)
     # (H, W), measured minus modelled range, m; NaN where the ray misses the model
     residual_m: np.ndarray,
-    # share of the frames in which a pixel must have a return; nine tenths of what is usual
+    # share of the frames in which a pixel must have a return; None: 0.9 of the typical share
     min_validity: float | None = None,
     # robust standard deviations beyond which a pixel is `unstable` or `biased`
     deviations: float = _SAMPLE_SCALE,
 ) -> PixelModel:
     """Choose the pixels to use, and estimate the bias of each.
 
-    Reasons to leave a pixel out, in this order: `never_valid` and `rarely_valid` (returns in
-    fewer than `min_validity` of the frames), `false_return` (not part of the membrane),
-    `outside_rim` (its ray misses the membrane), `edge` (its matching window reaches past the
-    membrane's edge or into a hole), `unstable` (σ beyond what the other pixels have) and
-    `biased` (glare and rim bias: further from the surface than the other pixels are).
+    Reasons to exclude a pixel, in this order: `never_valid` and `rarely_valid` (returns in fewer
+    than `min_validity` of the frames), `false_return` (not part of the membrane), `outside_rim`
+    (its ray misses the membrane), `edge` (its matching window extends past the membrane's edge or
+    into a hole), `unstable` (σ is an outlier among the pixels) and `biased` (its distance from the
+    surface is an outlier, as by glare or near the rim).
     """
     if min_validity is None:
         min_validity = statistics.regular_validity
@@ -135,7 +135,7 @@ def select_pixels(
     fence = upper_fence(sigma[typical], deviations)
     middle = float(np.median(residual_m[typical])) if typical.any() else 0.0
     spread = robust_sigma(residual_m[typical])
-    # NaN compares false: what has no residual was taken out by an earlier reason.
+    # Comparisons with NaN are false: pixels without residual have an earlier reason.
     with np.errstate(invalid="ignore"):
         reasons = {
             "never_valid": validity <= 0.0,
@@ -164,10 +164,10 @@ def select_pixels(
 
 
 Ranges = tuple[tuple[int, int], ...]
-"""First frame and the one after the last of each range; in order, apart, none empty."""
+"""First frame and the one after the last of each range; sorted, disjoint, none empty."""
 
 
-def numbers(ranges: Ranges) -> list[int]:
+def frame_numbers(ranges: Ranges) -> list[int]:
     return [k for start, stop in ranges for k in range(start, stop)]
 
 

@@ -1,4 +1,4 @@
-"""Which pixels are the membrane: the largest piece of the cloud without a step in it."""
+"""Pixels that see the membrane: the largest part of the cloud without steps in depth."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.recordings import robust_sigma
 
-_STEP_SIGMA = 6.0  # of neighbours' differences: a step, and no noise
+_STEP_SIGMA = 6.0  # differences of neighbours beyond so many standard deviations are steps
 
 
 def membrane_pixels(
     distance_m: np.ndarray,  # (H, W), distance of each pixel's point from the fitted cap, m
-    known: np.ndarray,  # (H, W) bool, pixels with a return to speak of
+    known: np.ndarray,  # (H, W) bool, pixels with returns in enough frames
 ) -> np.ndarray:
-    """Pixels of the largest connected piece of the measured surface, (H, W) bool.
+    """Pixels of the largest connected part of the measured surface, (H, W) bool.
 
-    Neighbours belong together unless their distances from the fitted cap differ by a step:
-    what a false return, or the housing seen past the rim, is separated by.
+    A step in the distance from the fitted cap separates neighbours, as at the edges of false
+    returns and of the housing behind the rim.
     """
     index = np.arange(known.size).reshape(known.shape)
     pairs = []
@@ -38,21 +38,21 @@ def membrane_pixels(
 
 
 def away_from_edges(region: np.ndarray, distance_px: float) -> np.ndarray:
-    """Pixels of a region (H, W) further from its edges than so many pixels.
+    """Pixels of a region (H, W) further than a distance from its edges.
 
-    The image's border is no edge: the surface goes on behind it.
+    The image's border does not count as an edge: the surface continues beyond it.
     """
     inside = ndimage.distance_transform_edt(np.pad(region, 1, mode="edge"))[1:-1, 1:-1]
     return region & (inside > distance_px)
 
 
 def outer_edge(region: np.ndarray) -> np.ndarray:
-    """Pixels (H, W) on the outer edge of a region, holes and the image's border left out."""
+    """Pixels (H, W) on the outer edge of a region, without edges of holes and image border."""
     filled = ndimage.binary_fill_holes(region)
     return region & filled & ~ndimage.binary_erosion(filled, border_value=1)
 
 
-# Where the rim is: from the edge of the measured membrane.
+# Height of the rim from the edge of the measured membrane.
 
 
 def rim_height(
@@ -60,10 +60,9 @@ def rim_height(
 ) -> tuple[float, float]:
     """Height of the rim and its uncertainty, m, from heights of the cloud's outer edge.
 
-    The edge of the cloud is the rim, or only the edge of what the camera could match. The
-    latter lies anywhere above the rim, the former at one height: the mode of the heights, found
-    by halving to the densest half again and again. The uncertainty is half the width of the
-    densest quarter.
+    Some points of the edge lie on the rim, all at one height; others, where depth ends early, at
+    any height above it. So the rim is the mode of the heights (repeated selection of the densest
+    half). The uncertainty is half the width of the densest quarter.
     """
     heights = np.sort(edge_heights_m[np.isfinite(edge_heights_m)])
     if not len(heights):
@@ -75,7 +74,7 @@ def rim_height(
 
 
 def _densest(ordered: np.ndarray, count: int) -> np.ndarray:
-    """The `count` consecutive values of a sorted array that span least."""
+    """The `count` consecutive values of a sorted array with the smallest range."""
     count = min(count, len(ordered))
     spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
     start = int(np.argmin(spans))

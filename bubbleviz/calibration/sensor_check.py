@@ -1,8 +1,8 @@
-"""Whether contact-free frames still fit the sensor file, and what a misfit is worth in force.
+"""Check of a sensor file against contact-free frames, and the force error of a misfit.
 
-The mean of the frames is compared with the range that the sensor file expects, over the blocks of
-pixels and with the noise that the estimator uses. What changed is looked for among three causes,
-each with a known pattern over the image: an offset of depth, its scale, and the gas pressure.
+The mean of the frames is compared with the range that the sensor file predicts, with the blocks of
+pixels and the noise of the estimator. A change is explained by up to three causes, each with a
+known pattern over the image: an offset of depth, its scale, and the gas pressure.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, touching_height
 from bubbleviz.wording import decimals_of, rounded
 
-Answer = Literal["fits", "drifted", "another"]
+CheckVerdict = Literal["fits", "drifted", "another"]
 
 OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure from the shape"
 _UNITS = {OFFSET: ("mm", 1e3), SCALE: ("%", 1e2), GAS: ("Pa", 1.0)}
@@ -46,23 +46,23 @@ _REMEDY = {
     False: "let the camera warm up, then identify the sensor again at rest",
 }
 
-_STEP = 0.01  # of gauge pressure, to find its pattern
-_SECANTS, _MOST = 4, 0.5  # rounds of that, and the largest share of the gauge pressure looked for
-_ROBUST = 3  # rounds in which pixels far from the others of their block lose their weight
-_PRESSED = 0.15  # of the dome's height: depth of the press that tells drift in newtons; chosen
+_STEP = 0.01  # of the gauge pressure, for the first secant of its pattern
+_SECANTS, _MAX_STEP = 4, 0.5  # iterations, and the largest step over the gauge pressure
+_ROBUST_ROUNDS = 3  # of weighting pixels by their distance from the median of their block
+_PRESS_DEPTH = 0.15  # over the dome's height, of the press that converts drift to force; chosen
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckRow:
     """One quantity of a check."""
 
     quantity: str
     unit: str  # of the text; `factor` times SI
     factor: float
     value: float  # SI
-    half_width: float | None = None  # half of its 95 % interval
-    limit: float | None = None  # absolute value from which it alone would no longer fit
-    todo: str = ""  # what to do about it; empty where it is within its limit
+    half_width: float | None = None  # half of the 95 % interval
+    limit: float | None = None  # absolute value beyond which this quantity alone is a misfit
+    todo: str = ""  # remedy; empty where the value is within its limit
 
     def texts(self) -> tuple[str, ...]:
         """Cells of a row of the table."""
@@ -77,18 +77,18 @@ class Checked:
 
 @dataclass(frozen=True)
 class SensorCheck:
-    """Verdict on a sensor file by contact-free frames."""
+    """Verdict on a sensor file from contact-free frames."""
 
-    verdict: Answer
-    reason: str  # one line, with what to do
-    rows: tuple[Checked, ...]
+    verdict: CheckVerdict
+    reason: str  # one line, with the remedy
+    rows: tuple[CheckRow, ...]
     frames: tuple[int, int]  # first and last
     bias_m: float  # mean of measured minus expected z-depth, m
-    # χ² of the mean image for each block of pixels, and what it is at most where nothing changed
+    # χ² of the mean image per block of pixels, and its limit by noise alone
     chi2_per_block: float
     chi2_limit: float
-    # force of a simulated press, and by how much it is read wrongly by what has changed, N; None
-    # where that is not known
+    # force of a simulated press, and the error that the drift causes in its estimate, N; None:
+    # unknown
     press_n: float | None = None
     force_error_n: float | None = None
 
@@ -106,146 +106,151 @@ def check_sensor(
 ) -> SensorCheck:
     """Compare contact-free frames of one camera with a sensor file.
 
-    Raises InputError: too few frames, or something touches the membrane.
+    Raises InputError: too few frames, a half-hidden membrane, or contact in all frames.
     """
     if len(frames) < MIN_FRAMES:
         raise InputError(f"{len(frames)} contact-free frames; give at least {MIN_FRAMES}")
     depths = [frame.depth_m for frame in frames]
-    rest = _Rest(model, depths)
+    rest = _RestComparison(model, depths)
     camera = _camera_row(model, rest)
-    fits = rest.changed <= rest.limit and not camera.todo
-    shape = () if quick and fits else (*rest.rows(), camera, *_gas_rows(model, frames, rest))
+    fits = rest.chi2 <= rest.chi2_limit and not camera.todo
+    rows = () if quick and fits else (*rest.rows(), camera, *_gas_rows(model, frames, rest))
     found = SensorCheck(
         verdict="fits",
         reason=f"fits: depth within {1e3 * rest.change_limit_m:.2f} mm of the sensor file",
-        rows=shape,
+        rows=rows,
         frames=(frames[0].index, frames[-1].index),
         bias_m=rest.bias_m,
-        chi2_per_block=rest.changed,
-        chi2_limit=rest.limit,
+        chi2_per_block=rest.chi2,
+        chi2_limit=rest.chi2_limit,
     )
     if fits:
         return found
     if camera.todo:
         return replace(found, verdict="another", reason=_another_camera(model, camera))
     turned = [depth[::-1, ::-1] for depth in depths]
-    if rest.left > rest.limit and (again := _Rest(model, turned)).left <= again.limit:
+    if not rest.explained and _RestComparison(model, turned).explained:
         reason = (
             "another camera: its images are turned by 180°; turn it back, or identify the sensor "
             "again"
         )
         return replace(found, verdict="another", reason=reason)
     pipeline = Pipeline(model)
-    if _touched(pipeline, frames[0], rest):
+    if _contact_explains(pipeline, frames[0], rest):
         raise InputError(
             "no contact-free frames: something touches the membrane in all of these frames; record"
             " it untouched"
         )
-    if rest.left > rest.limit:
+    if not rest.explained:
         reason = "another membrane or camera: identify the sensor again"
         return replace(found, verdict="another", reason=reason)
     causes = [row for row in rest.rows()[:-1] if row.todo]
-    most = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
-    what = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
+    largest = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
+    names = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
-    worth = "" if error is None else f", {error:.2g} N of a press of {press:.2g} N"
+    force = "" if error is None else f", {error:.2g} N of a press of {press:.2g} N"
     reason = (
-        f"drifted by {1e3 * rest.bias_m:+.2f} mm{worth} ({what or 'pattern of the pixels'}):"
-        f" {most.todo if most else _REMEDY[False]}"
+        f"drifted by {1e3 * rest.bias_m:+.2f} mm{force} ({names or 'pattern of the pixels'}):"
+        f" {largest.todo if largest else _REMEDY[False]}"
     )
     return replace(found, verdict="drifted", reason=reason, press_n=press, force_error_n=error)
 
 
-class _Rest:
-    """The mean of contact-free images against what a sensor file expects, by blocks of pixels."""
+class _RestComparison:
+    """Mean of contact-free images against the prediction of a sensor file, by blocks of pixels."""
 
     def __init__(self, model: SensorModel, depths_m: Sequence[np.ndarray]) -> None:
         self.model, self.observer = model, model.observer()
         measured = [self.observer.measure(depth) for depth in depths_m]
-        every = np.array([self.observer.weigh(each).residual_m for each in measured])
-        for _ in range(_ROBUST):
-            usual = np.median(every, axis=0)
-            every = np.array([self.observer.weigh(each, usual).residual_m for each in measured])
+        residuals = np.array([self.observer.weigh(each).residual_m for each in measured])
+        for _ in range(_ROBUST_ROUNDS):
+            middle = np.median(residuals, axis=0)
+            residuals = np.array(
+                [self.observer.weigh(each, middle).residual_m for each in measured]
+            )
         totals = np.array([each.total for each in measured])
         by_offset, *_, by_scale = self.observer.image_errors.T
-        self._seen = np.asarray((totals > 0.0).all(axis=0) & (by_offset > 0.0))
-        # change of the blocks (B,) by an offset and by the scale of depth
-        self._by_offset, self._by_scale = by_offset[self._seen], by_scale[self._seen]
-        if 2 * self._seen.sum() < len(self._seen):
+        self._visible = np.asarray((totals > 0.0).all(axis=0) & (by_offset > 0.0))
+        # derivative of the residuals (B,) by an offset and by the scale of depth
+        self._by_offset, self._by_scale = by_offset[self._visible], by_scale[self._visible]
+        if 2 * self._visible.sum() < len(self._visible):
             raise InputError("more than half of the membrane is not seen; uncover the camera")
         # (F, B), residuals of the blocks, m
-        self.frames_m = every[:, self._seen]
+        self.frames_m = residuals[:, self._visible]
         self.mean_m = self.frames_m.mean(axis=0)
-        # (B,), variance of a block in one frame, as the estimator has it, and of the mean, m²
-        self.one_m2 = 1.0 / self.observer.observe_everything().weight[self._seen]
-        self.mean_m2 = self._variance_of_mean(1.0 / np.median(totals[:, self._seen], axis=0))
-        # χ² of a block that noise does not reach
-        self.limit = float(chdtri(len(self.mean_m), ndtr(-SIGNIFICANT)) / len(self.mean_m))
+        # (B,), variance of a block in one frame, as in the estimator, and in the mean, m²
+        self.frame_variance_m2 = 1.0 / self.observer.observe_everything().weight[self._visible]
+        self.mean_variance_m2 = self._variance_of_mean(
+            1.0 / np.median(totals[:, self._visible], axis=0)
+        )
+        # χ² per block that noise alone does not exceed
+        self.chi2_limit = float(chdtri(len(self.mean_m), ndtr(-SIGNIFICANT)) / len(self.mean_m))
 
     def _variance_of_mean(self, noise_m2: np.ndarray) -> np.ndarray:
-        """That of the frames' mean and that of the file's own, whose frames are not known.
+        """Variance of the frames' mean plus that of the sensor file's biases.
 
-        Pixels that were calibrated have biases from the mean of at least as many frames as
-        identification accepts. Others have none, and what the mesh's facets get wrong stays.
+        Calibrated pixels have biases from the mean of at least as many frames as an identification
+        requires. Without calibration the error of the mesh's flat facets remains.
         """
         moved = self.frames_m - self.mean_m
         spread = moved.std(axis=0)
         inflation = mean_inflation(temporal_correlation(moved[:, None], spread[None]))
         if self.model.pixels is None:
-            return noise_m2 * inflation / len(moved) + np.maximum(self.one_m2 - noise_m2, 0.0)
+            facets_m2 = np.maximum(self.frame_variance_m2 - noise_m2, 0.0)
+            return noise_m2 * inflation / len(moved) + facets_m2
         return noise_m2 * (inflation / len(moved) + 1.0 / MIN_FRAMES)
 
-    def _at_limit(self, pattern: float | np.ndarray, variance_m2: np.ndarray) -> float:
-        """Size of a pattern of the blocks (B,) from which χ² is too large."""
-        return float(np.sqrt(self.limit / np.mean(pattern**2 / variance_m2)))
+    def _detectable(self, pattern: float | np.ndarray, variance_m2: np.ndarray) -> float:
+        """Size of a pattern (B,) of the blocks at which χ² is at its limit."""
+        return float(np.sqrt(self.chi2_limit / np.mean(pattern**2 / variance_m2)))
 
     @property
     def change_limit_m(self) -> float:
-        """Rms change of the range from which something changed, m."""
-        return self._at_limit(1.0, self.mean_m2)
+        """Smallest rms change of the range that is significant, m."""
+        return self._detectable(1.0, self.mean_variance_m2)
 
     @property
     def bias_m(self) -> float:
         """Mean of measured minus expected z-depth, m."""
-        return float(np.average(self.mean_m / self._by_offset, weights=1.0 / self.one_m2))
+        return float(
+            np.average(self.mean_m / self._by_offset, weights=1.0 / self.frame_variance_m2)
+        )
 
     @property
-    def changed(self) -> float:
-        """χ² of the mean for each block."""
-        return float(np.mean(self.mean_m**2 / self.mean_m2))
+    def chi2(self) -> float:
+        """χ² of the mean per block."""
+        return float(np.mean(self.mean_m**2 / self.mean_variance_m2))
 
     @property
-    def left(self) -> float:
-        """χ² for each block of what the causes leave, by the noise of one frame."""
-        return float(np.mean(self._without(self.causes) ** 2 / self.one_m2))
+    def explained(self) -> bool:
+        """Whether the residual without the causes is within the noise of one frame."""
+        residual = self._without(self.causes)
+        return bool(np.mean(residual**2 / self.frame_variance_m2) <= self.chi2_limit)
 
     @cached_property
     def patterns(self) -> dict[str, np.ndarray]:
-        """Change of the blocks (B,) by a unit of each cause: m, 1, Pa."""
+        """Derivative of the residuals (B,) by each cause, in m, 1 and Pa."""
         found = {OFFSET: self._by_offset, SCALE: self._by_scale}
         at_rest = self._observed(self.expected_depth_m())
         gauge = self.model.sensor.pneumatics.gauge_pressure_pa
         inflation, step = Inflation(self.model.rubber), _STEP * gauge
-        for _ in range(_SECANTS):  # the membrane is no linear spring
+        for _ in range(_SECANTS):  # the response to pressure is nonlinear
             try:
                 moved = inflation.at(gauge + step) - self.model.mesh.nodes
             except SolveError:  # inflated to its limit
                 break
             pattern = (self._observed(self.expected_depth_m(moved)) - at_rest) / step
             found[GAS] = pattern
-            weighted = pattern / self.mean_m2
-            size = float(
-                np.clip(
-                    weighted @ self.mean_m / (weighted @ pattern), -_MOST * gauge, _MOST * gauge
-                )
-            )
+            weighted = pattern / self.mean_variance_m2
+            limit = _MAX_STEP * gauge
+            size = float(np.clip(weighted @ self.mean_m / (weighted @ pattern), -limit, limit))
             if abs(size) < _STEP * gauge:
                 break
             step = size
         return found
 
     def expected_depth_m(self, moved_m: np.ndarray | None = None) -> np.ndarray:
-        """z-depth image (H, W) of the membrane at rest, or moved (n, 3), as the pixels see it."""
+        """z-depth image (H, W) of the membrane at rest, or displaced by (n, 3), with pixel bias."""
         view, pixels = self.model.view, self.model.pixels
         ranges = view.rest_range if moved_m is None else view.range_image(moved_m)
         if pixels is not None:
@@ -253,128 +258,132 @@ class _Rest:
         return self.model.camera.depth_image(ranges)
 
     def drift_m(self) -> np.ndarray:
-        """Change of the z-depth image (H, W), by blocks, m; 0 where nothing is known."""
+        """Change of the z-depth image (H, W), by blocks, m; 0 where unknown."""
         side, columns = self.observer.block, self.observer.columns
         row, column = np.indices(self.model.view.shape) // side
         block = row * columns + column
         change = np.zeros(block.max() + 1)
-        change[self.observer.block_number[self._seen]] = self.mean_m
+        change[self.observer.block_number[self._visible]] = self.mean_m
         return np.asarray(change[block] / self.model.camera.range_per_depth)
 
     def _observed(self, depth_m: np.ndarray) -> np.ndarray:
-        return self.observer.observe(depth_m.astype(np.float32)).residual_m[self._seen]
+        return self.observer.observe(depth_m.astype(np.float32)).residual_m[self._visible]
 
     @cached_property
     def causes(self) -> tuple[str, ...]:
-        """Those that explain the change: the set of least BIC; none where nothing changed."""
-        if self.changed <= self.limit:
+        """Set of causes with the smallest BIC; empty where the change is not significant."""
+        if self.chi2 <= self.chi2_limit:
             return ()
         sets = [c for k in range(len(self.patterns) + 1) for c in combinations(self.patterns, k)]
         penalty = np.log(len(self.mean_m))
-        return min(
-            sets, key=lambda c: np.sum(self._without(c) ** 2 / self.mean_m2) + penalty * len(c)
-        )
+
+        def bic(causes: tuple[str, ...]) -> float:
+            squares = self._without(causes) ** 2 / self.mean_variance_m2
+            return float(np.sum(squares) + penalty * len(causes))
+
+        return min(sets, key=bic)
 
     def _influence(self, causes: tuple[str, ...]) -> np.ndarray:
-        """Change of each cause's size by each block (k, B), of weighted least squares."""
+        """Derivative of each cause's size by each block (k, B), in weighted least squares."""
         X = np.stack([self.patterns[name] for name in causes], axis=1)
-        weighted = X.T / self.mean_m2
+        weighted = X.T / self.mean_variance_m2
         return np.asarray(np.linalg.solve(weighted @ X, weighted))
 
     def _without(self, causes: tuple[str, ...]) -> np.ndarray:
-        """The mean (B,) less the causes, m."""
+        """The mean residual (B,) minus the fitted causes, m."""
         if not causes:
             return self.mean_m
         sizes = self._influence(causes) @ self.mean_m
         return np.asarray(self.mean_m - sizes @ [self.patterns[name] for name in causes])
 
     def size(self, cause: str) -> tuple[float, float]:
-        """Size of a cause beside those that explain the change; half of its 95 % interval.
+        """Size of a cause, fitted with the other causes, and half of its 95 % interval.
 
-        By what it varies by from frame to frame, and by what is left in squares of blocks.
+        The interval combines the variation between frames with the residuals of squares of blocks.
         """
         causes = tuple(dict.fromkeys((*self.causes, cause)))
         influence = self._influence(causes)[causes.index(cause)]
-        squares = BlockSquares(self.observer.block_number[self._seen], self.observer.columns)
+        squares = BlockSquares(self.observer.block_number[self._visible], self.observer.columns)
         scores = np.bincount(squares.of_block, influence * self._without(causes))
         sigma = np.hypot(error_of_mean(self.frames_m @ influence), np.linalg.norm(scores))
         return float(influence @ self.mean_m), HALF_95 * float(sigma)
 
-    def rows(self) -> list[Checked]:
-        """The causes, and what they leave."""
+    def rows(self) -> list[CheckRow]:
+        """The causes, and the residual without them."""
         rows = []
         for name in self.patterns:
-            limit = self._at_limit(self.patterns[name], self.mean_m2)
+            limit = self._detectable(self.patterns[name], self.mean_variance_m2)
             size, half = self.size(name)
-            explains = name in self.causes and abs(size) > limit and self.left <= self.limit
-            todo = _REMEDY[name == GAS] if explains else ""
-            rows.append(Checked(name, *_UNITS[name], size, half, limit, todo))
-        todo = "identify anew" if self.left > self.limit else ""
-        limit_m = self._at_limit(1.0, self.one_m2)
-        rows.append(Checked("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, todo))
+            significant = name in self.causes and abs(size) > limit and self.explained
+            remedy = _REMEDY[name == GAS] if significant else ""
+            rows.append(CheckRow(name, *_UNITS[name], size, half, limit, remedy))
+        remedy = "" if self.explained else "identify the sensor again"
+        limit_m = self._detectable(1.0, self.frame_variance_m2)
+        rows.append(CheckRow("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, remedy))
         return rows
 
     @property
     def shape_m(self) -> float:
-        """What the causes leave, rms over the blocks, m."""
-        left = self._without(self.causes)
-        return float(np.sqrt(np.average(left**2, weights=1.0 / self.one_m2)))
+        """Rms over the blocks of the residual without the causes, m."""
+        residual = self._without(self.causes)
+        return float(np.sqrt(np.average(residual**2, weights=1.0 / self.frame_variance_m2)))
 
 
-def _camera_row(model: SensorModel, rest: _Rest) -> Checked:
-    """Change of the expected ranges by the intrinsics of the recording, rms."""
-    moved = model.camera_change_m
-    todo = "choose the sensor file of this camera" if moved > rest.change_limit_m else ""
-    return Checked("camera info, rms", "mm", 1e3, moved, None, rest.change_limit_m, todo)
+def _camera_row(model: SensorModel, rest: _RestComparison) -> CheckRow:
+    """Rms change of the expected ranges by the intrinsics of the recording."""
+    change_m, limit_m = model.camera_change_m, rest.change_limit_m
+    remedy = "choose the sensor file of this camera" if change_m > limit_m else ""
+    return CheckRow("camera info, rms", "mm", 1e3, change_m, None, limit_m, remedy)
 
 
-def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _Rest) -> list[Checked]:
-    """The measured gas pressure over the sensor file's; its zero may be off by the weather."""
+def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _RestComparison) -> list[CheckRow]:
+    """Measured gas pressure minus the sensor file's, which may differ by the weather."""
     gas = np.array([np.nan if f.gas_pressure_pa is None else f.gas_pressure_pa for f in frames])
     if not np.isfinite(gas).all():
         return []
-    off, known = float(gas.mean()) - model.gas.P0, model.gas.P0
-    inflated = rest.size(GAS)[0] if GAS in rest.causes else 0.0
+    known = model.gas.P0
+    difference = float(gas.mean()) - known
+    inflation = rest.size(GAS)[0] if GAS in rest.causes else 0.0
     half = HALF_95 * error_of_mean(gas)
-    todo = gas_warning(float(gas.mean()) - inflated, known)
-    return [Checked("gas pressure measured", "Pa", 1.0, off, half, WEATHER_PA, todo)]
+    remedy = gas_warning(float(gas.mean()) - inflation, known)
+    return [CheckRow("gas pressure measured", "Pa", 1.0, difference, half, WEATHER_PA, remedy)]
 
 
-def _another_camera(model: SensorModel, row: Checked) -> str:
-    own, there = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
+def _another_camera(model: SensorModel, row: CheckRow) -> str:
+    in_file, recorded = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
     return (
-        f"another camera: fx {there.fx:.1f}, fy {there.fy:.1f} in the recording's camera info,"
-        f" {own.fx:.1f} and {own.fy:.1f} pixels in the sensor file: {row.todo}, or identify the "
-        "sensor again"
+        f"another camera: fx {recorded.fx:.1f}, fy {recorded.fy:.1f} in the recording's camera "
+        f"info, {in_file.fx:.1f} and {in_file.fy:.1f} pixels in the sensor file: {row.todo}, or "
+        "identify the sensor again"
     )
 
 
-def _touched(pipeline: Pipeline, frame: Frame, rest: _Rest) -> bool:
-    """Whether a contact explains the images, and better than the causes of a drift do."""
+def _contact_explains(pipeline: Pipeline, frame: Frame, rest: _RestComparison) -> bool:
+    """Whether a contact explains the images better than the causes of a drift."""
     mean = (rest.expected_depth_m() + rest.drift_m()).astype(np.float32)
     found = pipeline.estimate_aside(replace(frame, depth_m=mean, gas_pressure_pa=None))
     return found.status == "ok" and found.residual_rms_m < rest.shape_m
 
 
-def _force_error(pipeline: Pipeline, rest: _Rest) -> tuple[float | None, float | None]:
-    """Force of a simulated press of a ball on top, and the change of its estimate by the drift, N.
+def _force_error(pipeline: Pipeline, rest: _RestComparison) -> tuple[float | None, float | None]:
+    """Force of a simulated press of a ball on the apex, and the change of its estimate by drift, N.
 
-    Both None where either cannot be found.
+    Both None where either cannot be computed.
     """
     model = pipeline.model
     mesh, ball = model.mesh, load_object("sphere")
     top, pose = int(np.argmax(mesh.nodes[:, 2])), np.eye(4)
     pose[:2, 3] = mesh.nodes[top, :2]
-    pose[2, 3] = touching_height(ball, pose, mesh) - _PRESSED * mesh.nodes[top, 2]
+    pose[2, 3] = touching_height(ball, pose, mesh) - _PRESS_DEPTH * mesh.nodes[top, 2]
     try:
         press = SyntheticSource(model.sensor, ball, pose[None])[0]
     except (InputError, SolveError):
         return None, None
     pixels = model.pixels
     bias = 0.0 if pixels is None else np.where(pixels.mask, pixels.bias_m, 0.0)
-    seen = model.camera.depth_image(press.depth_m * model.camera.range_per_depth + bias)
+    undrifted = model.camera.depth_image(press.depth_m * model.camera.range_per_depth + bias)
     forces = []
-    for depth in (seen, seen + rest.drift_m()):
+    for depth in (undrifted, undrifted + rest.drift_m()):
         frame = replace(press, depth_m=depth.astype(np.float32))
         pipeline.restart()
         result = pipeline.process(frame, frozenset({"patch"}))

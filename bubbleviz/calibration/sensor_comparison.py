@@ -1,4 +1,4 @@
-"""Two sensor files side by side: numbers, and the range each expects in every pixel."""
+"""Comparison of two sensor files: parameters, and the range that each predicts in every pixel."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 
-Kind = Literal["tension", "pressure", "length", "fine length", "volume", "area", "count", "number"]
+QuantityKind = Literal[
+    "tension", "pressure", "length", "fine length", "volume", "area", "count", "number"
+]
 
 
 @dataclass(frozen=True)
-class Row:
-    """One number of two sensors, SI."""
+class ComparisonRow:
+    """One parameter of two sensors, SI."""
 
     name: str
-    kind: Kind  # what it is, and so its unit: N/m, Pa, m, m³, m², pixels, none
+    kind: QuantityKind  # determines the unit: N/m, Pa, m, m, m³, m², pixels, none
     old: float | None
     new: float | None
-    # half_width, old_half_width: half of the new one's 95 % interval, and of the old one's
+    # half_width, old_half_width: half of the 95 % intervals of the new and of the old one
     half_width: float | None = None
     old_half_width: float | None = None
 
@@ -32,14 +34,14 @@ class Row:
 class Comparison:
     """The sensor in use against the identified one."""
 
-    rows: tuple[Row, ...]
-    # (H, W), range the new sensor expects of the untouched membrane minus the old one's, surface
-    # and bias together, m; NaN where either says nothing
+    rows: tuple[ComparisonRow, ...]
+    # (H, W), range of the untouched membrane with bias as predicted by the new sensor minus that by
+    # the old one, m; NaN where either has none
     difference_m: np.ndarray
 
     @property
     def largest_m(self) -> float:
-        """Difference that only one pixel in a hundred exceeds, m."""
+        """99th percentile of the absolute difference, m."""
         known = np.abs(self.difference_m[np.isfinite(self.difference_m)])
         return max(float(np.percentile(known, 99.0)), 1e-6) if known.size else 1e-6
 
@@ -56,15 +58,17 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     models = SensorModel.of(old, intrinsics), new.model
     before, after = (_numbers(model, measured) for model in models)
     stretch, known = None if new.rubber is None else new.rubber.prestretch, old.calibration
-    told = {"γ0": new.tension.tension, "λ": stretch, "gauge pressure": new.gauge}
-    told["height"] = new.tension.dimensions["height_m"]
-    half = {name: None if each is None else each.half_width for name, each in told.items()}
-    was: dict[str, float] = {}
+    intervals = {"γ0": new.tension.tension, "λ": stretch, "gauge pressure": new.gauge}
+    names = list(intervals)
+    intervals["height"] = new.tension.dimensions["height_m"]
+    half = {name: None if each is None else each.half_width for name, each in intervals.items()}
+    old_half: dict[str, float] = {}
     if known is not None:
         ends = known.tension_interval_n_per_m, known.prestretch_interval, known.gauge_interval_pa
-        was = {n: 0.5 * (each[1] - each[0]) for n, each in zip(told, ends, strict=False) if each}
+        pairs = zip(names, ends, strict=True)
+        old_half = {name: 0.5 * (each[1] - each[0]) for name, each in pairs if each}
     rows = tuple(
-        Row(name, kind, value, after[name, kind], half.get(name), was.get(name))
+        ComparisonRow(name, kind, value, after[name, kind], half.get(name), old_half.get(name))
         for (name, kind), value in before.items()
     )
     return Comparison(rows, np.subtract(*(_expected(model)[1] for model in reversed(models))))
@@ -81,8 +85,8 @@ def _expected(model: SensorModel) -> tuple[np.ndarray, np.ndarray]:
 def _numbers(
     model: SensorModel,
     measured_m: np.ndarray,  # (H, W), range of the untouched membrane, m; NaN: not used
-) -> dict[tuple[str, Kind], float | None]:
-    """Numbers of a sensor, and how well it fits what was measured."""
+) -> dict[tuple[str, QuantityKind], float | None]:
+    """Parameters of a sensor, and its misfit to the measured range."""
     sensor, mesh, pixels = model.sensor, model.mesh, model.pixels
     half_x, half_y = 0.5 * np.ptp(mesh.nodes[mesh.rim, :2], axis=0)
     noise = None if pixels is None else float(np.median(pixels.noise_m[pixels.mask]))

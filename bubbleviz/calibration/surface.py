@@ -1,12 +1,10 @@
 """The reference surface: spherical cap, ellipsoidal cap or free form, by cross-validation.
 
-The rim belongs to the housing: its plane is the one of the given sensor's camera pose (from the
-drawing), in which only the centre is moved to the fitted dome's. What the cloud's edge says
-about its height is reported beside it.
+The rim plane is that of the given sensor's camera pose (from the design drawing); only its centre
+moves to that of the fitted dome. The height of the cloud's edge above it is reported, too.
 
-A surface is better than a simpler one when it predicts tiles of pixels that took no part in its
-fit better: by more than three standard errors of the difference over the tiles, and by more than
-the flat facets of a membrane mesh miss any curved surface by.
+A surface is better than a simpler one when its error on tiles of pixels left out of the fit is
+smaller by more than three standard errors, and by more than the error of the flat facets of a mesh.
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.calibration.dome_checks import check_dome, check_still
+from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
+from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.errors import tile_numbers, tile_side
 from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
-from bubbleviz.calibration.rest_frames import Samples
+from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.segmentation import (
     away_from_edges,
     membrane_pixels,
@@ -32,12 +30,12 @@ from bubbleviz.membrane import MembraneMesh, mesh_cap
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_weights
 
-Name = Literal["sphere", "ellipsoid", "free-form"]
-NAMES: tuple[Name, ...] = ("sphere", "ellipsoid", "free-form")
-"""From the simplest to the one that can be anything."""
+SurfaceName = Literal["sphere", "ellipsoid", "free-form"]
+SURFACE_NAMES: tuple[SurfaceName, ...] = ("sphere", "ellipsoid", "free-form")
+"""From the simplest to the most general."""
 
-_SCALE = 0.5  # of the rim's smaller semi-axis: what is broader is the cap's business
-_STANDARD_ERRORS = 3.0  # a needless freedom costs more than a missed one
+_SCALE = 0.5  # of the rim's smaller semi-axis: the cap alone fits broader shapes
+_STANDARD_ERRORS = 3.0  # strict, as overfitting costs more than a surface that is too simple
 
 
 @dataclass(frozen=True)
@@ -48,22 +46,21 @@ class Surfaces:
     sphere: Ellipsoid
     cap: Ellipsoid
     free_form: FreeForm
-    # height of the rim above z = 0 by the cloud's edge, and its uncertainty, m
+    # height of the cloud's edge above the rim plane z = 0, and its uncertainty, m
     rim_height_m: float
     rim_height_sigma_m: float
     camera: DepthCamera  # in B, whose origin lies below the chosen surface's centre
-    # membrane, usable: (H, W) bool, pixels that see the membrane; those far enough from its edges
-    # to be fitted
+    # membrane, usable: (H, W) bool, pixels that see the membrane, and those of them far enough from
+    # its edges to be fitted
     membrane: np.ndarray
     usable: np.ndarray
-    # rms of what each surface misses tiles by that its fit left out, m
-    left_out_rms_m: dict[Name, float]
-    chosen: Name
+    left_out_rms_m: dict[SurfaceName, float]  # rms error on tiles left out of the fit, m
+    chosen: SurfaceName
     mesh: MembraneMesh  # of the chosen surface, in B
-    # (H, W), measured minus cast range on that mesh, m; NaN where either lacks
+    # (H, W), measured minus cast range on that mesh, m; NaN where either is missing
     residual_m: np.ndarray
-    seen: float  # share of the dome's area that the camera sees
-    wander_m: float  # how far the dome moves over the frames beyond noise, m
+    visible_share: float  # of the dome's area
+    motion_m: float  # largest motion of the dome between frames beyond noise, m
 
     @property
     def facet_error_m(self) -> float:
@@ -77,7 +74,7 @@ class Surfaces:
 
     @property
     def other_mesh(self) -> MembraneMesh:
-        """The mesh moved onto another surface, in B: what differs on it is as uncertain as that."""
+        """The mesh on another fitted surface, in B, to estimate the error by the surface."""
         if self.chosen == "ellipsoid":
             return self.free_form.mesh
         cap, arms = self.cap, self.mesh.nodes
@@ -88,25 +85,25 @@ class Surfaces:
 
 
 def fit_surfaces(
-    samples: Samples,
+    samples: FrameSamples,
     nodes: int,  # target number of nodes of the mesh
-    force: Name | None = None,  # the operator's choice, in place of the data's
+    force: SurfaceName | None = None,  # use this surface; None: chosen by cross-validation
     progress: Progress = quiet,
 ) -> Surfaces:
     """Fit all surfaces to the mean of contact-free frames and choose one.
 
-    Raises InputError: no dome in the cloud, or one that does not reach the rim plane, moves, is
-    pressed in or half unseen.
+    Raises InputError: no dome in the cloud, or one that ends above the rim plane, moves, is pressed
+    in, or is less than half visible.
     """
     progress("fitting caps", 0.0)
     statistics = samples.statistics
-    wander = check_still(samples)
+    motion_m = check_motion(samples)
     membrane, usable = segment_membrane(samples)
     given = samples.camera
     points = given.points_at(statistics.range_m, np.flatnonzero(usable))
     edge = given.points_at(statistics.range_m, np.flatnonzero(outer_edge(membrane)))
     caps, camera = _centred((fit_sphere(points), fit_ellipsoid(points)), given, 1)
-    start = mesh_cap(caps[1].over_rim, nodes)
+    start = mesh_cap(caps[1].cap_above_rim, nodes)
     side = tile_side(int(usable.sum()), statistics.correlation_length_px)
     free_form = fit_free_form(
         start,
@@ -124,7 +121,7 @@ def fit_surfaces(
         mesh = start
         if chosen == "sphere":
             caps, camera = _centred(caps, camera, 0)
-            mesh = mesh_cap(caps[0].over_rim, nodes)
+            mesh = mesh_cap(caps[0].cap_above_rim, nodes)
         residual = statistics.range_m - MembraneView(camera, mesh).rest_range
     height, sigma = rim_height(edge[:, 2])
     return Surfaces(
@@ -140,12 +137,12 @@ def fit_surfaces(
         chosen=chosen,
         mesh=mesh,
         residual_m=residual,
-        seen=check_dome(samples, caps[1], camera, membrane),
-        wander_m=wander,
+        visible_share=check_dome(samples, caps[1], camera, membrane),
+        motion_m=motion_m,
     )
 
 
-def segment_membrane(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+def segment_membrane(samples: FrameSamples) -> tuple[np.ndarray, np.ndarray]:
     """Pixels that see the membrane, and those of them far enough from its edges, (H, W) bool."""
     known = samples.statistics.validity >= samples.statistics.regular_validity
     pixels = np.flatnonzero(known)
@@ -162,7 +159,7 @@ Caps = tuple[Ellipsoid, Ellipsoid]
 
 
 def _centred(caps: Caps, camera: DepthCamera, on: int) -> tuple[Caps, DepthCamera]:
-    """Caps and camera in a frame moved sideways so that its z axis runs through a centre."""
+    """Caps and camera in a frame shifted in x and y so that its z axis contains a cap's centre."""
     shift = caps[on].centre_m * (1.0, 1.0, 0.0)
     T_B_C = camera.T_B_C.copy()
     T_B_C[:3, 3] -= shift
@@ -171,11 +168,11 @@ def _centred(caps: Caps, camera: DepthCamera, on: int) -> tuple[Caps, DepthCamer
 
 
 def _left_out_squares(
-    samples: Samples, caps: Caps, camera: DepthCamera, free_form: FreeForm, side: int
-) -> dict[Name, np.ndarray]:
-    """Mean squared distance from tiles that a fit left out, (T,), m², for every surface.
+    samples: FrameSamples, caps: Caps, camera: DepthCamera, free_form: FreeForm, side: int
+) -> dict[SurfaceName, np.ndarray]:
+    """Mean squared error of each surface on tiles left out of its fit, (T,), m².
 
-    All with the same weights: those of the samples about the surface that can be anything.
+    All use the same robust weights: those of the free form's errors.
     """
     pixels = np.flatnonzero(np.isfinite(free_form.left_out_m).ravel())
     points = camera.points_at(samples.statistics.range_m, pixels)
@@ -192,14 +189,15 @@ def _left_out_squares(
     total = np.maximum(np.bincount(tile, weights), 1e-9)
     counted = np.bincount(tile, weights > 0.0) > 0
     return {
-        name: (np.bincount(tile, weights * errors[name] ** 2) / total)[counted] for name in NAMES
+        name: (np.bincount(tile, weights * errors[name] ** 2) / total)[counted]
+        for name in SURFACE_NAMES
     }
 
 
 def _left_out_cap(
     surface: Ellipsoid, points: np.ndarray, weights: np.ndarray, fold: np.ndarray, *, sphere: bool
 ) -> np.ndarray:
-    """Distances of points (k,) from the cap fitted without their fold (one step away), m."""
+    """Distances of points (k,) from the cap refitted without their fold (in one step), m."""
     J, now = surface.derivatives(points, sphere=sphere), surface.distance(points)
     weighted = J * weights[:, None]
     matrix, right = weighted.T @ J, weighted.T @ now
@@ -212,10 +210,10 @@ def _left_out_cap(
     return missed
 
 
-def _choose(squares: dict[Name, np.ndarray], facet_error_m: float) -> Name:
-    """The simplest surface that no other one beats."""
-    chosen: Name = "sphere"
-    for name in NAMES[1:]:
+def _choose(squares: dict[SurfaceName, np.ndarray], facet_error_m: float) -> SurfaceName:
+    """The simplest surface that none is significantly better than."""
+    chosen: SurfaceName = "sphere"
+    for name in SURFACE_NAMES[1:]:
         gain = squares[chosen] - squares[name]
         error = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else np.inf
         if gain.mean() > max(_STANDARD_ERRORS * error, facet_error_m**2):

@@ -1,4 +1,4 @@
-"""γ0 and the dome's dimensions with 95 % intervals and their contributions."""
+"""γ0 and the dome's dimensions with 95 % intervals and an error budget."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.errors import cluster_covariances
-from bubbleviz.calibration.rest_frames import Samples
-from bubbleviz.calibration.surface import Name, Surfaces
+from bubbleviz.calibration.rest_frames import FrameSamples
+from bubbleviz.calibration.surface import SurfaceName, Surfaces
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane import (
     Inflation,
@@ -28,26 +28,24 @@ from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tuke
 from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of, rounded
 
-# What statics leaves open of the mean tension: that of a sheet which was flat over the same rim.
+# Indeterminacy of the mean tension: comparison with a sheet that was flat over the same rim.
 #
-# Over a round rim shape and pressure determine the stress. Over an oval one fields that pull on the
-# rim alone remain: a bulged flat sheet is tighter across the oval than along it, a film is not.
+# With a round rim, shape and pressure determine the stress. With an oval rim they do not: a stress
+# field that loads the rim alone may be added. An inflated flat sheet is tighter across the oval
+# than along it, a soap film is not.
 
 
-_PRESTRETCH = 1.005  # λ of that sheet: the slacker it was, the more it differs from a film
-_NEAR = 0.02  # share of the height to which the sheet is inflated
-_ROUNDS = 12  # pressures tried for that height
+_PRESTRETCH = 1.005  # λ of that sheet: the smaller, the more it differs from a film
+_HEIGHT_TOLERANCE = 0.02  # relative, of the inflated sheet
+_MAX_PRESSURES = 12  # tried for that height
 
 
 def sheet_excess(
     mesh: MembraneMesh,  # surface whose rim and height the sheet has
 ) -> float:
-    """Mean tension of a sheet that was flat over its tension by balance, less 1.
+    """Ratio of the mean tension of an initially flat sheet to its tension by force balance, less 1.
 
-    Returns
-    -------
-    float
-        0 where the surface overhangs its rim, so that no sheet lies below it.
+    0 where the surface overhangs its rim, so that it has no flat sheet to start from.
     """
     flat = replace(mesh, nodes=mesh.nodes * [1.0, 1.0, 0.0])
     if not (flat.facet_vectors[:, 2] > 0.0).all():
@@ -55,31 +53,31 @@ def sheet_excess(
     rubber = RubberMembrane(flat, 0.0, _PRESTRETCH**2 * inverse_metric(flat), 1.0)
     inflation = Inflation(rubber, np.zeros_like(flat.nodes))
     height = float(mesh.nodes[:, 2].max())
-    x, held = flat.nodes, 0.0
+    x, solved_pressure = flat.nodes, 0.0
     stretch = _PRESTRETCH * float(np.sqrt(mesh.facet_areas.sum() / flat.facet_areas.sum()))
-    pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # as if all were stretched alike
-    for _ in range(_ROUNDS):
+    pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # of a uniformly stretched sheet
+    for _ in range(_MAX_PRESSURES):
         try:
-            x, held = inflation.at(pressure, x), pressure
+            x, solved_pressure = inflation.at(pressure, x), pressure
         except SolveError:
             pressure *= 0.7
             continue
-        missing = height / float(x[:, 2].max())
-        if abs(missing - 1.0) < _NEAR:
+        height_ratio = height / float(x[:, 2].max())
+        if abs(height_ratio - 1.0) < _HEIGHT_TOLERANCE:
             break
-        pressure *= float(np.clip(missing, 0.6, 1.5))
+        pressure *= float(np.clip(height_ratio, 0.6, 1.5))
     bulged = replace(flat, nodes=x)
     half_trace = 0.5 * np.trace(rubber.stress(x), axis1=1, axis2=2)
     mean = float(half_trace @ bulged.facet_areas / bulged.facet_areas.sum())
-    return mean * mean_curvature(bulged) / held - 1.0
+    return mean * mean_curvature(bulged) / solved_pressure - 1.0
 
 
-_CLIP = 3.0  # standard deviations, as the mean of a pixel is clipped
+_CLIP = 3.0  # standard deviations beyond which the mean of a pixel ignores samples
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number with its 95 % interval, all in one SI unit."""
+    """A value with its 95 % interval, in one SI unit."""
 
     value: float
     low: float
@@ -95,7 +93,7 @@ class Quantity:
         return self.half_width / HALF_95
 
     def texts(self, most: int) -> tuple[str, str, str]:
-        """Value and ends, to the digits that the interval leaves and `most` decimals at most."""
+        """Value and ends with as many decimals as the interval justifies, `most` at most."""
         decimals = decimals_of(self.half_width, most)
         value, low, high = (rounded(each, decimals) for each in (self.value, self.low, self.high))
         return value, low, high
@@ -114,33 +112,33 @@ class TensionEstimate:
     # `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
     # `rim_semi_axis_x_m` … of an ellipsoid, m
     dimensions: dict[str, Quantity]
-    # standard deviation that each source of error gives γ0, N/m: `pixels` (noise, and fixed pattern
-    # of the camera), `frames` (drift beyond it), `gas_pressure` (its noise, not its zero), `facets`
-    # (of the mesh that γ0 is used on), `surface` (shape that was not seen or is finer than the fit,
-    # the whole difference between free form and cap, and, where a cap was chosen, between that and
-    # one fitted to the upper half alone), `statics` (what shape and pressure leave open of the mean
-    # tension: anything between that of a film and that of a sheet that was flat) and, where that
-    # has an interval, `gauge_pressure`
+    # standard deviation of γ0 by each source of error, N/m: `pixels` (noise, and fixed pattern of
+    # the camera), `frames` (drift beyond noise), `gas_pressure` (its noise, not its zero), `facets`
+    # (of the mesh), `surface` (hidden or unresolved shape: uncertainty of the free form, difference
+    # between free form and cap, and, where a cap was chosen, between that and one fitted to the
+    # upper half alone), `statics` (mean tension that shape and pressure do not determine: between
+    # that of a soap film and that of an initially flat sheet) and, where it is known,
+    # `gauge_pressure`
     parts: dict[str, float]
-    by_surface: dict[Name, float]  # γ0 of every surface, N/m
-    # γ0 of the mesh by least squares in place of the balance; less where the mean curvature is not
-    # the same everywhere, so that no one tension is right
+    by_surface: dict[SurfaceName, float]  # γ0 of every surface, N/m
+    # γ0 of the mesh by least squares over its nodes instead of the overall balance; smaller where
+    # the mean curvature varies, so that no uniform tension fits
     least_squares_n_per_m: float
     gauge_pressure_pa: float
 
     @property
     def per_pascal(self) -> float:
-        """Change of γ0 per pascal by which the gauge pressure is wrong, m: γ0 is linear in it."""
+        """Derivative of γ0 by the gauge pressure, m; γ0 is proportional to it."""
         return self.tension.value / self.gauge_pressure_pa
 
     @property
     def of_shape(self) -> Quantity:
-        """γ0 as if the gauge pressure were exact, N/m."""
+        """γ0 with the error of the shape alone, at an exact gauge pressure, N/m."""
         exact = self.gauge_pressure_pa
         return self.under(Quantity(exact, exact, exact)).tension
 
     def under(self, gauge: Quantity) -> TensionEstimate:
-        """The same for another gauge pressure, whose interval takes the place of the former's."""
+        """The same estimate for another gauge pressure with its interval."""
         scale = gauge.value / self.gauge_pressure_pa
         value = scale * self.tension.value
         before, now = self.parts.get("gauge_pressure", 0.0), gauge.sigma / gauge.value * value
@@ -163,27 +161,27 @@ class TensionEstimate:
 
 
 def estimate_tension(
-    samples: Samples,
+    samples: FrameSamples,
     surfaces: Surfaces,
     gauge_pressure_pa: float,
-    gauge_sigma_pa: float | None,  # its standard deviation, Pa; None: not known, and not in γ0's
+    gauge_sigma_pa: float | None,  # its standard deviation, Pa; None: unknown, γ0's is without it
     progress: Progress = quiet,
 ) -> TensionEstimate:
-    """γ0 by Young–Laplace over the chosen surface: sphere P R/2, any other one by balance.
+    """γ0 by Young–Laplace: P R/2 of a sphere, else by force balance over the chosen surface.
 
-    Raises InputError: no tension holds the surface.
+    Raises InputError: no tension balances the surface.
     """
     now, pixels, influence, residual, parameters = _linear(samples, surfaces, gauge_pressure_pa)
     covariance = _covariances(samples, pixels, influence, residual, parameters, progress)
     tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariance)
     sphere, cap = surfaces.sphere, surfaces.cap
-    by_surface: dict[Name, float] = {
+    by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
         "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
         "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
     }
-    facets = surfaces.facet_error_m / np.sqrt(3.0)  # of an error between both signs of it
-    other: Name = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
+    facets = surfaces.facet_error_m / np.sqrt(3.0)  # uniform distribution over ± that
+    other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     shape = [_shape_error(samples, surfaces, gauge_pressure_pa), by_surface["free-form"]]
     shape[1] -= by_surface[other]
     if surfaces.chosen != "free-form":
@@ -196,7 +194,7 @@ def estimate_tension(
         "gas_pressure": value / gauge_pressure_pa * _gas_error(samples),
         "facets": 0.5 * gauge_pressure_pa * facets,
         "surface": float(np.linalg.norm(shape)),
-        "statics": excess / np.sqrt(12.0),  # anything between none of it and all
+        "statics": excess / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
     found = TensionEstimate(
@@ -216,14 +214,14 @@ def estimate_tension(
 
 
 def _covariances(
-    samples: Samples,
-    pixels: np.ndarray,  # (P,) int, flat indices of those that took part
+    samples: FrameSamples,
+    pixels: np.ndarray,  # (P,) int, flat indices of those fitted
     influence: np.ndarray,  # (P, Q), of each pixel's mean range, unit/m
     residual_m: np.ndarray,  # (P,), mean range minus that of the fitted surface, m
-    parameters: int,  # numbers fitted
+    parameters: int,  # count of fitted parameters
     progress: Progress,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of numbers by tiles of pixels and by frames; see `covariances`."""
+    """The two parts of `covariances`."""
     statistics = samples.statistics
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
@@ -241,11 +239,10 @@ def _covariances(
 
 
 Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]
-"""Numbers, pixels (P,), influence (P, Q) on them and maybe more, residual range (P,) and count of
-fitted parameters."""
+"""Quantities, pixels (P,), influence (P, Q), residual range (P,) and count of fitted parameters."""
 
 
-def _linear(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+def _linear(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     if surfaces.chosen == "free-form":
         return _linear_free_form(surfaces, gauge_pressure_pa)
     own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
@@ -278,12 +275,11 @@ def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     return now, pixels, influence, np.nan_to_num(free_form.residual_m.ravel()[pixels]), 2
 
 
-def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
-    """Standard deviation of γ0, N/m, from the free form's own prior and noise.
+def _shape_error(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
+    """Standard deviation of γ0, N/m, by the posterior of the free form.
 
-    Wahba's (1983) Bayesian interval of a smoothing spline, whose λ predicts what it has not
-    seen: it covers the rim and the unseen part, where only the prior speaks. Correlated pixels
-    count as fewer.
+    Bayesian interval of a smoothing spline (Wahba 1983), with λ from cross-validation. It includes
+    the rim and hidden parts, which the prior alone determines. Correlated pixels count as fewer.
     """
     free_form = surfaces.free_form
     mesh = free_form.mesh
@@ -294,11 +290,11 @@ def _shape_error(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float)
     return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
 
 
-def _upper_half(samples: Samples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
+def _upper_half(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
     """γ0, N/m, of the cap fitted to the upper half of the points alone.
 
-    Of a sphere or an ellipsoid it is that of the whole, up to noise. A bulged sheet departs from
-    either by microns; the error of γ0 by that is about as large as this differs.
+    On a sphere or an ellipsoid this equals γ0 of the full fit, up to noise. An inflated sheet
+    differs from either by micrometres, with an error of γ0 of about the difference of the two fits.
     """
     pixels = np.flatnonzero(surfaces.usable)
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
@@ -311,14 +307,15 @@ Numbers = Callable[[Ellipsoid], dict[str, float]]
 
 
 def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, *, sphere: bool = False) -> Numbers:
-    """γ0 first, and the dimensions of caps near one."""
-    centres, areas = at.fine.nodes[at.fine.triangles].mean(axis=1), at.fine.facet_areas
+    """Function of caps close to a given one that returns γ0, then the dimensions."""
+    mesh = at.fine_mesh
+    centres, areas = mesh.nodes[mesh.triangles].mean(axis=1), mesh.facet_areas
 
     def numbers(cap: Ellipsoid) -> dict[str, float]:
         x, y, z = (float(a) for a in cap.semi_axes_m)
         at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
         found = {
-            # by balance over what the facets stand for
+            # by force balance
             "tension_n_per_m": gauge_pressure_pa
             * float(areas.sum() / (areas @ cap.curvature(centres))),
             "height_m": float(cap.centre_m[2]) + z,
@@ -332,7 +329,7 @@ def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, *, sphere: bool = Fals
 
 
 def _gradient(numbers: Numbers, at: Ellipsoid, parameters: int) -> np.ndarray:
-    """Derivative of the numbers with respect to the parameters, (p, Q), by central differences."""
+    """Derivative of the quantities by the parameters, (p, Q), by central differences."""
     columns = []
     for step in 1e-6 * np.eye(parameters):
         up, down = numbers(at.moved(step)), numbers(at.moved(-step))
@@ -340,7 +337,7 @@ def _gradient(numbers: Numbers, at: Ellipsoid, parameters: int) -> np.ndarray:
     return np.array(columns)
 
 
-def _gas_error(samples: Samples) -> float:
+def _gas_error(samples: FrameSamples) -> float:
     """Standard error of the mean gas pressure, Pa."""
     gas = samples.gas_pressure_pa
     return 0.0 if gas is None else error_of_mean(gas)

@@ -1,4 +1,4 @@
-"""Validation by a known object at a known pose: forward prediction against the measured cloud."""
+"""Validation by a known object at a known pose: predicted membrane against the measured cloud."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bubbleviz.wording import count_of
 
 @dataclass(frozen=True)
 class Validation:
-    """How well a sensor predicts a press that it knows everything of."""
+    """Prediction of a press of a known object at a known pose, against its measurement."""
 
     # (k, 3), measured cloud in B (mean of the frames), less the calibrated bias, m
     points_m: np.ndarray
@@ -31,10 +31,10 @@ class Validation:
     # rms_m, p95_m: root mean square, and 95th percentile of the absolute distance, m
     rms_m: float
     p95_m: float
-    # rms distance from the membrane without contact: what there was to predict, m
+    # rms distance of the cloud from the membrane without contact, for comparison, m
     untouched_rms_m: float
-    # predicted_patch, measured_patch: (H, W) bool, pixels that see the contact: where the forward
-    # model touches, and as estimated
+    # predicted_patch, measured_patch: (H, W) bool, pixels that see the contact, by the forward
+    # model and by the estimate
     predicted_patch: np.ndarray
     measured_patch: np.ndarray
     patch_overlap: float  # intersection over union of both; NaN where both are empty
@@ -52,12 +52,10 @@ class Validation:
 
 @dataclass(frozen=True)
 class KnownPress:
-    """An object held still against the membrane, as a person names it."""
+    """An object held still against the membrane, as a user enters it."""
 
     obj: str  # mesh file, or name of an object preset
-    # T_B_O as "x y z qx qy qz qw", m and unit quaternion; B has its origin in the middle of the rim
-    # plane
-    pose: str
+    pose: str  # T_B_O as "x y z qx qy qz qw", m and unit quaternion
     # first, stop: first frame of the press and the one after its last
     first: int
     stop: int
@@ -65,8 +63,7 @@ class KnownPress:
     def validate(self, model: SensorModel, source: FrameSource) -> Validation:
         """Predict this press and compare it with its frames in a recording.
 
-        Raises InputError, SolveError: as `validate`; no such object or frames, or the pose cannot
-        be read.
+        Raises InputError, SolveError: as `validate`; no such object or frames, or an invalid pose.
         """
         obj, T_B_O = load_object(self.obj), parse_pose(self.pose)
         if not 0 <= self.first < self.stop <= len(source):
@@ -80,14 +77,14 @@ class KnownPress:
 
 def validate(
     model: SensorModel,  # as calibrated, with the camera of the frames
-    frames: Sequence[Frame],  # of the object held still; their mean is compared
+    frames: Sequence[Frame],  # of the object held still; their mean is used
     obj: RigidObject,
     T_B_O: np.ndarray,  # (4, 4), its pose in B
 ) -> Validation:
     """Predict the press of an object at a pose and compare it with frames of it.
 
-    Raises InputError: no frames, or nothing of the membrane in them. Raises SolveError: the forward
-    model has no equilibrium at the pose.
+    Raises InputError: no frames, or no pixel on the membrane. Raises SolveError: the forward model
+    has no equilibrium at the pose.
     """
     if not frames:
         raise InputError("validation: no frames; give at least one of the object held still")
@@ -99,35 +96,35 @@ def validate(
         raise SolveError(f"validation: no equilibrium of {obj.name} at this pose")
     view = MembraneView(model.camera, mesh)
     measured = model.range_image(frame.depth_m).astype(float)
-    distance, seen_by = _distance(view, measured, contact.displacement_m)
+    distance, pixels = _distance(view, measured, contact.displacement_m)
     untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
     if not len(distance):
         raise InputError("validation: no measured point meets the membrane; check the sensor file")
     touching = (contact.contact_pressure_pa > 0.0).astype(float)
     predicted = view.above(contact.displacement_m, touching, 0.5)
     result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
-    seen = np.zeros_like(predicted)
+    estimated = np.zeros_like(predicted)
     force = np.zeros(3)
     if result.patch is not None and result.patch.pixel_mask is not None:
-        seen, force = result.patch.pixel_mask, result.patch.force_n
-    union = int(np.count_nonzero(predicted | seen))
+        estimated, force = result.patch.pixel_mask, result.patch.force_n
+    union = int(np.count_nonzero(predicted | estimated))
     return Validation(
-        points_m=model.camera.points_at(measured, seen_by),
+        points_m=model.camera.points_at(measured, pixels),
         distance_m=distance,
-        pixels=seen_by,
+        pixels=pixels,
         rms_m=_rms(distance),
         p95_m=float(np.percentile(np.abs(distance), 95.0)),
         untouched_rms_m=_rms(untouched),
         predicted_patch=predicted,
-        measured_patch=seen,
-        patch_overlap=np.count_nonzero(predicted & seen) / union if union else float("nan"),
+        measured_patch=estimated,
+        patch_overlap=np.count_nonzero(predicted & estimated) / union if union else float("nan"),
         predicted_force_n=-(mesh.areas * contact.contact_pressure_pa) @ mesh.normals,
         measured_force_n=force,
     )
 
 
 def mean_frame(frames: Sequence[Frame]) -> Frame:
-    """One frame with the mean depth of several (NaN where most lack a return) and gas pressure."""
+    """Frame with the mean depth (NaN where most frames have no return) and mean gas pressure."""
     stack = np.stack([frame.depth_m for frame in frames])
     valid = np.isfinite(stack)
     count = valid.sum(axis=0)
@@ -145,7 +142,7 @@ def _distance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance of the measured points from the membrane, to first order, and their pixels.
 
-    Along the ray it is the difference of ranges; the facet's normal m makes it a distance.
+    The difference of ranges along the ray, projected onto the facet's normal.
     """
     hits = view.hits(displacement_m)
     nodes = view.mesh.deformed(displacement_m)[view.mesh.triangles[hits.triangle]]

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.surface import NAMES
+from bubbleviz.calibration.surface import SURFACE_NAMES
 from bubbleviz.calibration.tension import Quantity
 from bubbleviz.calibration.validation import Validation
 
 Grade = Literal["good", "usable", "doubtful"]
 PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 
-_GOOD, _USABLE = 0.02, 0.05  # relative half-width of γ0: below a force sensor's; worth a warning
-_WELL_SEEN = 0.8  # of the dome's area; chosen
-_FEW_FRAMES = 30  # one second of most depth cameras
+_GOOD, _USABLE = 0.02, 0.05  # largest relative half-width of γ0 for each grade
+_ENOUGH_VISIBLE = 0.8  # share of the dome's area; chosen
+_ENOUGH_FRAMES = 30  # one second of most depth cameras
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
     " their gas pressures (--level), or press it and hold"
@@ -25,12 +25,12 @@ _LEVELS = (
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of an identification and what it rests on."""
+    """A parameter of an identification, its source, and how to determine it better."""
 
     name: str
     value: str  # with unit and 95 % interval, or "not determined"
-    told_by: str  # what tells it, or why nothing does
-    narrower: str  # what would narrow its interval
+    told_by: str  # source of the value, or the reason why there is none
+    narrower: str  # what would narrow the interval
 
     def __str__(self) -> str:
         """As a sentence or two."""
@@ -39,21 +39,21 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Grade and sentences."""
+    """Grade with reasons."""
 
     grade: Grade
     summary: str  # one sentence
-    advice: tuple[str, ...]  # what was found and what to do about it, most important first
+    advice: tuple[str, ...]  # findings with remedies, most important first
     parameters: tuple[Parameter, ...]
 
 
 def pascals(pressure_pa: float) -> str:
-    """Number and unit, as the command line writes it."""
+    """Pressure as the command line prints it."""
     return f"{pressure_pa:.0f} Pa"
 
 
 def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
-    """Judge an identification by its own numbers, with pressures written by `pressure`."""
+    """Grade an identification by its numbers; `pressure` formats pressures."""
     tension = found.tension.tension
     relative = tension.half_width / tension.value
     warnings = _warnings(found, pressure)
@@ -73,7 +73,7 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
 
 def _surface(found: Identification) -> str:
     surfaces = found.surfaces
-    sphere, cap, free = (f"{1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in NAMES)
+    sphere, cap, free = (f"{1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in SURFACE_NAMES)
     if surfaces.chosen == "sphere":
         return (
             f"The dome is spherical: no other shape predicts it better than the sphere ({sphere} "
@@ -99,22 +99,22 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
     change = tension.gauge_pressure_pa / given - 1.0
-    if rubber is not None and rubber.both is not None:
-        shapes, file = (_interval(each, pressure) for each in rubber.both)
+    if rubber is not None and rubber.gauge_candidates is not None:
+        shapes, file = (_interval(each, pressure) for each in rubber.gauge_candidates)
         if rubber.contradicts_file:
             out.append(
-                f"Gauge pressure: {shapes} from the {rubber.told_by}, {file} in the sensor file; "
-                "one of them is wrong. Record the open chamber for ten seconds (--vented)."
+                f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} in the sensor "
+                "file; one of them is wrong. Record the open chamber for ten seconds (--vented)."
             )
     elif abs(change) > _USABLE:
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: inflate as before, and make sure that nothing touches the sensor."
         )
-    if surfaces.seen < _WELL_SEEN:
+    if surfaces.visible_share < _ENOUGH_VISIBLE:
         out.append(
-            f"{_percent(1.0 - surfaces.seen)} of the dome is not visible: there the surface is "
-            "extrapolated from the fitted cap, and contact is only inferred."
+            f"{_percent(1.0 - surfaces.visible_share)} of the dome is not visible: there the "
+            "surface is extrapolated from the fitted cap, and contact is only inferred."
         )
     height = tension.dimensions["height_m"].value
     rim = surfaces.rim_height_m
@@ -127,17 +127,18 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     apart = abs(least - value)
     if apart > max(_GOOD * value, tension.tension.half_width):
         out.append(
-            f"The balance of the whole dome gives {value:.1f} N/m, least squares of its parts"
-            f" {least:.1f} N/m, {_percent(apart / value)} apart: the mean curvature is not the same"
-            " everywhere, and no one tension holds this shape exactly."
+            f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
+            f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
+            " varies, so no uniform tension fits this shape exactly."
         )
-    if found.samples.statistics.frames < _FEW_FRAMES:
-        out.append(f"Only {found.samples.statistics.frames} frames: record {_FEW_FRAMES} or more.")
+    frames = found.samples.statistics.frames
+    if frames < _ENOUGH_FRAMES:
+        out.append(f"Only {frames} frames: record {_ENOUGH_FRAMES} or more.")
     return out
 
 
 def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
-    """γ0, gauge pressure and λ: what tells them, and what would narrow their intervals."""
+    """γ0, gauge pressure and λ with their sources, and what would narrow their intervals."""
     tension, rubber, gauge = found.tension, found.rubber, found.gauge
     vented = rubber is not None and rubber.gauge_from == "vented"
     chamber = "record the open chamber for ten seconds (--vented)"
@@ -147,28 +148,30 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         gauge_text = f"{pressure(gauge.value)}, 95 % interval {interval}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
-        "pixels": "more frames or a better rectification (noise and pattern of the pixels)",
+        "pixels": "record more frames or levels (noise and fixed pattern of the pixels)",
         "frames": "let gas and camera settle (drift between frames)",
         "gas_pressure": "record longer (noise of the gas pressure)",
-        "facets": "more nodes (flat facets of the mesh)",
+        "facets": "use more nodes (flat facets of the mesh)",
         "gauge_pressure": "measure the gauge pressure more accurately",
         "statics": "nothing: with an oval rim, shape and pressure do not determine the mean "
         "tension",
         "surface": "uncover the rim (shape that is hidden or too fine for the fit)",
     }[part]
     if rubber is None:
-        told, narrower = "neither levels nor a press were recorded", _LEVELS
+        source, narrower = "neither levels nor a press were recorded", _LEVELS
     elif rubber.prestretch is None:
-        told, narrower = rubber.why_not, _LEVELS
+        source, narrower = rubber.why_not, _LEVELS
     else:
-        told = rubber.prestretch_rests_on
+        source = rubber.prestretch_source
         narrower = "record levels farther apart" if vented else chamber
     stretch = None if rubber is None else rubber.prestretch
     chamber_text = "record it for longer" if vented else chamber
     return (
         Parameter("γ0", _range(tension.tension, 2, " N/m"), "shape and gauge pressure", of_tension),
-        Parameter("gauge pressure", gauge_text, found.gauge_rests_on, chamber_text),
-        Parameter("λ", "not determined" if stretch is None else _range(stretch, 3), told, narrower),
+        Parameter("gauge pressure", gauge_text, found.gauge_source, chamber_text),
+        Parameter(
+            "λ", "not determined" if stretch is None else _range(stretch, 3), source, narrower
+        ),
     )
 
 
@@ -186,13 +189,13 @@ def _percent(share: float) -> str:
 
 
 def validation_advice(validation: Validation | None) -> list[str]:
-    """One sentence, or none."""
+    """At most one sentence."""
     if validation is None:
         return []
     share = validation.rms_m / max(validation.untouched_rms_m, 1e-12)
     text = (
-        f"Of the known press, {1e3 * validation.untouched_rms_m:.2f} mm rms from the untouched"
-        f" membrane, {1e3 * validation.rms_m:.2f} mm rms are not predicted"
+        f"Known press: the prediction misses the cloud by {1e3 * validation.rms_m:.2f} mm rms, the"
+        f" untouched membrane by {1e3 * validation.untouched_rms_m:.2f} mm rms"
     )
     if share > 0.5:
         return [f"{text}: check the pose, the object, the gauge pressure and γ0."]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from bubbleviz.calibration import collect, held_frames
+from bubbleviz.calibration import collect, press_hold_frames
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Frame, find_contact_free, tile_depths
 
@@ -81,7 +81,10 @@ def test_a_press_is_held_where_the_gas_pressure_is_near_its_highest():
     """The twin's press grows over eight frames: seven eighths of it are not yet nine tenths."""
     twin = make_twin()
     samples = collect(twin, nominal_sensor(), range(FREE))
-    assert held_frames(twin, samples) == list(range(FREE + 7, FREE + PRESSED))
+    assert press_hold_frames(twin, samples) == list(range(FREE + 7, FREE + PRESSED))
     twin.pressures[FREE:] = twin.pressures[:PRESSED]  # nothing is pressed
-    assert held_frames(twin, samples) == []
-    assert held_frames(twin, collect(make_twin(pressure=False), nominal_sensor(), range(9))) == []
+    assert press_hold_frames(twin, samples) == []
+    assert (
+        press_hold_frames(twin, collect(make_twin(pressure=False), nominal_sensor(), range(9)))
+        == []
+    )

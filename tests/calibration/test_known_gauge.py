@@ -108,7 +108,7 @@ def test_a_gauge_pressure_known_to_two_percent_stays(identified):
 def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa):
     """The sensor file's atmosphere is wrong by weather, which the file does not tell."""
     found = identified(atmospheric_pressure_pa=ATMOSPHERE_PA - weather_pa)
-    gauge, (levels, file) = found.rubber.gauge, found.rubber.both
+    gauge, (levels, file) = found.rubber.gauge, found.rubber.gauge_candidates
     assert file.half_width == pytest.approx(2e3, rel=1e-3)
     assert file.value == pytest.approx(GAUGE_PA + weather_pa, abs=3.0)
     assert levels.low < GAUGE_PA < levels.high
@@ -126,7 +126,7 @@ def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
         gauge_sigma_pa=20.0,
         atmospheric_pressure_pa=ATMOSPHERE_PA + GAUGE_PA - 2000.0,
     )
-    gauge, (levels, file) = found.rubber.gauge, found.rubber.both
+    gauge, (levels, file) = found.rubber.gauge, found.rubber.gauge_candidates
     assert found.rubber.contradicts_file and levels.low > file.high
     assert gauge.value == pytest.approx(2000.0, abs=40.0)
     assert gauge.high >= levels.value - 1.0
@@ -154,7 +154,7 @@ def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
     found = identify(rest, sensor, range(FRAMES), nodes=NODES)
     levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
     rubber = with_rubber(found, levels).rubber
-    assert rubber.both[0].low < GAUGE_PA < rubber.both[0].high
+    assert rubber.gauge_candidates[0].low < GAUGE_PA < rubber.gauge_candidates[0].high
     assert rubber.gauge.low < GAUGE_PA < rubber.gauge.high
     assert rubber.gauge.low > 0.0 and rubber.gauge.high < 2.0 * GAUGE_PA
 

@@ -75,16 +75,16 @@ def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
 
     The sensor file's sea level contradicts that, and weather does not explain it.
     """
-    told = with_rubber(found, [], held=collect_press(press, found))
-    gauge, file = told.rubber.both
+    told = with_rubber(found, [], press=collect_press(press, found))
+    gauge, file = told.rubber.gauge_candidates
     assert told.rubber.contradicts_file and file.high < gauge.low
     assert told.rubber.gauge.low <= file.value + 1.0 and gauge.value < told.rubber.gauge.high
     assert told.rubber.gauge_from == "press"
     held = collect_press(press, found).frames
     for parts in (2, 3):
         for frames in np.array_split(held, parts):
-            part = with_rubber(found, [], held=collect(press, found.given, frames.tolist()))
-            assert gauge.low < part.rubber.both[0].value < gauge.high, frames
+            part = with_rubber(found, [], press=collect(press, found.given, frames.tolist()))
+            assert gauge.low < part.rubber.gauge_candidates[0].value < gauge.high, frames
     assert gauge.half_width < 0.15 * gauge.value
     assert gauge.low < np.mean(found.samples.gas_pressure_pa) - 98_700.0 < gauge.high
     assert told.rubber.prestretch is not None

@@ -111,14 +111,14 @@ def pressed(truth):
 def told(pressed):
     found, held = pressed
     assert held.frames[0] == FREE + 5  # the camera's filter has forgotten the way in
-    return with_rubber(found, [], held=held)
+    return with_rubber(found, [], press=held)
 
 
 def test_press_tells_gauge_pressure_and_rubber(truth, told):
     """The sensor file's atmosphere is 0.9 kPa too much."""
     rubber, stretch = told.rubber, truth[3]
-    assert rubber.prestretch_rests_on == "the press in press"
-    assert rubber.gauge_rests_on == "the press in press; the sensor file"
+    assert rubber.prestretch_source == "the press in press"
+    assert rubber.gauge_source == "the press in press; the sensor file"
     assert rubber.gauge.low < G < rubber.gauge.high
     assert rubber.gauge.value == pytest.approx(G, rel=0.05)
     assert rubber.gauge.half_width < 0.12 * G
@@ -146,8 +146,12 @@ def test_parts_of_the_recording_tell_the_same_gauge_pressure(pressed, told):
             gas_pressure_pa=held.gas_pressure_pa[part],
             statistics=measure_depth(held.depth_m[part], held.camera.range_per_depth),
         )
-        shapes, _ = with_rubber(found, [], held=half).rubber.both
-        assert told.rubber.both[0].low < shapes.value < told.rubber.both[0].high
+        shapes, _ = with_rubber(found, [], press=half).rubber.gauge_candidates
+        assert (
+            told.rubber.gauge_candidates[0].low
+            < shapes.value
+            < told.rubber.gauge_candidates[0].high
+        )
 
 
 @pytest.mark.long
@@ -161,9 +165,7 @@ def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
     assert (
         stretch.low < truth[3] < stretch.high if stretch else "constant tension" in rubber.why_not
     )
-    assert rubber.prestretch_rests_on.startswith(
-        "the press in press; the gauge pressure by the open"
-    )
+    assert rubber.prestretch_source.startswith("the press in press; the gauge pressure by the open")
 
 
 def test_a_reflection_next_to_the_press_changes_little(pressed, told):
@@ -177,7 +179,7 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, told):
         depth_m=held.depth_m + glare.astype(np.float32),
         statistics=replace(held.statistics, range_m=ranges),
     )
-    rubber = with_rubber(found, [], held=shiny).rubber
+    rubber = with_rubber(found, [], press=shiny).rubber
     for crossed, clean in (
         (rubber.gauge, told.rubber.gauge), (rubber.prestretch, told.rubber.prestretch),
     ):  # fmt: skip
@@ -187,13 +189,13 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, told):
 def test_press_that_says_nothing(pressed):
     found, held = pressed
     silent = replace(held, gas_pressure_pa=None)
-    kept = with_rubber(found, [], held=silent)
+    kept = with_rubber(found, [], press=silent)
     assert kept.sensor == found.sensor and "gas pressure" in kept.rubber.why_not
     untouched = replace(found.samples, gas_pressure_pa=found.samples.gas_pressure_pa + 400.0)
-    kept = with_rubber(found, [], held=untouched)
+    kept = with_rubber(found, [], press=untouched)
     assert kept.sensor == found.sensor and "no dent" in kept.rubber.why_not
     wrong = replace(held, gas_pressure_pa=held.gas_pressure_pa - 600.0)
-    kept = with_rubber(found, [], held=wrong)
+    kept = with_rubber(found, [], press=wrong)
     assert kept.rubber.gauge is None and kept.rubber.prestretch is None
     assert "the gas pressure falls by " in kept.rubber.why_not
     assert kept.sensor == found.sensor

@@ -70,7 +70,7 @@ def rim_at(found, height_m, sigma_m):
 
 
 def seen(found, share):
-    return replace(found, surfaces=replace(found.surfaces, seen=share))
+    return replace(found, surfaces=replace(found.surfaces, visible_share=share))
 
 
 @pytest.mark.parametrize(
@@ -139,5 +139,5 @@ def test_a_known_press_that_is_less_than_half_predicted_is_to_be_checked(left, c
     force = np.zeros(3)
     press = Validation(nothing, nothing, nothing, left, left, 4e-3, none, none, 1.0, force, force)
     (line,) = validation_advice(press)
-    assert "4.00 mm rms from the untouched" in line and f"{1e3 * left:.2f} mm rms are not" in line
+    assert f"cloud by {1e3 * left:.2f} mm rms" in line and "membrane by 4.00 mm rms" in line
     assert ("check the pose" in line) is check

@@ -15,8 +15,8 @@ from bubbleviz.calibration import (
     Workbench,
     as_ranges,
     compare,
+    frame_numbers,
     identify,
-    numbers,
     save,
     write_sensor,
 )
@@ -137,7 +137,7 @@ def test_too_few_frames_are_refused_with_the_source(bench):
 
 
 def test_ranges():
-    assert numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
+    assert frame_numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
     assert as_ranges([0, 1, 2, 7]) == ((0, 3), (7, 8))
     assert as_ranges(range(0)) == ()
 

@@ -203,7 +203,7 @@ class Gamma0Panel(QWidget):
 
     def _on_next(self) -> None:
         """First do this page's step, then go on to the next page and do its step."""
-        if not isinstance(self.page, FramesPage) or self.calibration.settings.reached:
+        if not isinstance(self.page, FramesPage) or self.calibration.settings.last_step:
             self.go_to(self.stack.currentIndex() + 1)
         self.page.enter()
 
@@ -238,7 +238,7 @@ class Gamma0Panel(QWidget):
         calibration, page = self.calibration, self.page
         answer, busy = calibration.answer, calibration.busy
         page.show_answer(answer)
-        place, reached = self.stack.currentIndex(), calibration.settings.reached
+        place, reached = self.stack.currentIndex(), calibration.settings.last_step
         started = reached > Step.START
         waits_for_live = calibration.live and calibration.work.collected is None
         following = self.pages[min(place + 1, len(self.pages) - 1)]
@@ -297,11 +297,11 @@ class Gamma0Panel(QWidget):
                 getattr(work.settings, name) != getattr(shown.settings, name) for name in page.sets
             ):
                 return number
-        return min(int(shown.settings.reached), len(self.pages) - 1)
+        return min(int(shown.settings.last_step), len(self.pages) - 1)
 
     def _known(self) -> int:
         """Pages there is something to see on."""
-        reached = self.calibration.answer.work.settings.reached
+        reached = self.calibration.answer.work.settings.last_step
         return len(self.pages) if reached >= Step.TENSION else max(1, int(reached))
 
     def _lay_out(self) -> None:

@@ -119,7 +119,7 @@ def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantit
     from bubbleviz.calibration import Workbench  # the window starts without
 
     nodes = sensor.membrane.nodes
-    settings = Settings(reached=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
+    settings = Settings(last_step=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
     found = Workbench(frames, sensor).work(settings, progress).found
     # more frames do not narrow what comes of the gauge pressure
     return found.tension.of_shape if found is not None else None

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Ranges, Step, numbers
+from bubbleviz.calibration import Ranges, Step, frame_numbers
 from bubbleviz.recordings import SIGNIFICANT, ContactFree, HeldFrames, TimeAxis
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import Page
@@ -144,17 +144,19 @@ class FramesPage(Page):
         self.remove.clicked.connect(self._on_remove)
         self.replace.clicked.connect(self._on_replace)
         self.find_again.clicked.connect(
-            lambda: calibration.edit("Find contact-free frames", ranges=None, reached=self._least())
+            lambda: calibration.edit(
+                "Find contact-free frames", ranges=None, last_step=self._least()
+            )
         )
 
     def enter(self) -> None:
         self.calibration.reach(Step.FRAMES, self.next_title)
 
     def set_ranges(self, ranges: Ranges, what: str) -> None:
-        self.calibration.edit(what, ranges=ranges, reached=self._least())
+        self.calibration.edit(what, ranges=ranges, last_step=self._least())
 
     def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.reached >= Step.FRAMES
+        return answer.work.settings.last_step >= Step.FRAMES
 
     def show_answer(self, answer: Answer) -> None:
         ranges, before = self.ranges(answer), self.strip.ranges
@@ -165,7 +167,7 @@ class FramesPage(Page):
         if ranges and ranges != before:  # else what was typed stays
             self.first.setValue(ranges[0][0])
             self.last.setValue(ranges[0][1] - 1)
-        count = len(numbers(ranges))
+        count = len(frame_numbers(ranges))
         live = self.calibration.live
         for widget in (self.find_again, self.add, self.remove, self.replace):
             widget.setEnabled(answer.frames > 0)
@@ -184,7 +186,7 @@ class FramesPage(Page):
         return answer.draft.ranges
 
     def _least(self) -> Step:
-        return max(self.calibration.settings.reached, Step.FRAMES)
+        return max(self.calibration.settings.last_step, Step.FRAMES)
 
     def _on_add(self) -> None:
         answer = self.calibration.answer
@@ -280,7 +282,7 @@ class CollectBox(QGroupBox):
         untouched = self.untouched.isChecked()
         ranges = ((0, len(frames)),) if untouched else None
         settings = replace(
-            self._calibration.settings, reached=Step.TENSION, ranges=ranges, press=None
+            self._calibration.settings, last_step=Step.TENSION, ranges=ranges, press=None
         )
         self._calibration.use_collected(frames, settings)
 

@@ -102,7 +102,7 @@ class RectificationPage(Page):
         gauge = found.gauge if found is not None else None
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
-        rests_on = "the sensor file" if found is None else found.gauge_rests_on
+        rests_on = "the sensor file" if found is None else found.gauge_source
         self.numbers.set("gauge pressure from", rests_on)
 
     def _choose_vented(self) -> None:

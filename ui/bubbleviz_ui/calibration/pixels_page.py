@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from bubbleviz.calibration import NAMES, Draft, Step, Surfaces
+from bubbleviz.calibration import SURFACE_NAMES, Draft, Step, Surfaces
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
@@ -67,7 +67,7 @@ class PixelsPage(Page):
         self.calibration.reach(Step.PIXELS, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.reached >= Step.PIXELS
+        return answer.work.settings.last_step >= Step.PIXELS
 
     def show_answer(self, answer: Answer) -> None:
         settings, samples, pixels = (
@@ -176,7 +176,7 @@ class SurfacePage(Page):
         self.view = ImageView("around zero")
         self.choice = QComboBox()
         self.choice.addItem("automatic: best fit", None)
-        for name in NAMES:
+        for name in SURFACE_NAMES:
             self.choice.addItem(name, name)
         self.nodes = QSpinBox(minimum=30, maximum=20_000, singleStep=100)
         self.nodes.setKeyboardTracking(False)
@@ -199,7 +199,7 @@ class SurfacePage(Page):
         self.calibration.reach(Step.SURFACE, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.reached >= Step.SURFACE
+        return answer.work.settings.last_step >= Step.SURFACE
 
     def show_answer(self, answer: Answer) -> None:
         settings, draft = self.calibration.settings, answer.draft
@@ -271,7 +271,7 @@ class TensionPage(Page):
         self.calibration.reach(Step.TENSION, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.reached >= Step.TENSION
+        return answer.work.settings.last_step >= Step.TENSION
 
     def show_answer(self, answer: Answer) -> None:
         units, found, unit = self.units, answer.draft.found, self.units.tension

@@ -32,7 +32,7 @@ from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import Comparison, Kind, Validation
+    from bubbleviz.calibration import Comparison, QuantityKind, Validation
 
 
 class ReportPage(Page):
@@ -93,9 +93,9 @@ class ReportPage(Page):
         height += sum(self.table.rowHeight(k) for k in range(len(rows)))
         self.table.setFixedHeight(height)
 
-    def _unit(self, kind: Kind) -> Unit:
+    def _unit(self, kind: QuantityKind) -> Unit:
         units = self.units
-        by_kind: dict[Kind, Unit] = {
+        by_kind: dict[QuantityKind, Unit] = {
             "tension": units.tension,
             "pressure": units.gas_pressure,
             "length": units.length,
@@ -223,7 +223,7 @@ class ValidationPage(Page):
             self.first.value(),
             self.last.value() + 1,
         )
-        self.calibration.edit("Validate by a known press", press=press, reached=Step.TENSION)
+        self.calibration.edit("Validate by a known press", press=press, last_step=Step.TENSION)
 
     def _paint(self) -> None:
         found = self.calibration.answer.draft.validation
