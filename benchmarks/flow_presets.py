@@ -89,7 +89,7 @@ class _Seen(NamedTuple):
 
 def _score(flow: OpticalFlow, model: SensorModel, frames: list[_Seen]) -> PresetScore:
     pipeline, fields = Pipeline(model), list[FlowField]()
-    pipeline.watch_texture(lambda frame: fields[frame.index])
+    pipeline.use_optical_flow(lambda frame: fields[frame.index])
     times_ms, flow_errors, force_errors = [], [], []
     for k, seen in enumerate(frames):
         begun = time.process_time()

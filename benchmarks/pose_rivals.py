@@ -230,7 +230,7 @@ class _Bench:
     @property
     def _tracker(self) -> PoseTracker:
         if self._pipeline.tracker is None or self._pipeline.tracker.model.obj is not self.obj:
-            self._pipeline.follow(self.obj)
+            self._pipeline.track(self.obj)
         tracker = self._pipeline.tracker
         assert tracker is not None
         return tracker

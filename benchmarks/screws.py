@@ -99,7 +99,7 @@ def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bo
     """Follow the nut from its true first pose."""
     source.seed = seed  # what was solved is kept
     pipeline = Pipeline.of(sensor)
-    pipeline.follow(source.obj, source.poses[0])
+    pipeline.track(source.obj, source.poses[0])
     status, rotation, translation, times = [], [], [], []
     for k in range(len(source)):
         frame = source[k]

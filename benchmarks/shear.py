@@ -174,7 +174,7 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
     model = SensorModel.of(shear_sensor())
     both, alone = Pipeline(model), Pipeline(model)
     flows: list[FlowField] = []
-    both.watch_texture(lambda frame: flows[frame.index])
+    both.use_optical_flow(lambda frame: flows[frame.index])
     for pipeline, products in ((both, _SHEAR), (alone, _DEPTH)):
         pipeline.prepare(products)
     for k, (name, motion, truth, friction) in enumerate(frames):

@@ -125,7 +125,7 @@ def _trial(
     flows: list[FlowField],
 ) -> SlipTrial:
     pipeline = Pipeline(model)
-    pipeline.watch_texture(lambda frame: flows[frame.index])
+    pipeline.use_optical_flow(lambda frame: flows[frame.index])
     points, shares = [], []
     for k, depth_m in enumerate(depths):
         slip = pipeline.process(Frame(k, k / 30.0, depth_m), frozenset({"slip"})).slip

@@ -147,7 +147,7 @@ class _Stages:
             _Solved.of(Pipeline(self._model, EstimatorOptions(solver=name)), touching)
             for name in (LINEAR, RUBBER)
         )
-        self._exact.pipeline.follow(ball, source.poses[-_WARM])
+        self._exact.pipeline.track(ball, source.poses[-_WARM])
 
     def times_ms(self, passes: int) -> dict[str, float]:
         """Median processor time of each stage on a warm frame, ms."""
@@ -176,7 +176,7 @@ class _Stages:
             "detect": lambda k: linear.pipeline.estimator.estimate(free.depth_m),
             "estimate, linear": linear.estimate,
             "estimate, exact": exact.estimate,
-            "patch": lambda k: exact.pipeline.whole_patch(exact.estimates[k]),
+            "patch": lambda k: exact.pipeline.unfiltered_patch(exact.estimates[k]),
             "pixel mask": lambda k: view.above(
                 exact.estimates[k].motion_m, exact.patches[k].level, 0.0
             ),

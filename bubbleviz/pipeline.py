@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
-"""Shift of a lattice from row to row over its period: no small multiple is near a whole."""
+"""Shift of a lattice from row to row over its period, from the golden ratio to avoid stripes."""
 
 Product = Literal[
     "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch",
@@ -59,61 +59,63 @@ Product = Literal[
     "flow_image", "kappa_curve", "components",
 ]  # fmt: skip
 
-LOOKS: dict[Product, tuple[Product, ...]] = {
+DIAGNOSTICS: dict[Product, tuple[Product, ...]] = {
     **dict.fromkeys(("depth_image", "change_image", "noise_image", "used_image"), ()),
     "residual_image": ("estimate",),
     "colour_image": (),
-    "flow_image": ("estimate", "flow"),  # an estimate tells frames without contact
+    "flow_image": ("estimate", "flow"),
     "kappa_curve": ("estimate",),
     "components": ("estimate", "patch"),
 }
-"""Closer looks for the panels, and the products that each is made of."""
+"""Diagnostics for panels, and the products that each depends on."""
 
 SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
-"""What depth and optical flow tell together."""
-OF_OBJECT: frozenset[Product] = frozenset({"pose", "object_patch"})
-"""What is made where there is an object to look for."""
-OF_COLOUR: frozenset[Product] = frozenset({"flow", "traction", "slip", "texture", "colour_image"})
-"""Products that the colour image of a frame is decoded for."""
+"""Products of depth and optical flow together."""
+OBJECT_PRODUCTS: frozenset[Product] = frozenset({"pose", "object_patch"})
+"""Products that require a tracked object."""
+COLOUR_PRODUCTS: frozenset[Product] = frozenset(
+    {"flow", "traction", "slip", "texture", "colour_image"}
+)
+"""Products that require the colour image."""
 
-FlowOf = Callable[[Frame], "FlowField | None"]
-"""Optical flow of a frame's colour image from the contact-free one; None where there is none."""
+FlowFunction = Callable[[Frame], "FlowField | None"]
+"""Optical flow from the contact-free colour image to that of a frame; None: not available."""
 
-SETTLED, SETTLED_WITHIN = 1e-3, 8
-"""Change of the contact pressure over its largest that is no change, and solves until then at most;
-two to four are usual."""
+_CONVERGED, _MAX_SOLVES = 1e-3, 8
+"""Change of the contact pressure over its maximum at convergence, and most solves; two to four are
+typical."""
 
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """Choices that may differ from frame to frame; those of the estimator are fixed with it."""
+    """Options that may change from frame to frame; estimator options may not."""
 
-    # patch threshold as a multiple of the mean contact pressure (V-C); None for the physical one of
-    # `PatchFinder`
+    # patch threshold as a multiple of the mean contact pressure (V-C); None: the physical threshold
+    # of `PatchFinder`
     kappa: float | None = None
-    least_area_m2: float = 0.0  # parts of the patch smaller than this are left out
-    # most points of the cloud, spread evenly over the image; None for all
+    least_area_m2: float = 0.0  # smaller parts of the patch are removed
+    # largest number of cloud points, evenly spread over the image; None: all
     cloud_points: int | None = None
-    # whether the contact is refined for the patch, where its mesh limits it. The rule of κ does not
-    # use that; the window has it nevertheless, to change rules without solving again.
+    # refine the contact for the patch where the mesh limits it. The κ rule does not use the
+    # refinement, but the window can then change rules without solving again.
     fine_contact: bool = True
 
 
 class Pipeline:
-    """Frame in, the products asked for out; each frame is started where the last one ended."""
+    """Computes requested products of frames; each solve is warm-started from the previous frame."""
 
     def __init__(self, model: SensorModel, options: EstimatorOptions | None = None) -> None:
         # mesh: reference surface
         self.model, self.mesh, self.camera = model, model.mesh, model.camera
         self.options = options or EstimatorOptions()
-        self.counts: Counter[str] = Counter()  # how often each stage ran, by stage name
-        self.tracker: PoseTracker | None = None  # of the object to look for, see `follow`
-        self._start: Any = None  # of the estimator's own kind
-        self.flow_of: FlowOf | None = None  # optical flow of a frame, see `watch_texture`
+        self.counts: Counter[str] = Counter()  # number of runs of each stage, by name
+        self.tracker: PoseTracker | None = None  # see `track`
+        self._state: Any = None  # for the warm start; the type depends on the estimator
+        self.optical_flow: FlowFunction | None = None  # see `use_optical_flow`
         self._colour_camera = self.camera
         self._traction_options: TractionOptions | None = None
-        self._traction_start: TractionStart | None = None
-        self._slip_start: SlipStart | None = None
+        self._traction_state: TractionStart | None = None
+        self._slip_state: SlipStart | None = None
 
     @classmethod
     def of(
@@ -122,17 +124,17 @@ class Pipeline:
         intrinsics: Intrinsics | None = None,
         options: EstimatorOptions | None = None,
     ) -> Pipeline:
-        """Pipeline of a sensor file; parameters and errors as of `SensorModel.of`."""
+        """Pipeline of a sensor file; parameters and errors as in `SensorModel.of`."""
         nodes = None if options is None else options.nodes
         return cls(SensorModel.of(sensor, intrinsics, nodes), options)
 
     @cached_property
     def estimator(self) -> Estimator:
-        """The inverse solver; built when the first frame needs it."""
+        """The inverse solver, built on first use."""
         model = self.model
         observer = model.observer(self.options.block)
-        known = model.sensor.membrane.prestretch is not None
-        if self.options.solver == RUBBER or (self.options.solver is None and known):
+        has_prestretch = model.sensor.membrane.prestretch is not None
+        if self.options.solver == RUBBER or (self.options.solver is None and has_prestretch):
             tension = model.tension_n_per_m
             stress = rest_stress(model.sensor, model.mesh)
             material = model.sensor, model.mesh, tension, self.options.rim_slack_m, stress
@@ -146,17 +148,17 @@ class Pipeline:
         if self.options.solver in (None, LINEAR):
             return Estimator(observer, film, self.options)
         if (plugged := plugin("solvers", self.options.solver)) is not None:
-            made: Estimator = plugged(model, self.options)
-            return made
+            estimator: Estimator = plugged(model, self.options)
+            return estimator
         names = ", ".join([*SOLVER_NAMES, *plugin_names("solvers")])
         raise InputError(f"{self.options.solver}: no such solver; choose one of {names}")
 
     def process(
         self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None
     ) -> Result:
-        """Run the stages that `products` need on one frame.
+        """Run the stages that `products` depend on, on one frame.
 
-        Raises InputError: the image is not of the camera's size.
+        Raises InputError: the image does not have the camera's size.
         """
         self._check_size(frame)
         options, needed = options or FrameOptions(), stages(products)
@@ -167,90 +169,89 @@ class Pipeline:
             with self._timed(name, times):
                 return _STAGES[name].run(self, result, options)
 
-        with self._timed("total", times), ThreadPoolExecutor(1) as beside:
-            # OpenCV holds no lock of Python's: a second core finds the flow during the estimate
-            flow = beside.submit(run, "flow", result) if "flow" in needed else None
+        with self._timed("total", times), ThreadPoolExecutor(1) as executor:
+            # OpenCV releases the GIL: a second core computes the flow during the estimate
+            flow = executor.submit(run, "flow", result) if "flow" in needed else None
             for name in _STAGES:
                 if name == "flow" and flow is not None:
                     result = replace(result, flow=flow.result().flow)
-                elif name in needed and self._makes(name, options):
+                elif name in needed and self._is_available(name, options):
                     result = run(name, result)
-        return self.look(replace(result, times_ms=times), products, options)
+        return self.diagnose(replace(result, times_ms=times), products, options)
 
-    def look(
+    def diagnose(
         self,
         result: Result,
         products: frozenset[Product],
         options: FrameOptions | None = None,  # of its patch
-        truth: np.ndarray | None = None,  # (H, W) bool, true pixels of the patch, in a simulation
+        truth: np.ndarray | None = None,  # (H, W) bool, true pixels of a simulated patch
     ) -> Result:
-        """The result with those of `products` that are `LOOKS`, made of what it has."""
-        looks = products & LOOKS.keys()
-        if not looks:
+        """The result with those of `products` that are `DIAGNOSTICS`."""
+        requested = products & DIAGNOSTICS.keys()
+        if not requested:
             return result
-        from bubbleviz.diagnostics import inspection  # the panels alone need it
+        from bubbleviz.diagnostics import inspection  # only for panels
 
-        self.counts.update(f"look {name.removesuffix('_image')}" for name in looks)
+        self.counts.update(f"diagnose {name.removesuffix('_image')}" for name in requested)
         kappa = None if options is None else options.kappa
-        return replace(result, inspection=inspection(self, result, looks, kappa, truth))
+        return replace(result, inspection=inspection(self, result, requested, kappa, truth))
 
-    def _makes(self, name: Product, options: FrameOptions) -> bool:
-        """Whether there is what a product is made by, and it is wanted."""
+    def _is_available(self, name: Product, options: FrameOptions) -> bool:
         if name == "fine_contact":
             return options.fine_contact and self._refiner is not None
-        return name not in OF_OBJECT or self.tracker is not None
+        return name not in OBJECT_PRODUCTS or self.tracker is not None
 
     def paired(self, frame: Frame) -> Frame:
-        """Frame whose colour image is that of the sensor's delay of colour."""
+        """Frame paired with the colour image at the sensor's colour delay."""
         delay_s = self.model.sensor.camera.colour_delay_s
         return frame if frame.colour_delay_s == delay_s else replace(frame, colour_delay_s=delay_s)
 
     def restart(self) -> None:
-        """Forget the warm start: the next frame is solved from rest."""
-        self._start = self._traction_start = self._slip_start = None
+        """Discard the warm start: the next frame is solved from rest."""
+        self._state = self._traction_state = self._slip_state = None
 
-    def settle(self, frame: Frame) -> None:
-        """Have the next frame start where this one ends, whatever came before it.
+    def converge(self, frame: Frame) -> None:
+        """Warm-start the next solve from the converged solution of this frame.
 
-        A frame's estimate depends a little on where it is started: linearisation and support are
-        kept while they serve. From rest, and on from its own end until the contact pressure stands,
-        a frame has one answer.
+        An estimate depends slightly on its initial state, as linearisation and support are reused
+        while they are valid. Repeated solves from rest until the contact pressure converges make
+        the result of a frame independent of earlier frames.
 
-        Raises InputError: the image is not of the camera's size.
+        Raises InputError: the image does not have the camera's size.
         """
         self._check_size(frame)
-        start: Any = None  # of the estimator's own kind
-        before = np.zeros(0)
-        for _ in range(SETTLED_WITHIN):
-            estimate, start = self._estimated(frame, start)
+        state: Any = None
+        previous = np.zeros(0)
+        for _ in range(_MAX_SOLVES):
+            estimate, state = self._estimated(frame, state)
             pressure = estimate.contact_pressure_pa
-            if before.size and np.abs(pressure - before).max() <= SETTLED * pressure.max():
+            if previous.size and np.abs(pressure - previous).max() <= _CONVERGED * pressure.max():
                 break
-            before = pressure
-        self._start = start
+            previous = pressure
+        self._state = state
 
     def is_untouched(self, frame: Frame) -> bool:
-        """Whether a frame's depth image alone, without the gas pressure, says that nothing touches.
+        """Whether the depth image alone, without the gas pressure, shows no contact.
 
-        Raises InputError: the image is not of the camera's size.
+        Raises InputError: the image does not have the camera's size.
         """
         self._check_size(frame)
         return self.estimator.is_untouched(frame.depth_m)
 
-    def estimate_aside(self, frame: Frame) -> Estimate:
-        """Estimate of a frame that the next one is not started from.
+    def estimate_once(self, frame: Frame) -> Estimate:
+        """Estimate of a frame that leaves the warm start of the next one unchanged.
 
-        Raises InputError: the image is not of the camera's size.
+        Raises InputError: the image does not have the camera's size.
         """
         self._check_size(frame)
-        return self._estimated(frame, self._start)[0]
+        return self._estimated(frame, self._state)[0]
 
-    def _estimated(self, frame: Frame, start: Any) -> tuple[Estimate, Any]:
+    def _estimated(self, frame: Frame, state: Any) -> tuple[Estimate, Any]:
         pressure, sigma = frame.gas_pressure_pa, frame.gas_sigma_pa
-        return self.estimator.estimate(frame.depth_m, pressure, start, sigma)
+        return self.estimator.estimate(frame.depth_m, pressure, state, sigma)
 
     def prepare(self, products: frozenset[Product]) -> None:
-        """Build the solvers now, so that the first frame does not wait for them."""
+        """Build the solvers in advance, so that the first frame is not delayed."""
         needed = stages(products)
         if "estimate" in needed:
             _ = self.estimator
@@ -261,19 +262,19 @@ class Pipeline:
         if "traction" in needed:
             _ = self.traction_estimator
 
-    def follow(self, obj: RigidObject | None, start: np.ndarray | None = None) -> None:
+    def track(self, obj: RigidObject | None, initial_pose: np.ndarray | None = None) -> None:
         """Track an object from the next frame on, or none.
 
         Parameters
         ----------
         obj : RigidObject or None
-        start : (4, 4) array, optional
-            T_B_O in the first of them; searched for when None.
+        initial_pose : (4, 4) array, optional
+            T_B_O in the next frame; None: searched.
 
         Raises
         ------
         InputError
-            The object has no area, or is in other units than the bubble.
+            The object has no area, or its size does not match the bubble (wrong units).
         """
         self.__dict__.pop("_object_patch_finder", None)
         if obj is None:
@@ -281,34 +282,33 @@ class Pipeline:
             return
         from bubbleviz.pose import PoseTracker  # open3d takes long to load
 
-        self.tracker = PoseTracker(self.estimator, obj, start, membrane=self.model.rubber)
+        self.tracker = PoseTracker(self.estimator, obj, initial_pose, membrane=self.model.rubber)
 
-    def watch_texture(
+    def use_optical_flow(
         self,
-        # of a frame; None where there is no colour, so that depth is left alone
-        flow_of: FlowOf | None,
-        # colour camera; the depth camera where not given, as for images aligned to depth
+        optical_flow: FlowFunction | None,  # None: without colour, traction from depth alone
+        # colour camera; None: the depth camera, as for images aligned to depth
         camera: DepthCamera | None = None,
         options: TractionOptions | None = None,
     ) -> None:
-        """Measure traction with friction and slip by optical flow from the next frame on."""
-        self.flow_of, self._colour_camera = flow_of, camera or self.camera
+        """Compute traction with friction and slip from optical flow, from the next frame on."""
+        self.optical_flow, self._colour_camera = optical_flow, camera or self.camera
         self._traction_options = options
-        self._traction_start = self._slip_start = None
+        self._traction_state = self._slip_state = None
         for name in ("traction_estimator", "_slip_finder"):
             self.__dict__.pop(name, None)
 
     @cached_property
     def traction_estimator(self) -> TractionEstimator:
-        """The inverse with friction; built when the first frame needs it.
+        """The inverse solver with friction, built on first use.
 
-        Raises InputError: the estimator is not of the exact membrane.
+        Raises InputError: the solver is not that of the exact membrane.
         """
         from bubbleviz.shear import TractionEstimator  # only needed here
 
         if self.estimator.solver_name != RUBBER:
             raise InputError(
-                f"sensor {self.model.sensor.name}: shear takes the exact membrane; choose "
+                f"sensor {self.model.sensor.name}: shear requires the exact membrane; choose "
                 "--solver rubber, or identify the sensor's prestretch"
             )
         return TractionEstimator(self.estimator, self._colour_camera, self._traction_options)
@@ -325,13 +325,13 @@ class Pipeline:
     ) -> Patch:
         """Patch of an estimate, without solving again."""
         options = options or FrameOptions()
-        patch = self.whole_patch(estimate, options.kappa)
+        patch = self.unfiltered_patch(estimate, options.kappa)
         if options.least_area_m2 > 0.0:
             patch = without_small(self.mesh, estimate, patch, options.least_area_m2)
         return self._with_pixels(estimate, patch) if pixel_mask else patch
 
-    def whole_patch(self, estimate: Estimate, kappa: float | None = None) -> Patch:
-        """Patch of an estimate with all its parts, however small."""
+    def unfiltered_patch(self, estimate: Estimate, kappa: float | None = None) -> Patch:
+        """Patch of an estimate with all parts, however small."""
         return self._finder.find(estimate, kappa)
 
     @cached_property
@@ -340,70 +340,73 @@ class Pipeline:
 
     @cached_property
     def _refiner(self) -> ContactRefiner | None:
-        """None where a finer mesh is not known of, not wanted, or of no use."""
+        """None where the solver or the options exclude it, or the mesh is fine enough."""
         estimator = self.estimator
-        refined = self.options.fine_contact and estimator.solver_name in (RUBBER, LINEAR)
-        return ContactRefiner(self.model, estimator) if refined and mesh_limits(estimator) else None
+        possible = self.options.fine_contact and estimator.solver_name in (RUBBER, LINEAR)
+        if not possible or not mesh_limits(estimator):
+            return None
+        return ContactRefiner(self.model, estimator)
 
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame
-        estimate, self._start = self._estimated(frame, self._start)
-        if frame.gas_sigma_pa and estimate.trusted:  # what comes after counts from the found zero
-            found = self.model.gas.P0 + estimate.gas_pressure_change_pa
-            frame = replace(frame, gas_pressure_pa=found, gas_sigma_pa=0.0)
+        estimate, self._state = self._estimated(frame, self._state)
+        if frame.gas_sigma_pa and estimate.trusted:  # later stages use the estimated gas pressure
+            estimated = self.model.gas.P0 + estimate.gas_pressure_change_pa
+            frame = replace(frame, gas_pressure_pa=estimated, gas_sigma_pa=0.0)
         return replace(result, estimate=estimate, frame=frame)
 
     def _fine_contact_stage(self, result: Result, options: FrameOptions) -> Result:
-        estimate = _made(result.estimate)
-        fine = _made(self._refiner).refine(result.frame.depth_m, estimate)
+        estimate = _required(result.estimate)
+        fine = _required(self._refiner).refine(result.frame.depth_m, estimate)
         return replace(result, estimate=replace(estimate, fine=fine))
 
     def _patch_stage(self, result: Result, options: FrameOptions) -> Result:
-        return replace(result, patch=self.patch(_made(result.estimate), options))
+        return replace(result, patch=self.patch(_required(result.estimate), options))
 
     def _pixel_mask_stage(self, result: Result, options: FrameOptions) -> Result:
-        patch = self._with_pixels(_made(result.estimate), _made(result.patch))
+        patch = self._with_pixels(_required(result.estimate), _required(result.patch))
         return replace(result, patch=patch)
 
     def _pose_stage(self, result: Result, options: FrameOptions) -> Result:
-        tracker = _made(self.tracker)
-        pose = tracker.update(result.frame, _made(result.estimate), _made(result.patch))
+        tracker = _required(self.tracker)
+        pose = tracker.update(result.frame, _required(result.estimate), _required(result.patch))
         return replace(result, pose=pose)
 
     @cached_property
     def _object_patch_finder(self) -> ObjectPatchFinder:
-        from bubbleviz.pose import ObjectPatchFinder  # as the tracker
+        from bubbleviz.pose import ObjectPatchFinder  # open3d takes long to load
 
-        return ObjectPatchFinder(self.model, _made(self.tracker).model)
+        return ObjectPatchFinder(self.model, _required(self.tracker).model)
 
     def _object_patch_stage(self, result: Result, options: FrameOptions) -> Result:
-        pose, gas_pa = _made(result.pose), result.frame.gas_pressure_pa
+        pose, gas_pa = _required(result.pose), result.frame.gas_pressure_pa
         finder = self._object_patch_finder
-        found = finder.find(_made(result.estimate), _made(result.patch), pose, gas_pa)
+        found = finder.find(_required(result.estimate), _required(result.patch), pose, gas_pa)
         return replace(result, object_patch=found)
 
     def _flow_stage(self, result: Result, options: FrameOptions) -> Result:
-        return replace(result, flow=None if self.flow_of is None else self.flow_of(result.frame))
+        flow = None if self.optical_flow is None else self.optical_flow(result.frame)
+        return replace(result, flow=flow)
 
     def _traction_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame
-        traction, self._traction_start = self.traction_estimator.estimate(
+        traction, self._traction_state = self.traction_estimator.estimate(
             result.flow,
             frame.gas_pressure_pa,
-            _made(result.estimate),
-            self._start,
-            self._traction_start,
+            _required(result.estimate),
+            self._state,
+            self._traction_state,
         )
         return replace(result, traction=traction)
 
     def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
-        slip, self._slip_start = self._slip_finder.find(
-            _made(result.traction), result.flow, self._slip_start
+        slip, self._slip_state = self._slip_finder.find(
+            _required(result.traction), result.flow, self._slip_state
         )
         return replace(result, slip=slip)
 
     def _cloud_stage(self, result: Result, options: FrameOptions) -> Result:
-        """Points of the pixels with a return, evenly fewer where there are too many."""
+        """Points of the pixels with a return, evenly thinned to the largest number."""
         depth_m, most = result.frame.depth_m, options.cloud_points
         returned = np.isfinite(depth_m)
         if most is not None and np.count_nonzero(returned) > most:
@@ -414,13 +417,13 @@ class Pipeline:
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
         """Measured minus modelled range of the cloud's pixels, m."""
-        pixels = _made(result.cloud_pixels)
-        modelled = self.model.view.ranges(_made(result.estimate).motion_m, pixels)
+        pixels = _required(result.cloud_pixels)
+        modelled = self.model.view.ranges(_required(result.estimate).motion_m, pixels)
         measured = self.model.ranges(result.frame.depth_m, pixels)
         return replace(result, cloud_residual_m=measured - modelled)
 
     def _texture_stage(self, result: Result, options: FrameOptions) -> Result:
-        estimate = _made(result.estimate)
+        estimate = _required(result.estimate)
         if not estimate.trusted:
             return result
         nodes = self.mesh.deformed(estimate.motion_m)
@@ -449,7 +452,7 @@ class Pipeline:
 
 @dataclass(frozen=True)
 class _Stage:
-    """What makes one product, from products that were made before."""
+    """Function that computes a product, and the products that it requires."""
 
     requires: tuple[Product, ...]
     run: Callable[[Pipeline, Result, FrameOptions], Result]
@@ -473,15 +476,17 @@ _STAGES: dict[Product, _Stage] = {
 
 
 def stages(products: frozenset[Product]) -> frozenset[Product]:
-    """The products that are made on the way to these, and these."""
-    needs = (LOOKS[name] if name in LOOKS else _STAGES[name].requires for name in products)
+    """The products and all products that they depend on."""
+    needs = (
+        DIAGNOSTICS[name] if name in DIAGNOSTICS else _STAGES[name].requires for name in products
+    )
     return products.union(*(stages(frozenset(some)) for some in needs))
 
 
 def _evenly(chosen: np.ndarray, most: int) -> np.ndarray:
-    """At most so many of some pixels (H, W) bool, ascending flat indices, on a lattice.
+    """Ascending flat indices of at most so many pixels of a mask (H, W), on a lattice.
 
-    Every n-th of them in reading order would be in stripes.
+    Every n-th pixel in reading order would form stripes.
     """
     height, width = chosen.shape
     step = -(-np.count_nonzero(chosen) // most)
@@ -491,7 +496,7 @@ def _evenly(chosen: np.ndarray, most: int) -> np.ndarray:
     return pixels[chosen.ravel()[pixels]][:most]
 
 
-def _made(product: _T | None) -> _T:
+def _required(product: _T | None) -> _T:
     if product is None:
-        raise AssertionError("stages run in the order of the table")
+        raise AssertionError("a stage ran before one that it requires")
     return product

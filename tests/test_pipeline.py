@@ -142,7 +142,7 @@ def test_a_frame_estimated_aside_leaves_the_next_one_alone(pipeline, source):
     pipeline.restart()
     again = solved(PRESSED - 1)
     np.testing.assert_array_equal(again.displacement_m, first.displacement_m)
-    aside = pipeline.estimate_aside(source[FREE])
+    aside = pipeline.estimate_once(source[FREE])
     assert aside.status == "no_contact"
     repeated = solved(PRESSED)
     np.testing.assert_array_equal(repeated.displacement_m, then.displacement_m)
@@ -157,7 +157,7 @@ def test_a_pipeline_settles_whatever_it_did_before(source):
         pipeline = Pipeline.of(small_sensor())
         for index in before:
             pipeline.process(source[index], wanted)
-        pipeline.settle(source[PRESSED])
+        pipeline.converge(source[PRESSED])
         patch = pipeline.process(source[PRESSED], wanted).patch
         areas.append(patch.area_m2)
     assert areas[0] == areas[1] == areas[2] > 0.0
@@ -183,7 +183,7 @@ def test_flow_is_found_while_the_estimate_is(pipeline, source, monkeypatch):
         return found
 
     monkeypatch.setattr(RangeObserver, "measure", measured_after)
-    pipeline.watch_texture(flow_of)
+    pipeline.use_optical_flow(flow_of)
     wanted = frozenset[Product]({"estimate", "flow"})
     result = pipeline.process(source[PRESSED], wanted)
     assert result.flow is found and result.estimate is not None
@@ -194,6 +194,6 @@ def test_what_goes_wrong_in_flow_is_told(pipeline, source):
     def flow_of(_):
         raise InputError("colour image: cannot be decoded")
 
-    pipeline.watch_texture(flow_of)
+    pipeline.use_optical_flow(flow_of)
     with pytest.raises(InputError, match="cannot be decoded"):
         pipeline.process(source[PRESSED], frozenset({"estimate", "flow"}))

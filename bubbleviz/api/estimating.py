@@ -19,7 +19,7 @@ from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz.pipeline import OF_OBJECT, SHEAR, Pipeline, Product
+from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
 from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -298,10 +298,10 @@ def track(
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
-        pipeline.follow(obj, start)
+        pipeline.track(obj, start)
         zero, run = _begun(chosen, name, pipeline, out, **how)
         run.said["object"] = obj.name if isinstance(object, RigidObject) else str(object)
-        products: frozenset[Product] = OF_OBJECT if object_patch else frozenset({"pose"})
+        products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zero=zero)
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)

@@ -118,7 +118,7 @@ class Estimator:
         pipeline, texture = self._pipeline, None
         pipeline.restart()
         if self._followed is not None:
-            pipeline.follow(*self._followed)
+            pipeline.track(*self._followed)
         if self._shear:
             from bubbleviz.shear import PassingTexture  # needs OpenCV
 

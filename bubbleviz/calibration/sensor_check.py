@@ -361,7 +361,7 @@ def _another_camera(model: SensorModel, row: CheckRow) -> str:
 def _contact_explains(pipeline: Pipeline, frame: Frame, rest: _RestComparison) -> bool:
     """Whether a contact explains the images better than the causes of a drift."""
     mean = (rest.expected_depth_m() + rest.drift_m()).astype(np.float32)
-    found = pipeline.estimate_aside(replace(frame, depth_m=mean, gas_pressure_pa=None))
+    found = pipeline.estimate_once(replace(frame, depth_m=mean, gas_pressure_pa=None))
     return found.status == "ok" and found.residual_rms_m < rest.shape_m
 
 

@@ -1,4 +1,4 @@
-"""Diagnostics of one frame: images, probe, threshold, numbers over time."""
+"""Diagnostics of one frame: images, probe, κ curve, values plotted over time."""
 
 import lazy_loader
 

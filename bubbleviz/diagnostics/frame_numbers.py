@@ -12,37 +12,37 @@ from bubbleviz.membrane import Gas
 from bubbleviz.recordings import force_of
 from bubbleviz.result import HALF_95, Patch, Result, Slip, Traction
 
-# The few numbers of a contact with friction, each with its 95 % interval.
+# Summary values of a contact with friction, with 95 % intervals.
 
 
-Measure = tuple[float, float]  # value and half of its 95 % interval; NaN where it is not known
+Measure = tuple[float, float]  # value and half of its 95 % interval; NaN: unknown
 UNKNOWN: Measure = (np.nan, np.nan)
-_TOLD = np.pi / 4.0  # a direction is told whose 95 % interval, rad, is within a quarter of a turn
+_MAX_DIRECTION_ERROR = np.pi / 4.0  # largest half of a 95 % interval, rad, of a known direction
 _REGION_95 = float(np.sqrt(-2.0 * np.log(0.05)))
-"""Radius that holds 95 % of a normal distribution in the plane, standard deviations."""
-_OUTLINE = 61
+"""Radius of 95 % of a normal distribution in the plane, in standard deviations."""
+_OUTLINE_POINTS = 61
 
 
 @dataclass(frozen=True)
 class ShearNumbers:
     """Force of the object on the membrane, along and across the contact's mean normal."""
 
-    # force_n, normal_n, tangential_n: lengths, N; the mean normal is that of the normal forces,
-    # into the sensor
+    # force_n, normal_n, tangential_n: magnitudes, N; the mean normal is the direction of the summed
+    # normal forces, into the sensor
     force_n: Measure = UNKNOWN
     normal_n: Measure = UNKNOWN
     tangential_n: Measure = UNKNOWN
-    # of the tangential force, seen along z of the bubble frame: from x towards y, degrees
+    # of the tangential force in the x-y plane of the bubble frame, from x towards y, degrees
     direction_deg: Measure = UNKNOWN
     # about the mean normal through the contact's centre, right-handed, N·m
     torque_nm: Measure = UNKNOWN
-    # largest displacement along the membrane of the nodes that are touched, m
+    # largest tangential displacement of the nodes in contact, m
     displacement_m: Measure = UNKNOWN
-    slip_share: Measure = UNKNOWN  # share of the patch that moved against the rest of it, 0 to 1
+    slip_share: Measure = UNKNOWN  # share of the patch that slips relative to the rest, 0 to 1
 
     @classmethod
     def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
-        """Numbers of a frame; depth alone gives no tangential ones."""
+        """Values of a frame; tangential ones are unknown from depth alone."""
         along = traction.normal_force_n.sum(axis=0)
         size, force = float(np.linalg.norm(along)), traction.force_n
         if traction.status == "no_contact":
@@ -71,10 +71,10 @@ class ShearNumbers:
 
 @dataclass(frozen=True)
 class ShearEllipse:
-    """Tangential force seen along z of the bubble frame."""
+    """Tangential force in the x-y plane of the bubble frame."""
 
     force_n: np.ndarray  # (2,), along x and y, N
-    outline_n: np.ndarray  # (k, 2), closed line around its 95 % region, N
+    outline_n: np.ndarray  # (k, 2), closed outline of the 95 % region, N
 
     @classmethod
     def of(cls, traction: Traction) -> ShearEllipse | None:
@@ -87,7 +87,7 @@ class ShearEllipse:
         force = across @ traction.force_n
         covariance = across @ traction.wrench_covariance[:3, :3] @ across.T
         lengths, axes = np.linalg.eigh(covariance)
-        angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE)
+        angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE_POINTS)
         circle = np.stack([np.cos(angle), np.sin(angle)])
         reach = _REGION_95 * np.sqrt(np.maximum(lengths, 0.0))
         return cls(force, force + (axes @ (reach[:, None] * circle)).T)
@@ -103,12 +103,12 @@ def _along(vector: np.ndarray, axis: np.ndarray, covariance: np.ndarray) -> Meas
 
 
 def _direction(across: np.ndarray, covariance: np.ndarray) -> Measure:
-    """Angle of a vector (3,) in the x-y plane, degrees; unknown where it may be any."""
+    """Angle of a vector (3,) in the x-y plane, degrees; unknown if its interval is too wide."""
     x, y = across[:2]
     squared = x * x + y * y
     sideways = np.array([-y, x]) / max(squared, np.finfo(float).tiny)
     half = HALF_95 * float(np.sqrt(sideways @ covariance[:2, :2] @ sideways))
-    if not half < _TOLD:
+    if not half < _MAX_DIRECTION_ERROR:
         return UNKNOWN
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(half))
 
@@ -118,39 +118,38 @@ NOTHING = float("nan")
 
 @dataclass(frozen=True)
 class Numbers:
-    """Numbers of one frame, SI but for the times; NaN where not requested or unknown."""
+    """Values of one frame, SI, run times in ms; NaN if not requested or unknown."""
 
     status: str = ""  # of the estimate; empty without one
-    # p_v that the gas law (Eq. 6) gives for the estimated shape; 0 without contact, whose shape is
-    # no measured one: a measured p_v of a drift, or of a touch too faint to be found, inflates it,
-    # and its volume would say a p_v of the other sign and a dozen times as large.
+    # p_v by the gas law (Eq. 6) for the estimated shape; 0 without contact, where that shape is not
+    # measured but follows from the measured p_v: a drift of it inflates the shape, whose volume
+    # would give a p_v of the opposite sign, a dozen times as large.
     gas_law_pa: float = NOTHING
-    gas_measured_pa: float = NOTHING  # measured gas pressure less the reference pressure P0
+    gas_measured_pa: float = NOTHING  # measured gas pressure minus the reference pressure P0
     # residual_m, solve_ms, total_ms: as in `Estimate` and `Result.times_ms`
     residual_m: float = NOTHING
     solve_ms: float = NOTHING
     total_ms: float = NOTHING
-    # force_n, area_m2: length of the force vector; area of the patch
+    # force_n, area_m2: magnitude of the force; area of the patch
     force_n: float = NOTHING
-    force_half_width_n: float = NOTHING  # half of the 95 % interval of the former
-    # force of the recording's wrench, as recorded
+    force_half_width_n: float = NOTHING  # half of the 95 % interval
+    # force of the recorded wrench, uncorrected
     wrench_n: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)
     area_m2: float = NOTHING
     center_m: tuple[float, float, float] = (NOTHING, NOTHING, NOTHING)  # centre of pressure in B
     has_patch: bool = False
     has_shear: bool = False
-    # depth image received → products in the window; NaN for frames not shown live
+    # depth image received → products in the window; only of live frames
     latency_ms: float = NOTHING
-    # shear_normal_n, shear_tangential_n: force with friction, across and along the membrane; NaN
-    # where it is not known
+    # shear_normal_n, shear_tangential_n: force with friction, normal and tangential
     shear_normal_n: float = NOTHING
     shear_tangential_n: float = NOTHING
-    shear_tangential_half_n: float = NOTHING  # half of the 95 % interval of the latter
+    shear_tangential_half_n: float = NOTHING  # half of the 95 % interval
     slip_share: float = NOTHING  # of the patch
 
 
 def numbers_of(result: Result, gas: Gas) -> Numbers:
-    """Numbers of a result; what it lacks is NaN."""
+    """Values of a result; NaN if missing."""
     estimate, measured = result.estimate, result.frame.gas_pressure_pa
     known: dict[str, Any] = {
         "gas_measured_pa": NOTHING if measured is None else measured - gas.P0,
@@ -163,15 +162,14 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
             "solve_ms": estimate.solve_ms,
         }
         if estimate.trusted:
-            exact = estimate.gas_law_pa
             known["residual_m"] = estimate.residual_rms_m
             known["force_half_width_n"] = estimate.force_half_width_n
             if estimate.status == "no_contact":
                 known["gas_law_pa"] = 0.0
-            elif exact is None:
+            elif estimate.gas_law_pa is None:
                 known["gas_law_pa"] = gas.pressure_change(estimate.displacement_m)
             else:
-                known["gas_law_pa"] = exact
+                known["gas_law_pa"] = estimate.gas_law_pa
         if result.patch is not None:
             known |= patch_numbers(result.patch, trusted=estimate.trusted)
     if result.traction is not None:
@@ -187,7 +185,7 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
 
 
 def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
-    """The numbers that change with κ; NaN where the estimate is not to be trusted."""
+    """The values that depend on κ; NaN without trusted estimate."""
     x, y, z = (float(c) for c in patch.center_of_pressure_m)
     return {
         "has_patch": True,
@@ -197,18 +195,18 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
     }
 
 
-# Summary of shear over many frames, as numbers and text.
+# Summary of shear over many frames.
 
 
 @dataclass
 class ShearSummary:
-    """Shear of many frames: by status of their traction, and in that of the largest force.
+    """Shear of many frames: count by status, and values of the frame with the largest |force|.
 
-    Numbers are None where there are none to trust, and tell the frame of the largest |force|.
+    Values are None without a frame of status ok.
     """
 
     status: dict[str, int] = field(default_factory=dict)  # number of frames by status
-    reference: str = ""  # what flow was measured against, or why there was nothing
+    reference: str = ""  # reference frame of the optical flow, or why there is none
     # max_force_n, max_force_sigma_n: |force| with friction, and its standard deviation, N
     max_force_n: float | None = None
     max_force_sigma_n: float | None = None
@@ -248,7 +246,7 @@ class ShearSummary:
 
 
 def shear_line(result: Result) -> str:
-    """Force with friction, torque and slip of one frame, or why there are none, in one line."""
+    """One line with force, torque and slip of a frame, or the reason why they are unknown."""
     traction = result.traction
     if traction is None or traction.status == "no_contact":
         return ""
@@ -274,6 +272,6 @@ def _measure(value: float | None, sigma: float | None) -> Measure:
 
 
 def _known(measure: Measure) -> tuple[float | None, float | None]:
-    """Value and standard deviation; None where it is not known, as JSON has no NaN."""
+    """Value and standard deviation; None if unknown, as JSON has no NaN."""
     value, sigma = measure[0], measure[1] / HALF_95
     return value if math.isfinite(value) else None, sigma if math.isfinite(sigma) else None

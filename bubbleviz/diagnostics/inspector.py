@@ -1,4 +1,4 @@
-"""Diagnostics of one frame: images, κ curve, patch parts, probed points, statistics."""
+"""Diagnostics of one frame: images, κ curve, patch parts, probe, statistics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bubbleviz.sensor_model import SensorModel
 
 
-# Patch area, and IoU with a known truth, as functions of the patch threshold κ.
+# Patch area, and IoU with the ground truth, as functions of the patch threshold κ.
 
 
 KAPPAS = np.geomspace(0.1, 100.0, 61)  # thresholds as multiples of the mean contact pressure (V-C)
@@ -32,11 +32,11 @@ class KappaCurve:
     area_m2: np.ndarray  # (k,), area of the patch on the reference surface
     # (k − 1,), area whose pressure lies between one threshold and the next
     histogram_m2: np.ndarray
-    # (k,), intersection over union of the patch's pixels with the true ones; None without a truth
+    # (k,), intersection over union of the patch's pixels with the true ones; None: no ground truth
     iou: np.ndarray | None = None
 
     def area_at(self, kappa: float) -> float:
-        """Area at a threshold of the curve's range, m², between its points by log κ."""
+        """Area at a threshold, m², interpolated in log κ."""
         return float(np.interp(np.log(kappa), np.log(self.kappa), self.area_m2))
 
 
@@ -44,9 +44,9 @@ def kappa_curve(
     mesh: MembraneMesh,
     estimate: Estimate,
     truth: np.ndarray | None = None,  # (H, W) bool, true pixels of the patch
-    view: MembraneView | None = None,  # needed to compare with the truth
+    view: MembraneView | None = None,  # required with `truth`
 ) -> KappaCurve:
-    """Curve of an estimate; of zeros without contact pressure."""
+    """Curve of an estimate; zeros without contact pressure."""
     pressure = estimate.contact_pressure_pa
     levels = KAPPAS * mean_pressure(mesh, pressure)
     areas = np.zeros(len(KAPPAS))
@@ -67,64 +67,61 @@ def _ious(
     """IoU of the pixels above each level, from one cast of all rays."""
     hits = view.hits(estimate.motion_m)
     corners = estimate.contact_pressure_pa[view.mesh.triangles[hits.triangle]]
-    seen = np.einsum("ij,ij->i", hits.barycentric, corners)
-    right = np.sort(seen[truth.ravel()[hits.ray]])
-    everything = np.sort(seen)
-    hit = len(right) - np.searchsorted(right, levels, "right")
-    found = len(everything) - np.searchsorted(everything, levels, "right")
-    union = found + np.count_nonzero(truth) - hit
-    return np.divide(hit, union, out=np.ones(len(levels)), where=union > 0)
+    pressure = np.einsum("ij,ij->i", hits.barycentric, corners)
+    in_patch = np.sort(pressure[truth.ravel()[hits.ray]])
+    everywhere = np.sort(pressure)
+    intersection = len(in_patch) - np.searchsorted(in_patch, levels, "right")
+    found = len(everywhere) - np.searchsorted(everywhere, levels, "right")
+    union = found + np.count_nonzero(truth) - intersection
+    return np.divide(intersection, union, out=np.ones(len(levels)), where=union > 0)
 
 
-OUTERMOST = 0.5  # per cent of the pixels at either end that colours need not tell apart
+_CLIPPED_PERCENT = 0.5  # per cent of the pixels beyond either end of the colour scale
 
 
 @dataclass(frozen=True)
 class Inspection:
     """The requested diagnostics of a frame."""
 
-    # (H, W) image by name: z-depth, change and residual of the range and its σ in m; `used` bool;
-    # `flow`, length of the motion in the colour image in pixels, by blocks
+    # (H, W) images by name: `depth`, `change` and `residual` of the range, `noise` (its σ), in m;
+    # `used`, bool; `flow`, length of the motion in the colour image by blocks, pixels
     images: dict[str, np.ndarray] = field(default_factory=dict)
-    # between them lie all but the outermost values of each image
-    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
+    ends: dict[str, tuple[float, float]] = field(default_factory=dict)  # of each colour scale
     colour: SeenColour | None = None
-    # why there is no image of the flow, in a few words; empty where the reference says it
-    no_flow: str = ""
-    reference: str = ""  # what shear is measured against, in words; empty where nobody asked for it
+    no_flow: str = ""  # why there is no flow image; empty where `reference` says why
+    reference: str = ""  # reference frame of shear, as text; empty if not requested
     kappa_curve: KappaCurve | None = None
-    # parts of the patch, those too, that are left out for their size
-    components: tuple[Component, ...] = ()
+    components: tuple[Component, ...] = ()  # parts of the patch, including those removed as small
 
 
 def inspection(
     pipeline: Pipeline,
     result: Result,
-    looks: frozenset[Product],
+    requested: frozenset[Product],
     kappa: float | None = None,
     truth: np.ndarray | None = None,
 ) -> Inspection:
-    """Some of `pipeline.LOOKS` at a result; those that lack a product are left out.
+    """Requested diagnostics of a result, without those whose products it lacks.
 
-    Parameters are those of `Pipeline.look`, and the κ of the result's patch.
+    Parameters as in `Pipeline.diagnose`; κ is that of the result's patch.
     """
     images: dict[str, np.ndarray] = {}
     curve, parts, colour, why = None, tuple[Component, ...](), None, ""
     estimate = result.estimate
-    for look in sorted(looks):
-        if look == "kappa_curve":
+    for product in sorted(requested):
+        if product == "kappa_curve":
             if estimate is not None:
                 view = pipeline.model.view if truth is not None else None
                 curve = kappa_curve(pipeline.mesh, estimate, truth, view)
-        elif look == "components":
+        elif product == "components":
             if estimate is not None:
-                whole = pipeline.whole_patch(estimate, kappa)
-                parts = components(pipeline.mesh, estimate, whole)
-        elif look == "colour_image":
-            texture = result.texture  # has it decoded
+                patch = pipeline.unfiltered_patch(estimate, kappa)
+                parts = components(pipeline.mesh, estimate, patch)
+        elif product == "colour_image":
+            texture = result.texture  # already decoded
             colour = SeenColour.of(result.frame) if texture is None else texture.colour
         else:
-            name = look.removesuffix("_image")
+            name = product.removesuffix("_image")
             image = _image(name, result, pipeline.model)
             if image is not None:
                 images[name] = image
@@ -135,7 +132,7 @@ def inspection(
 
 
 def _image(name: str, result: Result, model: SensorModel) -> np.ndarray | None:
-    """Image (H, W) of a name of `Inspection.images`, at full resolution."""
+    """Image (H, W) of `Inspection.images` by name."""
     depth, estimate, flow = result.frame.depth_m, result.trusted_estimate, result.flow
     if name == "depth":
         return depth
@@ -158,51 +155,53 @@ def _no_flow(pipeline: Pipeline, result: Result) -> str:
         return result.flow.problem or "none of the texture could be matched"
     if result.frame.find_colour is None:
         return result.frame.no_colour
-    return "" if pipeline.flow_of is None else "no colour image at this time"
+    return "" if pipeline.optical_flow is None else "no colour image at this time"
 
 
 def _ends(image: np.ndarray) -> tuple[float, float]:
-    """Range of almost all values of an image, by some ten thousand of them."""
+    """Range of almost all values of an image, from a sample of ten thousand."""
     values = image.ravel()[:: max(1, image.size // 10_000)].astype(float)
     values = values[np.isfinite(values)]
     if not len(values):
         return 0.0, 1.0
-    low, high = np.percentile(values, [OUTERMOST, 100.0 - OUTERMOST])
+    low, high = np.percentile(values, [_CLIPPED_PERCENT, 100.0 - _CLIPPED_PERCENT])
     return float(low), float(high)
 
 
-# Probe: a pixel of the depth image with its point in 3-D and the nearest node.
+# Probe: a pixel of the depth image with its 3-D point and the nearest node.
 
 
 Pixel = tuple[int, int]  # row and column
-CLOSE_PX = 4  # how far a pixel may be from the one whose residual stands for it; chosen
+_MAX_DISTANCE_PX = 4  # from a pixel to the nearest one of the thinned cloud; chosen
 
 
 @dataclass(frozen=True)
 class Probed:
-    pixel: Pixel | None  # row and column; None for a place outside the image
+    """Values of a result at one pixel or point."""
+
+    pixel: Pixel | None  # row and column; None: outside the image
     point_m: np.ndarray  # (3,), measured point in B; NaN where the pixel has no return
     depth_m: float  # z-depth; NaN where the pixel has no return
     node: int  # nearest node of the membrane
-    node_m: np.ndarray  # (3,), where it is now, in B
-    node_pixel: tuple[float, float]  # row and column at which the camera sees it
+    node_m: np.ndarray  # (3,), its current position in B
+    node_pixel: tuple[float, float]  # row and column of its projection
     # displacement_m, pressure_pa: u and p_c of the node; NaN without an estimate
     displacement_m: float
     pressure_pa: float
-    unexplained_pa: float  # pressure at the node without evidence of contact, 0 where there is none
-    residual_m: float  # measured less modelled range of the pixel; NaN where the result has none
+    unexplained_pa: float  # pressure at the node without evidence of contact
+    residual_m: float  # measured minus modelled range of the pixel; NaN if not computed
 
 
 class Probe:
-    """Finds places in results of one camera and membrane."""
+    """Reads values of results at pixels or points, for one camera and membrane."""
 
     def __init__(self, camera: DepthCamera, mesh: MembraneMesh) -> None:
         self._camera, self._mesh = camera, mesh
 
     def at_pixel(self, pixel: Pixel, result: Result) -> Probed | None:
-        """Place that a pixel sees; None outside the image.
+        """Values at a pixel; None outside the image.
 
-        Its node is the one nearest to the measured point, or to the ray where there is no return.
+        The node is the one nearest to the measured point, or to the ray if there is no return.
         """
         height, width = result.frame.depth_m.shape
         row, column = pixel
@@ -217,10 +216,10 @@ class Probe:
         return self._probed(pixel, result, nodes, int(np.argmin(np.sum(away**2, axis=1))))
 
     def at_point(self, point_m: np.ndarray, result: Result) -> Probed:
-        """Place at a point (3,) in B, on the drawn membrane or in the cloud."""
+        """Values at a point (3,) in B, of the drawn membrane or of the cloud."""
         nodes = self._nodes(result)
         node = int(np.argmin(np.sum((nodes - point_m) ** 2, axis=1)))
-        row, column = (round(c) for c in self._seen_at(point_m))
+        row, column = (round(c) for c in self._projected(point_m))
         height, width = result.frame.depth_m.shape
         inside = 0 <= row < height and 0 <= column < width
         return self._probed((row, column) if inside else None, result, nodes, node)
@@ -234,7 +233,7 @@ class Probe:
             depth_m=float(result.frame.depth_m[pixel]) if pixel else np.nan,
             node=node,
             node_m=nodes[node],
-            node_pixel=self._seen_at(nodes[node]),
+            node_pixel=self._projected(nodes[node]),
             displacement_m=float(estimate.displacement_m[node]) if estimate else np.nan,
             pressure_pa=float(estimate.contact_pressure_pa[node]) if estimate else np.nan,
             unexplained_pa=0.0 if unexplained is None else float(unexplained[node]),
@@ -252,43 +251,41 @@ class Probe:
         index = np.array([pixel[0] * depth.shape[1] + pixel[1]])
         return self._camera.points(depth, index)[0]
 
-    def _seen_at(self, point_m: np.ndarray) -> tuple[float, float]:
-        """Row and column at which the camera sees a point in B."""
+    def _projected(self, point_m: np.ndarray) -> tuple[float, float]:
+        """Row and column of the projection of a point in B."""
         T = self._camera.T_B_C
         u, v = self._camera.intrinsics.project((point_m - T[:3, 3]) @ T[:3, :3])
         return float(v), float(u)
 
 
 def _residual(pixel: Pixel, result: Result) -> float:
-    """Residual of the pixel, or of one close by in its row where the cloud is thinned, m."""
+    """Residual of the pixel, or of the nearest one in its row if the cloud is thinned, m."""
     residual, pixels, depth = result.cloud_residual_m, result.cloud_pixels, result.frame.depth_m
     if residual is None or pixels is None or not len(pixels) or not np.isfinite(depth[pixel]):
         return np.nan
-    wide = depth.shape[1]
-    next_one = int(np.searchsorted(pixels, pixel[0] * wide + pixel[1]))
-    beside = np.clip([next_one - 1, next_one], 0, len(pixels) - 1)
-    row, column = np.divmod(pixels[beside], wide)
-    off = np.where(row == pixel[0], np.abs(column - pixel[1]), wide)
-    nearest = int(np.argmin(off))
-    return float(residual[beside[nearest]]) if off[nearest] <= CLOSE_PX else np.nan
-
-
-# Mean, spread and extremes of a quantity over some frames.
+    width = depth.shape[1]
+    next_one = int(np.searchsorted(pixels, pixel[0] * width + pixel[1]))
+    neighbours = np.clip([next_one - 1, next_one], 0, len(pixels) - 1)
+    row, column = np.divmod(pixels[neighbours], width)
+    distance = np.where(row == pixel[0], np.abs(column - pixel[1]), width)
+    nearest = int(np.argmin(distance))
+    near = distance[nearest] <= _MAX_DISTANCE_PX
+    return float(residual[neighbours[nearest]]) if near else np.nan
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the frames in which a quantity is known; in its unit, NaN where there are too few."""
+    """Statistics over frames in which a quantity is known; NaN if there are too few."""
 
     mean: float
     standard_deviation: float  # of a single frame, with n − 1 in the denominator
     minimum: float
     maximum: float
-    frames: int  # in which it is known
+    frames: int  # with known values
 
 
 def statistics(values: np.ndarray) -> Statistics:
-    """Statistics of an array (n,); NaN is unknown."""
+    """Statistics of the finite values of an array (n,)."""
     known = values[np.isfinite(values)]
     if not known.size:
         return Statistics(np.nan, np.nan, np.nan, np.nan, 0)

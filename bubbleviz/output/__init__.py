@@ -1,4 +1,4 @@
-"""Result files, exports for other programs, and two settings side by side."""
+"""Result files, exports for other programs, and comparison of estimator settings."""
 
 import lazy_loader
 

@@ -20,7 +20,11 @@ from .results import (
 )
 from .scene import ARROW as ARROW, scene_of as scene_of
 from .series import VtkSeries as VtkSeries
-from .side_by_side import Measured as Measured, SideBySide as SideBySide, iou as iou
+from .settings_comparison import (
+    ComparedResult as ComparedResult,
+    SettingsComparison as SettingsComparison,
+    iou as iou,
+)
 from .table_export import (
     DPI as DPI,
     SIZE_IN as SIZE_IN,

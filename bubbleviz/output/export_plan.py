@@ -1,4 +1,4 @@
-"""Export plan: kinds of files and their paths, checked before anything is read."""
+"""Export plan: kinds of files and their paths, checked before the export starts."""
 
 from __future__ import annotations
 
@@ -28,25 +28,26 @@ _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
     ".svg": ("plots", write_plots),
     ".pdf": ("plots", write_plots),
 }
-"""Kind and writer of an export that is one file, by its suffix."""
+"""Kind and writer of single-file exports, by suffix."""
 
-_IN_A_FOLDER = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
-"""Suffix of the file of such a kind in a folder with others."""
+_SINGLE_FILE = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
+"""Default suffix of single-file exports, by kind."""
 
 _SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
-_SEVERAL_FILES: dict[str, Callable[..., Exporter]] = {"lerobot": LeRobotDataset, **SERIES}
-KINDS = (*_IN_A_FOLDER, *_SEVERAL_FILES)
-_SEVERAL = {"png": ("depth", "pressure")}
+_FILES_IN_A_FOLDER: dict[str, Callable[..., Exporter]] = {"lerobot": LeRobotDataset, **SERIES}
+KINDS = (*_SINGLE_FILE, *_FILES_IN_A_FOLDER)
+_GROUPS = {"png": ("depth", "pressure")}
+"""Names that stand for several kinds."""
 
 
 @dataclass(frozen=True)
 class ExportPlan:
-    out: Path  # a file, or the folder that holds them all
+    out: Path  # a file, or a folder for all files
     kinds: tuple[str, ...]  # of `KINDS`
     is_folder: bool
-    # pose columns for the table by frame index, see `bubbleviz.output.pose_writer`
+    # pose columns for the table by frame index, see `read_poses`
     poses: dict[int, dict[str, Any]] = field(default_factory=dict)
-    overwrite: bool = False  # replace what is at `out`
+    overwrite: bool = False
 
     @classmethod
     def of(
@@ -57,10 +58,9 @@ class ExportPlan:
         *,
         overwrite: bool = False,
     ) -> ExportPlan:
-        """Plan for an output path; a suffix of one file says what it holds.
+        """Plan for an output path, whose suffix determines the kind of a single file.
 
-        Raises InputError: unknown kinds, kinds that the suffix cannot hold, or `out` cannot be
-        made.
+        Raises InputError: an unknown kind, one that does not match the suffix, or `out` exists.
         """
         out, kinds = Path(out), _kinds(what)
         refuse_existing(out, overwrite=overwrite)
@@ -90,20 +90,20 @@ class ExportPlan:
 
     def exporters(
         self,
-        pipeline: Pipeline,  # whose results they will get
-        at: Path,  # temporary place of `out`; a folder exists already
+        pipeline: Pipeline,  # source of the results
+        at: Path,  # temporary path of `out`; an existing folder if it is one
     ) -> list[Exporter]:
-        """What makes the files; a folder's are named after it."""
+        """One exporter for each kind; files in a folder have its name."""
         if not self.is_folder:
             return [self._one_file(at, pipeline)]
         name = self.out.name
-        made: list[Exporter] = []
+        exporters: list[Exporter] = []
         for kind in self.kinds:
-            if kind in _IN_A_FOLDER:
-                made.append(self._one_file(at / f"{name}{_IN_A_FOLDER[kind]}", pipeline))
+            if kind in _SINGLE_FILE:
+                exporters.append(self._one_file(at / f"{name}{_SINGLE_FILE[kind]}", pipeline))
             else:
-                made.append(_SEVERAL_FILES[kind](at, name, pipeline.model))
-        return made
+                exporters.append(_FILES_IN_A_FOLDER[kind](at, name, pipeline.model))
+        return exporters
 
     def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
         write, sensor = _FILES[path.suffix.lower()][1], pipeline.model.sensor.name
@@ -111,8 +111,8 @@ class ExportPlan:
 
 
 def _kinds(what: Sequence[str]) -> tuple[str, ...]:
-    """Kinds asked for, once each, in their own order."""
-    asked = {kind for word in what for kind in _SEVERAL.get(word, (word,))}
-    for kind in sorted(asked - set(KINDS)):
-        raise InputError(f'--what "{kind}": unknown; choose from {", ".join((*KINDS, *_SEVERAL))}')
-    return tuple(kind for kind in KINDS if kind in asked)
+    """Requested kinds without duplicates, in the order of `KINDS`."""
+    requested = {kind for word in what for kind in _GROUPS.get(word, (word,))}
+    for kind in sorted(requested - set(KINDS)):
+        raise InputError(f'--what "{kind}": unknown; choose from {", ".join((*KINDS, *_GROUPS))}')
+    return tuple(kind for kind in KINDS if kind in requested)

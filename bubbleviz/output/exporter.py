@@ -1,4 +1,4 @@
-"""Exporter of frames to files for other programs."""
+"""Base class of exporters to files for other programs."""
 
 from __future__ import annotations
 
@@ -12,25 +12,24 @@ from bubbleviz.result import Result
 
 
 class Exporter:
-    """Takes the results of frames one after the other and writes files."""
+    """Receives the results of frames in order and writes files."""
 
-    products: frozenset[Product] = frozenset()  # what each result must hold; no more is computed
+    products: frozenset[Product] = frozenset()  # required in each result
 
     def add(self, result: Result) -> None:
-        """Take the next frame."""
         raise NotImplementedError
 
     def finish(self) -> None:
-        """Write what needs all frames."""
+        """Write the files that depend on all frames."""
 
 
 @dataclass(frozen=True)
 class Shape:
     """Deformed membrane with its nodal fields."""
 
-    # (n, 3), x0 + u n0 (Eq. 1) in B; the reference surface for a frame about which nothing is known
+    # (n, 3), x0 + u n0 (Eq. 1) in B; the reference surface in a frame without trusted estimate
     points_m: np.ndarray
-    # displacement_m, contact_pressure_pa: (n,), NaN for such a frame
+    # displacement_m, contact_pressure_pa: (n,), NaN in such a frame
     displacement_m: np.ndarray
     contact_pressure_pa: np.ndarray
 
@@ -38,7 +37,7 @@ class Shape:
     def of(cls, mesh: MembraneMesh, result: Result) -> Shape:
         estimate = result.trusted_estimate
         if estimate is None:
-            nothing = np.full(len(mesh.nodes), np.nan)
-            return cls(mesh.nodes, nothing, nothing)
+            unknown = np.full(len(mesh.nodes), np.nan)
+            return cls(mesh.nodes, unknown, unknown)
         points = mesh.deformed(estimate.motion_m)
         return cls(points, estimate.displacement_m, estimate.contact_pressure_pa)

@@ -1,7 +1,7 @@
 """A LeRobot dataset (v3.0) of a recording: one episode with force, σ, patch, node forces, slip.
 
-The format is that of Hugging Face's `lerobot`: `meta/info.json` describes the columns of
-`data/…/file-000.parquet`, a row a frame. Several datasets are joined by its `aggregate_datasets`.
+In the format of Hugging Face's `lerobot`: `meta/info.json` describes the columns of
+`data/…/file-000.parquet`, with one row per frame. Its `aggregate_datasets` joins several datasets.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _WRENCH = ("force_x_n", "force_y_n", "force_z_n", "torque_x_nm", "torque_y_nm", 
 _COUNTS = ("frame_index", "episode_index", "index", "task_index")
 _SLIP = ("slip", "slip_sigma")  # only where shear was asked for
 _FPS = 30
-"""Frames a second of a recording that is too short to tell."""
+"""Frames per second written for a recording of a single frame."""
 
 
 class LeRobotDataset(Exporter):
@@ -86,7 +86,7 @@ class LeRobotDataset(Exporter):
         self._write_tables(columns, stats, frames)
 
     def _columns(self) -> dict[str, np.ndarray]:
-        """Values of all frames (F, …) by column, as they are stored."""
+        """Values of all frames (F, …) by column, in their stored types."""
         columns = {
             name: np.array([row[name] for row in self._rows], bool if "trusted" in name else "f4")
             for name in self._rows[0]
@@ -104,7 +104,7 @@ class LeRobotDataset(Exporter):
 
         data = pyarrow.table({name: _stored(values) for name, values in columns.items()})
         write_table(data, self._folder / "data" / _FIRST)
-        told = {
+        episode_stats = {
             f"stats/{name}/{key}": [value]
             for name, own in stats.items()
             for key, value in own.items()
@@ -120,21 +120,21 @@ class LeRobotDataset(Exporter):
             "meta/episodes/chunk_index": [0],
             "meta/episodes/file_index": [0],
         }
-        episodes = pyarrow.table({**episode, **told})
+        episodes = pyarrow.table({**episode, **episode_stats})
         write_table(episodes, self._folder / "meta/episodes" / _FIRST)
         tasks = pyarrow.table({"task_index": [0], "task": [_TASK]})
         write_table(_indexed(tasks, "task"), self._folder / "meta/tasks.parquet")
 
 
 def _feature(name: str, values: np.ndarray) -> dict[str, Any]:
-    """What `info.json` says of a column."""
+    """Description of a column for `info.json`."""
     dtype = "bool" if values.dtype == bool else "int64" if name in _COUNTS else "float32"
     names = list(_WRENCH) if name == "observation.wrench" else None
     return {"dtype": dtype, "shape": list(values.shape[1:]) or [1], "names": names}
 
 
 def _stats(values: np.ndarray) -> dict[str, Any]:
-    """Statistics over the frames in which a value is known; 0 if in none: JSON has no NaN."""
+    """Statistics over frames with finite values; 0 if there are none, as JSON has no NaN."""
     rows = values.reshape(len(values), -1).astype(float)
     known = rows[np.isfinite(rows).all(axis=1)]
     rows = known if len(known) else np.zeros((1, rows.shape[1]))
@@ -143,7 +143,7 @@ def _stats(values: np.ndarray) -> dict[str, Any]:
 
 
 def _stored(values: np.ndarray) -> Any:
-    """A column of Parquet: numbers, or lists of one length."""
+    """A Parquet column of numbers, or of lists of equal length."""
     import pyarrow  # an optional extra, see `require_parquet`
 
     if values.ndim == 1:
@@ -152,11 +152,11 @@ def _stored(values: np.ndarray) -> Any:
 
 
 def _indexed(table: Any, index: str) -> Any:
-    """A table that pandas reads with one of its columns of text as the index."""
+    """A table with metadata so that pandas uses one of its text columns as the index."""
     kinds = {"task_index": ("int64", "int64"), index: ("unicode", "object")}
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": of, "metadata": None}
         for name, (kind, of) in kinds.items()
     ]
-    told = {"index_columns": [index], "column_indexes": [], "columns": columns}
-    return table.replace_schema_metadata({"pandas": json.dumps(told)})
+    metadata = {"index_columns": [index], "column_indexes": [], "columns": columns}
+    return table.replace_schema_metadata({"pandas": json.dumps(metadata)})

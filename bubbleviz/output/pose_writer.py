@@ -13,7 +13,7 @@ from bubbleviz.files import COLUMNS, pose_numbers, read_rows, whole_file, write_
 from bubbleviz.result import Result
 
 PoseRow = dict[str, Any]
-"""One line of POSES.csv by column; the areas are columns only where that by the object is known."""
+"""One line of POSES.csv by column."""
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _COVARIANCES = tuple(
     (f"cov_{first}{second}", i, j)
@@ -21,17 +21,17 @@ _COVARIANCES = tuple(
     for j, second in enumerate(_AXES)
     if i <= j
 )
-"""Columns of the covariance of position, m, and rotation vector in B, rad: its upper triangle."""
+"""Columns of the upper triangle of the covariance of position, m, and rotation vector in B, rad."""
 _AREAS = ("patch_area_m2", "object_patch_area_m2")
 
 
 def pose_row(result: Result) -> PoseRow:
-    """Line of a frame whose pose was asked for; NaN where there is no number.
+    """Line of a frame with the product `pose`; NaN for unknown values.
 
     A `lost` frame has the last good pose.
     """
     if result.pose is None:
-        raise ValueError("the product pose was not asked for")
+        raise ValueError("the result lacks the product pose")
     pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
     one, two = pose.stage_one, pose.stage_two
     known = np.isfinite(pose.T_B_O).all()
@@ -55,9 +55,9 @@ def pose_row(result: Result) -> PoseRow:
 def write_poses(
     path: Path, rows: Iterable[PoseRow], form: Literal["csv", "tum"], *, overwrite: bool = False
 ) -> int:
-    """Write POSES.csv, or a TUM trajectory of the frames that are `ok`; count of lines.
+    """Write POSES.csv, or a TUM trajectory of the `ok` frames; returns the number of lines.
 
-    The areas of both patches are columns where any frame has that by the object. A TUM line is
+    The CSV has the two patch areas if any frame has an object patch. A TUM line is
     `time x y z qx qy qz qw`, s and m.
 
     Raises InputError: the file exists or cannot be written.
@@ -66,8 +66,8 @@ def write_poses(
     with whole_file(path, overwrite=overwrite) as temporary:
         if form == "csv":
             areas = any(np.isfinite(row["object_patch_area_m2"]) for row in rows)
-            left = () if areas else _AREAS
-            write_rows(temporary, [{k: v for k, v in r.items() if k not in left} for r in rows])
+            omitted = () if areas else _AREAS
+            write_rows(temporary, [{k: v for k, v in r.items() if k not in omitted} for r in rows])
             return len(rows)
         good = [row for row in rows if row["status"] == "ok"]
         lines = [" ".join(f"{row[name]:.9g}" for name in ("time_s", *COLUMNS)) for row in good]
@@ -75,7 +75,7 @@ def write_poses(
         return len(lines)
 
 
-# POSES.csv of `bubbleviz pose` as more columns of a table.
+# POSES.csv of `bubbleviz pose` as additional columns of a table.
 
 
 _QUALITY = ("fitness", "rmse_m", "object_patch_area_m2")
@@ -84,7 +84,7 @@ _QUALITY = ("fitness", "rmse_m", "object_patch_area_m2")
 def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
     """Columns `pose_…` by frame index: status, T_B_O as position in m and quaternion, quality.
 
-    Raises InputError: names the file and the line.
+    Raises InputError: no file of poses, or an invalid line.
     """
     path = Path(path)
     rows = read_rows(path)
@@ -102,7 +102,7 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
 
 
 def pose_columns(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of one frame from the fields of a line of POSES.csv; what is empty is not known."""
+    """Columns of one frame from the fields of a line of POSES.csv; NaN for empty fields."""
     names = (*COLUMNS, *(name for name in _QUALITY if name in row))
     known = {name: row[name] for name in names if row[name] not in (None, "")}
     numbers = {f"pose_{name}": float(known.get(name, "nan")) for name in names}

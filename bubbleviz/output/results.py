@@ -1,4 +1,4 @@
-"""RESULT.npz, written frame by frame in bounded memory, and RESULT.csv."""
+"""RESULT.npz, written frame by frame with bounded memory, and RESULT.csv."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bubbleviz.result import Estimate, Patch, Result
 
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
-    """Keys of vectors, `force_n`, with their columns by component, `force_x_n` and so on."""
+    """Columns of vector components by key: `force_n` has `force_x_n` and so on."""
     parts = {key: key.rpartition("_") for key in keys}
     return {key: tuple(f"{p[0]}_{axis}_{p[2]}" for axis in "xyz") for key, p in parts.items()}
 
@@ -36,14 +36,14 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
     **dict.fromkeys(("gas_pressure_pa", "iterations", "stamp_ns"), ()),
     **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
-    # traction with friction and slip, only where they were asked for:
+    # only with the products traction and slip:
     **dict.fromkeys(("traction_status", "traction_reason"), ()),
     **by_axis("traction_force_n", "traction_force_sigma_n"),
     **by_axis("traction_torque_nm", "traction_torque_sigma_nm"),
     **dict.fromkeys(("flow_rms_px", "slip", "slip_sigma"), ()),
 }
-"""Keys of RESULT.npz with a text or a few numbers a frame, and their columns in the CSV where it
-has more than the one of the same name."""
+"""Keys of RESULT.npz with one value or a short vector per frame, and their columns in the CSV; an
+empty tuple means one column of the same name."""
 
 NODAL_FIELDS: dict[str, tuple[int, ...]] = {
     "displacement_m": (),
@@ -53,8 +53,8 @@ NODAL_FIELDS: dict[str, tuple[int, ...]] = {
     "traction_pa": (3,),
     "tangential_displacement_m": (3,),
 }
-"""Keys of RESULT.npz with numbers per frame and node, and how many where it is not one; the patch
-is where its level is positive; the last two only where traction was asked for."""
+"""Keys of RESULT.npz with values per frame and node, and the shape of a value. The patch is where
+`patch_level` is positive; the last two exist only with the product traction."""
 
 _OF_SHEAR = ("traction_pa", "tangential_displacement_m")
 
@@ -65,9 +65,9 @@ _KNOWN_WITHOUT_DATA = {
 
 
 def summary_row(result: Result) -> dict[str, Any]:
-    """Values of one frame by key of `COLUMNS`; NaN for what a frame without data cannot tell.
+    """Values of one frame by key of `COLUMNS`; NaN if unknown, as without trusted estimate.
 
-    The measured force needs the other frames, see `FrameTable`; `wrench_n` is for that.
+    `FrameTable` fills in the measured force, whose bias depends on all frames, from `wrench_n`.
     """
     estimate, patch = result.solution
     sigma, gas_pa = estimate.force_sigma_n, result.frame.gas_pressure_pa
@@ -104,10 +104,10 @@ def summary_row(result: Result) -> dict[str, Any]:
 
 
 def _shear_row(result: Result) -> dict[str, Any]:
-    """What is known of traction with friction and slip; empty where traction was not asked for.
+    """Traction and slip of a frame; empty without the product traction.
 
-    NaN where nothing is known: σ of a traction by depth alone, slip without a patch that sticks.
-    `traction_half_width_n`, half of the 95 % interval of |force|, is for a summary of the frames.
+    NaN for unknown values: σ of a traction from depth alone, slip without a sticking patch.
+    `traction_half_width_n`, half of the 95 % interval of |force|, is used in summaries.
     """
     traction, slip = result.traction, result.slip
     if traction is None:
@@ -130,7 +130,7 @@ def nodal_fields(
     result: Result,  # with its estimate and patch
     mesh: MembraneMesh,
 ) -> dict[str, np.ndarray]:
-    """Fields of one frame by key of `NODAL_FIELDS`; NaN where it has no data to tell them."""
+    """Fields of one frame by key of `NODAL_FIELDS`; NaN without trusted estimate."""
     estimate, patch = result.solution
     fields = {
         "displacement_m": estimate.displacement_m,
@@ -151,11 +151,11 @@ def nodal_fields(
 
 
 def result_arrays(
-    rows: Sequence[dict[str, Any]],  # of the frames, as `FrameTable` has them
-    results: Sequence[Result],  # with their estimates and patches
+    rows: Sequence[dict[str, Any]],  # of the frames, from `FrameTable`
+    results: Sequence[Result],  # with estimates and patches
     mesh: MembraneMesh,
 ) -> dict[str, np.ndarray]:
-    """Arrays of RESULT.npz but its masks: numbers of frames, nodal fields, reference surface."""
+    """Arrays of RESULT.npz without the masks."""
     fields = [nodal_fields(result, mesh) for result in results]
     return {
         **_columns(rows),
@@ -169,7 +169,7 @@ def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
 
 
 def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
-    """Arrays of RESULT.npz and TRUTH.npz of the reference surface."""
+    """Arrays of the reference surface for RESULT.npz and TRUTH.npz."""
     return {
         "nodes_m": mesh.nodes,
         "normals": mesh.normals,
@@ -179,50 +179,51 @@ def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
 
 
 def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
-    """Results of the frames in a RESULT.npz; images and what shear found are not in them."""
+    """Results of the frames in a RESULT.npz, without images, traction and slip."""
     frames = len(arrays["frame"])
-    older = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}  # 0.2 did not write them
-    held = {key: np.full(frames, value) for key, value in older.items()}
-    held |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
-    of_frames = held.keys() & {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
-    return [_result_of({key: held[key][k] for key in of_frames}) for k in range(frames)]
+    # missing in files of version 0.2
+    defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}
+    values = {key: np.full(frames, value) for key, value in defaults.items()}
+    values |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
+    per_frame = values.keys() & {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
+    return [_result_of({key: values[key][k] for key in per_frame}) for k in range(frames)]
 
 
-def _result_of(held: dict[str, Any]) -> Result:
+def _result_of(values: dict[str, Any]) -> Result:
     """Result of one frame; most fields have the names of their arrays."""
-    known = {
-        key: None if np.isnan(held[key]) else held[key] for key in ("kappa", "gas_pressure_pa")
+    optional = {
+        key: None if np.isnan(values[key]) else values[key] for key in ("kappa", "gas_pressure_pa")
     }
-    held |= known | {
-        "index": held["frame"],
+    values |= optional | {
+        "index": values["frame"],
         "depth_m": np.empty((0, 0), np.float32),
-        "wrench": np.append(held["wrench_n"], np.full(3, np.nan)),
-        "level": held["patch_level"],
-        "area_m2": held["patch_area_m2"],
-        "area_interval_m2": held["patch_area_interval_m2"],
-        "pixel_mask": held["patch_mask"],
+        "wrench": np.append(values["wrench_n"], np.full(3, np.nan)),
+        "level": values["patch_level"],
+        "area_m2": values["patch_area_m2"],
+        "area_interval_m2": values["patch_area_interval_m2"],
+        "pixel_mask": values["patch_mask"],
     }
-    made: list[Any] = [
-        kind(**{each.name: held[each.name] for each in fields(kind) if each.name in held})
+    parts: list[Any] = [
+        kind(**{each.name: values[each.name] for each in fields(kind) if each.name in values})
         for kind in (Frame, Estimate, Patch)
     ]
-    frame, estimate, patch = made
-    return Result(frame, estimate, patch, times_ms={"total": held["total_ms"]})
+    frame, estimate, patch = parts
+    return Result(frame, estimate, patch, times_ms={"total": values["total_ms"]})
 
 
 class ResultWriter:
-    """Writes RESULT.npz while the frames come.
+    """Writes RESULT.npz frame by frame.
 
-    The masks of 36,000 frames are 11 GB, the nodal fields 0.6 GB: the masks go into the archive,
-    the nodal fields through unnamed files beside it (a system's folder for temporary files may
-    be memory), and nothing is kept.
+    The masks of 36,000 frames are 11 GB and the nodal fields 0.6 GB, so neither stays in memory.
+    Masks go directly into the archive, nodal fields through unnamed temporary files in the same
+    folder (the system's folder for temporary files may be in memory).
     """
 
     def __init__(
         self,
-        path: Path,  # where to write; give the temporary path of `whole_file`
+        path: Path,  # the temporary path of `whole_file`
         mesh: MembraneMesh,
-        frames: int,  # F, how many frames will be added
+        frames: int,  # F, number of frames that will be added
         shape: tuple[int, int],  # H, W of the masks
         *,
         shear: bool = False,  # whether the results have traction
@@ -237,7 +238,7 @@ class ResultWriter:
             self._spools = [
                 opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in self._fields
             ]
-            # An archive has one member open at a time: the largest is the one not to spool.
+            # An archive has one member open at a time: the largest, the masks.
             self._masks = opening.enter_context(
                 self._member("patch_mask", (frames, *shape), np.dtype(bool))
             )
@@ -253,9 +254,9 @@ class ResultWriter:
         """Add the next frame, with its estimate, patch and pixel mask."""
         _, patch = result.solution
         if patch.pixel_mask is None:
-            raise ValueError("the product pixel_mask was not asked for")
+            raise ValueError("the result lacks the product pixel_mask")
         if patch.pixel_mask.shape != self._shape or self._count == self._frames:
-            raise ValueError("another mask size, or more frames, than announced")
+            raise ValueError("wrong mask size, or more frames than announced")
         self._count += 1
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
         fields = nodal_fields(result, self._mesh)
@@ -263,7 +264,7 @@ class ResultWriter:
             spool.write(np.ascontiguousarray(fields[name], dtype="<f8").tobytes())
 
     def finish(self, rows: Sequence[dict[str, Any]], **provenance: str) -> None:
-        """Write everything else: rows of the frames, and texts such as the version that made it."""
+        """Write the remaining arrays: nodal fields, rows of the frames, and provenance texts."""
         if self._count != self._frames:
             raise ValueError(f"{self._count} frames added, {self._frames} announced")
         self._masks.close()
@@ -279,7 +280,7 @@ class ResultWriter:
                 member.write(np.ascontiguousarray(array).tobytes())
 
     def _member(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> IO[bytes]:
-        """Open an array of the archive for writing; its header is written."""
+        """Open an array of the archive for writing, after its header."""
         member = self._archive.open(f"{name}.npy", "w", force_zip64=True)
         header = {
             "descr": np.lib.format.dtype_to_descr(dtype),
@@ -291,10 +292,7 @@ class ResultWriter:
 
 
 def csv_row(row: dict[str, Any], sensor: str) -> dict[str, Any]:
-    """Plain numbers and texts of a row by column of the CSV: those of `COLUMNS`, the sensor last.
-
-    `kappa` is None where the rule is automatic.
-    """
+    """Values of a row by column of the CSV, the sensor's name last; `kappa` None: automatic."""
     plain: dict[str, Any] = {}
     for key, names in COLUMNS.items():
         if key in row:

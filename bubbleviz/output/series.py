@@ -19,10 +19,8 @@ from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor_model import SensorModel
 
-# VTK XML poly data (.vtp) and the two indices of a series of them, written without VTK.
-#
-# By hand because VTK comes with the window's extra only and its objects belong to the window's
-# thread; meshio and trimesh do not write .vtp.
+# VTK XML poly data (.vtp) and the two index files of a series, written without VTK: VTK is only
+# installed with the window, whose thread owns its objects; meshio and trimesh do not write .vtp.
 
 
 _TYPES = {"<f8": "Float64", "<f4": "Float32", "<i8": "Int64", "<i4": "Int32", "|u1": "UInt8"}
@@ -33,7 +31,7 @@ def write_vtp(
     points: np.ndarray,  # (n, 3)
     triangles: np.ndarray,  # (m, 3) int
     fields: Mapping[str, np.ndarray],  # mapping of (n,) or (n, 3) array
-    time_s: float,  # what ParaView shows as time
+    time_s: float,  # time in ParaView
 ) -> None:
     count = len(triangles)
     lines = [
@@ -68,14 +66,14 @@ def write_pvd(path: Path, names: Sequence[str], times_s: Sequence[float]) -> Non
 
 
 def write_series(path: Path, names: Sequence[str], times_s: Sequence[float]) -> None:
-    """The JSON index of a series (.vtp.series), for programs that do not read .pvd."""
+    """JSON index of a series (.vtp.series), for programs that do not read .pvd."""
     files = [{"name": name, "time": time} for name, time in zip(names, times_s, strict=True)]
     text = json.dumps({"file-series-version": "1.0", "files": files}, indent=1)
     path.write_text(text + "\n", encoding="utf-8")
 
 
 def _array(name: str, values: np.ndarray, count: str = "") -> str:
-    """A DataArray element, its bytes after their count in base64."""
+    """A DataArray element, with the size and bytes of the values in base64."""
     values = np.ascontiguousarray(values)
     raw = values.tobytes()
     data = base64.b64encode(struct.pack("<Q", len(raw)) + raw).decode()
@@ -88,11 +86,10 @@ def _array(name: str, values: np.ndarray, count: str = "") -> str:
     )
 
 
-COLOURS, NOT_KNOWN = "viridis", "#28282c"
-"""Perceptually uniform (Smith and van der Walt, 2015), and dark where there is no number."""
+COLOURS, UNKNOWN_COLOUR = "viridis", "#28282c"
+"""Perceptually uniform (Smith and van der Walt, 2015), and dark for NaN."""
 HIGHEST_PRESSURE = 4.0
-"""End of the colours in gauge pressures: what lies flat on the membrane carries about one, an edge
-some more."""
+"""Upper end of the colour scale in gauge pressures: a flat contact has about one, an edge more."""
 
 
 class Series(Exporter):
@@ -109,7 +106,7 @@ class Series(Exporter):
 
 
 class VtkSeries(Series):
-    """The membrane as .vtp, and NAME.pvd and NAME.vtp.series that list the files.
+    """The membrane as .vtp, and the index files NAME.pvd and NAME.vtp.series.
 
     Nodal fields: `displacement_m`, `displacement_vector_m` (from the reference surface),
     `contact_pressure_pa`, and `patch`, 1 inside.
@@ -158,10 +155,7 @@ class MembranePly(Series):
 
 
 class PatchPly(Series):
-    """Measured points in the patch as .ply, with pressure.
-
-    A frame without a patch has a file without points, so that every frame has one.
-    """
+    """Measured points in the patch as .ply, with pressure; an empty file without a patch."""
 
     kind = "patch"
     products: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask", "cloud"})
@@ -175,7 +169,7 @@ class PatchPly(Series):
         estimate, patch = result.solution
         cloud, pixels = result.cloud_m, result.cloud_pixels
         if patch.pixel_mask is None or cloud is None or pixels is None:
-            raise ValueError("the products pixel_mask and cloud were not asked for")
+            raise ValueError("the result lacks the products pixel_mask and cloud")
         inside = patch.pixel_mask.ravel()[pixels]
         if not estimate.trusted or not inside.any():
             return np.empty((0, 3)), np.empty(0)
@@ -184,15 +178,15 @@ class PatchPly(Series):
 
 
 class Pictures(Series):
-    """One image of each frame as .png, and NAME_KIND.json, which says what the colours stand for.
+    """One image per frame as .png, and NAME_KIND.json with the colour scale.
 
-    Their range is one of the sensor, so that pictures of one sensor compare.
+    The scale depends on the sensor alone, so that pictures of one sensor can be compared.
     """
 
     quantity = ""
 
     def image(self, result: Result) -> np.ndarray:
-        """Values of the pixels, (H, W); NaN where there is no number."""
+        """Values of the pixels, (H, W); NaN where unknown."""
         raise NotImplementedError
 
     def range(self) -> tuple[float, float]:
@@ -204,29 +198,26 @@ class Pictures(Series):
         from PIL import Image
 
         low, high = self.range()
-        shares = (self.image(result) - low) / (high - low)
-        colours = colormaps[COLOURS].with_extremes(bad=NOT_KNOWN)(shares)
+        scaled = (self.image(result) - low) / (high - low)
+        colours = colormaps[COLOURS].with_extremes(bad=UNKNOWN_COLOUR)(scaled)
         picture = Image.fromarray((255.0 * colours[..., :3]).astype(np.uint8))
         picture.save(self.path(result, ".png"))
 
     def finish(self) -> None:
         low, high = self.range()
-        said = {
+        scale = {
             "quantity": self.quantity,
             "darkest": low,
             "brightest": high,
             "colours": COLOURS,
-            "not_known": NOT_KNOWN,
+            "not_known": UNKNOWN_COLOUR,
         }
-        text = json.dumps(said, indent=1) + "\n"
+        text = json.dumps(scale, indent=1) + "\n"
         (self.folder / f"{self.name}.json").write_text(text, encoding="utf-8")
 
 
 class DepthPictures(Pictures):
-    """The depth image as measured; nothing is solved.
-
-    The colours go from the depth of the membrane's nearest to its farthest reference node.
-    """
+    """The measured depth image, coloured from the nearest to the farthest reference node."""
 
     kind, quantity = "depth", "depth_m"
 
@@ -240,7 +231,7 @@ class DepthPictures(Pictures):
 
 
 class PressurePictures(Pictures):
-    """Contact pressure where each pixel looks, from 0 to `HIGHEST_PRESSURE` gauge pressures."""
+    """Contact pressure at each pixel, from 0 to `HIGHEST_PRESSURE` gauge pressures."""
 
     kind, quantity = "pressure", "contact_pressure_pa"
     products: frozenset[Product] = frozenset({"estimate"})
@@ -250,8 +241,8 @@ class PressurePictures(Pictures):
         if estimate is None:
             return np.full(view.shape, np.nan)
         pixels = np.arange(view.shape[0] * view.shape[1])
-        seen = nodal_at(view, estimate.motion_m, estimate.contact_pressure_pa, pixels)
-        return seen.reshape(view.shape)
+        image = nodal_at(view, estimate.motion_m, estimate.contact_pressure_pa, pixels)
+        return image.reshape(view.shape)
 
     def range(self) -> tuple[float, float]:
         return 0.0, HIGHEST_PRESSURE * self.model.sensor.pneumatics.gauge_pressure_pa

@@ -1,4 +1,4 @@
-"""Per-frame tables: the numbers of each frame, units in the names of the columns.
+"""Tables with one row per frame; column names include units.
 
 `pyarrow` is an optional extra, imported only for Parquet files.
 """
@@ -31,10 +31,9 @@ Write = Callable[[Table, Path], None]
 
 
 class FrameTable:
-    """Collects a row a frame.
+    """One row per frame: the columns of RESULT.csv, the magnitude of the force, and pose columns.
 
-    Plain numbers and texts, SI units, times in ms: the columns of RESULT.csv, then the size of the
-    force, and the columns of the pose where one is given with the frame.
+    In SI units, run times in ms.
     """
 
     def __init__(
@@ -44,7 +43,7 @@ class FrameTable:
         self._sensor = sensor
         self._rows: list[dict[str, Any]] = []
         self._more: list[dict[str, Any]] = []
-        self._measured = 0  # rows that there were when the measured force was set
+        self._measured = 0  # number of rows when the measured force was computed
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -56,8 +55,8 @@ class FrameTable:
         self._more.append(more | dict(pose or {}))
 
     def rows(self) -> list[dict[str, Any]]:
-        """Numbers of each frame by key of RESULT.npz."""
-        if self._measured != len(self._rows):  # its bias needs all frames
+        """Values of each frame by key of RESULT.npz."""
+        if self._measured != len(self._rows):  # the bias depends on all frames
             wrench = np.array([row["wrench_n"] for row in self._rows])
             contact_free = np.array([row["status"] == "no_contact" for row in self._rows])
             for row, force in zip(self._rows, measured_force(wrench, contact_free), strict=True):
@@ -66,7 +65,7 @@ class FrameTable:
         return self._rows
 
     def columns(self) -> Table:
-        """Plain numbers of all frames by column."""
+        """Values of all frames by column."""
         frames = zip(self.rows(), self._more, strict=True)
         rows = [csv_row(row, self._sensor) | more for row, more in frames]
         return {name: [row[name] for row in rows] for name in rows[0]}
@@ -80,12 +79,12 @@ class TableExporter(Exporter):
         path: Path,
         write: Write,  # `write_csv`, `write_parquet` or `write_plots`
         sensor: str,  # its name
-        # pose columns by frame index, as `bubbleviz.output.pose_writer.read_poses` gives them
+        # pose columns by frame index, from `read_poses`
         poses: Mapping[int, dict[str, Any]],
     ) -> None:
         self._path, self._write, self._table = path, write, FrameTable(sensor)
         columns = next(iter(poses.values()), {})
-        self._poses, self._no_pose = poses, {name: _nothing(v) for name, v in columns.items()}
+        self._poses, self._no_pose = poses, {name: _unknown(v) for name, v in columns.items()}
 
     def add(self, result: Result) -> None:
         self._table.add(result, self._poses.get(result.frame.index, self._no_pose))
@@ -94,13 +93,13 @@ class TableExporter(Exporter):
         self._write(self._table.columns(), self._path)
 
 
-def _nothing(value: Any) -> Any:
-    """Placeholder for an unknown value of its kind."""
+def _unknown(value: Any) -> Any:
+    """Placeholder for an unknown value of the same type."""
     return "" if isinstance(value, str) else np.nan
 
 
 def write_csv(table: Table, path: Path) -> None:
-    """Write CSV, UTF-8, a header line; `nan` for what is not known, no κ where it is automatic."""
+    """Write CSV in UTF-8 with a header line; `nan` if unknown, empty κ for the automatic rule."""
     rows = zip(*table.values(), strict=True)
     write_rows(path, [dict(zip(table, row, strict=True)) for row in rows])
 
@@ -110,12 +109,12 @@ def write_parquet(table: Table, path: Path) -> None:
     import pyarrow
     import pyarrow.parquet
 
-    kappa = pyarrow.array(table["kappa"], pyarrow.float64())  # also where all are None
+    kappa = pyarrow.array(table["kappa"], pyarrow.float64())  # typed even if all are None
     pyarrow.parquet.write_table(pyarrow.table({**table, "kappa": kappa}), path)
 
 
 def require_parquet(path: Path) -> None:
-    """Raise InputError where the optional library is missing; ask before long work."""
+    """Raise InputError if the optional library is missing; call it before long computations."""
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:
@@ -124,7 +123,7 @@ def require_parquet(path: Path) -> None:
         ) from error
 
 
-# A table of frames as plots over time, for print and reports.
+# Plots over time, for print and reports.
 
 
 _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
@@ -143,7 +142,7 @@ _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
     ("residual rms, mm", 1e3, {"residual_rms_m": ""}),
     ("time, ms", 1.0, {"solve_ms": "solver", "total_ms": "depth in → patch out"}),
 )
-"""Label, factor from SI, and columns with their names, of each plot."""
+"""Axis label, factor from SI, and columns with legend texts of each plot."""
 
 
 SIZE_IN = (8.0, 11.0)  # width and height of the figure, inches
@@ -152,7 +151,7 @@ DPI = 130  # resolution of a PNG, dots per inch
 
 def write_plots(table: Table, path: Path) -> None:
     """Plots as PNG, SVG or PDF by suffix; see `draw_plots`."""
-    from matplotlib.figure import Figure  # 0.4 s, only where plots are written
+    from matplotlib.figure import Figure  # takes 0.4 s
 
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     draw_plots(table, figure)

@@ -20,17 +20,17 @@ _CRF = 15  # of 51, 0 being lossless: text stays legible
 
 
 class Mp4Writer:
-    """Takes pictures one after the other; made by `open_mp4`.
+    """Encodes pictures one after the other; created by `open_mp4`.
 
-    ffmpeg has a process group of its own, so that ^C does not reach it. By hand because
-    imageio-ffmpeg, and imageio with it, does this with Python code after a fork, where SciPy's
-    factorisations of other threads print a traceback (scipy#25404).
+    ffmpeg runs in its own process group, so that ^C does not reach it. imageio-ffmpeg is not used
+    for that: it runs Python code after a fork, where SciPy's factorisations in other threads print
+    a traceback (scipy#25404).
     """
 
     def __init__(
         self,
-        path: Path,  # as messages name it
-        temporary: Path,  # where to write
+        path: Path,  # for error messages
+        temporary: Path,  # output file
         fps: float,
         messages: IO[bytes],  # for the encoder's messages
     ) -> None:
@@ -42,7 +42,7 @@ class Mp4Writer:
     def add(self, picture: np.ndarray) -> None:
         """Append a picture, (H, W, 3) uint8, all of one size.
 
-        An odd side grows by a copy of its last line: H.264 wants even ones.
+        The last line of an odd side is repeated: H.264 requires even sizes.
         """
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             raise ValueError(f"a picture is (H, W, 3) uint8, not {picture.shape} {picture.dtype}")
@@ -59,21 +59,21 @@ class Mp4Writer:
             self._encoder.stdin.write(even.data)
         except OSError as error:
             self._encoder.wait()
-            raise self._refused(str(error)) from error
+            raise self._failure(str(error)) from error
 
     def finish(self) -> None:
-        """Let the encoder write its last pictures."""
+        """Wait until the encoder has written its last pictures."""
         if self._encoder is None:
             raise InputError(f"{self._path}: no frames to make a video of; choose some")
         try:
             self._encoder.communicate()
         except OSError as error:
-            raise self._refused(str(error)) from error
+            raise self._failure(str(error)) from error
         if self._encoder.returncode:
-            raise self._refused(f"it ended with code {self._encoder.returncode}")
+            raise self._failure(f"it ended with code {self._encoder.returncode}")
 
     def abandon(self) -> None:
-        """End the encoder; what it wrote is of no use."""
+        """Kill the encoder; its output is invalid."""
         if self._encoder is not None:
             self._encoder.kill()
             self._encoder.communicate()
@@ -85,24 +85,24 @@ class Mp4Writer:
         pictures = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
         rate = ["-r", str(Fraction(self._fps).limit_denominator())]
         playable = ["-c:v", "libx264", "-crf", str(_CRF), "-pix_fmt", "yuv420p"]  # in browsers
-        words = ["-v", "error", "-y", *pictures, *rate, "-i", "-", *playable, str(self._temporary)]
+        arguments = ["-v", "error", "-y", *pictures, *rate, "-i", "-", *playable]
         try:
             return subprocess.Popen(
-                [get_ffmpeg_exe(), *words],
+                [get_ffmpeg_exe(), *arguments, str(self._temporary)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=self._messages,
                 process_group=0,
             )
         except (OSError, RuntimeError) as error:  # RuntimeError: there is no ffmpeg
-            raise self._refused(str(error)) from error
+            raise self._failure(str(error)) from error
 
-    def _refused(self, otherwise: str) -> InputError:
-        """The encoder's first message, without the part of it that says it: [libx264 @ 0x55…]."""
+    def _failure(self, default: str) -> InputError:
+        """Error with the encoder's first message, without its prefix such as [libx264 @ 0x55…]."""
         self._messages.seek(0)
         first = self._messages.readline().decode(errors="replace")
-        said = re.sub(r"\[[^\]]*\]", "", first).strip() or otherwise
-        reason = " ".join(said.split())[:200]
+        message = re.sub(r"\[[^\]]*\]", "", first).strip() or default
+        reason = " ".join(message.split())[:200]
         return InputError(f"{self._path}: ffmpeg cannot write it ({reason}); choose another place")
 
 
@@ -111,15 +111,16 @@ def open_mp4(
     path: str | Path,  # must not exist
     fps: float,  # pictures a second
 ) -> Iterator[Mp4Writer]:
-    """Writer of a video that is kept only if the block ends without an error.
+    """Writer of a video; the file appears only if the block ends without an error.
 
-    Raises InputError: `path` exists, does not end in .mp4 or cannot be written, or no picture came.
+    Raises InputError: `path` exists, does not end in .mp4 or cannot be written, or no picture was
+    added.
     """
     path = Path(path)
     if path.suffix.lower() != ".mp4":
         raise InputError(f"{path}: a video ends in .mp4; rename it")
     if not 0.0 < fps <= 1000.0:
-        raise InputError(f"{path}: {fps:g} pictures a second; choose from 1 to 1000")
+        raise InputError(f"{path}: {fps:g} pictures per second; choose from 1 to 1000")
     with whole_file(path) as temporary, tempfile.TemporaryFile() as messages:
         writer = Mp4Writer(path, temporary, fps, messages)
         try:

@@ -1,4 +1,4 @@
-"""Calls in processes of their own."""
+"""Function calls and pipelines in separate processes."""
 
 import lazy_loader
 

@@ -1,5 +1,5 @@
 from .dask_cluster import check_cluster as check_cluster, run_on_cluster as run_on_cluster
-from .pipeline_process import OF_DEPTH as OF_DEPTH, PipelineProcess as PipelineProcess
+from .pipeline_process import DEPTH_PRODUCTS as DEPTH_PRODUCTS, PipelineProcess as PipelineProcess
 from .worker_process import (
     MEMORY_LIMIT_BYTES as MEMORY_LIMIT_BYTES,
     PeakMemory as PeakMemory,

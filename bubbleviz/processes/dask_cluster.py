@@ -1,6 +1,6 @@
-"""Calls on a Dask cluster, whose workers see the same files under the same paths.
+"""Function calls on a Dask cluster whose workers have the same files under the same paths.
 
-`distributed` is an optional extra, imported only when a scheduler is named.
+`distributed` is an optional extra, imported only when a scheduler is given.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from bubbleviz.wording import how_to_install
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
-TIMEOUT_S = 5.0  # s, to reach the scheduler; chosen
+TIMEOUT_S = 5.0  # for connections to the scheduler; chosen
 
 
 def run_on_cluster(
     function: Callable[[Item], Answer], items: Sequence[Item], address: str
 ) -> Generator[tuple[Item, Answer | None, str]]:
-    """Items with their answers, or why there is none, as calls end, in any order.
+    """Items with return value or error message, in the order in which the calls finish.
 
-    Closing the iterator cancels those not begun.
+    Closing the iterator cancels pending calls.
 
-    Raises InputError: the optional library is missing, no scheduler answers, or it is lost on the
-    way.
+    Raises InputError: the optional library is missing, no scheduler answers, or the connection is
+    lost.
     """
     with _client(address) as client:
         from distributed import CancelledError, as_completed
@@ -52,7 +52,7 @@ def run_on_cluster(
 
 
 def check_cluster(address: str) -> None:
-    """Raise InputError unless a scheduler with workers answers; ask before long work."""
+    """Raise InputError unless a scheduler with workers answers."""
     with _client(address):
         pass
 
@@ -66,13 +66,13 @@ def _client(address: str) -> Iterator[Any]:
             f"--scheduler {address}: a cluster needs Dask's distributed; "
             f"{how_to_install('cluster')}, or leave --scheduler out"
         ) from error
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # one sentence says it
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # replaced by InputError
     try:
-        # A Client that finds nobody prints a traceback and waits when it is deleted: ask before.
+        # A Client without scheduler prints a traceback and blocks when it is deleted: check first.
         if asyncio.run(_kind_of_server(address)) != "Scheduler":
-            raise ValueError("another kind of server")
+            raise ValueError("not a Dask scheduler")
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
-    except Exception as error:  # another kind of server makes Dask raise anything
+    except Exception as error:  # with other servers Dask raises arbitrary exceptions
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers within {TIMEOUT_S:.0f} s; start one "
             "with `dask scheduler`, or check address and port"
@@ -100,5 +100,5 @@ async def _kind_of_server(address: str) -> str:
 
 def _lost(address: str) -> InputError:
     return InputError(
-        f"--scheduler {address}: the scheduler is gone; start it and go on with --resume"
+        f"--scheduler {address}: lost the scheduler; restart it and continue with --resume"
     )

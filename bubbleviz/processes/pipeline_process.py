@@ -1,4 +1,4 @@
-"""Pipeline in a separate process, on another core."""
+"""Pipeline in a separate process, to use another core."""
 
 from __future__ import annotations
 
@@ -16,86 +16,87 @@ from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 
-OF_DEPTH: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask", "cloud", "residual"})
-"""Products that depth image and gas pressure are enough for."""
-PATIENCE_S = 5.0  # a frame takes longer than this only in a process that hangs; chosen
+DEPTH_PRODUCTS: frozenset[Product] = frozenset(
+    {"estimate", "patch", "pixel_mask", "cloud", "residual"}
+)
+"""Products that depend on depth image and gas pressure alone."""
+TIMEOUT_S = 5.0  # for one frame, before the process is killed; chosen
 
 
 class PipelineProcess:
-    """Solves frames of a live source in another process, independent of this one's threads.
+    """Solves frames of a live source in a worker process, independent of this process's threads.
 
-    The process is started with the first frame. Frames are solved here until it is built, whenever
-    something is asked for that depth alone does not tell, and for good once it has died or hung.
+    The worker starts with the first frame. Frames are solved locally until it is ready, whenever a
+    product needs more than depth and gas pressure, and permanently once it has died or hung.
     """
 
     def __init__(
         self,
-        # the one here; the other is built alike, and each keeps a warm start of its own
-        pipeline: Pipeline,
-        patience_s: float = PATIENCE_S,  # how long a frame may take before the process is ended
+        pipeline: Pipeline,  # the local one; the worker builds its own, with its own warm start
+        timeout_s: float = TIMEOUT_S,  # for one frame, before the worker is killed
     ) -> None:
-        self.lost = ""  # how the process ended unexpectedly; else empty
+        self.lost = ""  # reason if the worker ended unexpectedly; else empty
         self._pipeline = pipeline
-        self._patience_s = patience_s
+        self._timeout_s = timeout_s
         self._worker = WorkerProcess()
-        self._built = self._started = False
+        self._ready = self._started = False
         self._busy_since_s: float | None = None
         self._hung = False
-        self._over = Event()
-        self._watcher: Thread | None = None
+        self._closed = Event()
+        self._watchdog: Thread | None = None
 
     @property
     def pid(self) -> int | None:
-        """Process id once frames are solved there; else None."""
-        return self._worker.pid if self._built else None
+        """Process id of the worker once it is ready; else None."""
+        return self._worker.pid if self._ready else None
 
     def process(
         self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None
     ) -> Result:
-        """Do what `Pipeline.process` does, there or here; errors as there."""
-        if not self._started and not self._over.is_set():
+        """As `Pipeline.process`, with the same errors, in the worker or locally."""
+        if not self._started and not self._closed.is_set():
             self._start(products)
-        if not self._is_built() or not products <= OF_DEPTH:
+        if not self._is_ready() or not products <= DEPTH_PRODUCTS:
             return self._pipeline.process(frame, products, options)
-        seen = Frame(frame.index, frame.time_s, frame.depth_m, None, frame.gas_pressure_pa)
-        outcome = self._call(seen, products, options)
+        small = Frame(frame.index, frame.time_s, frame.depth_m, None, frame.gas_pressure_pa)
+        outcome = self._call(small, products, options)
         if outcome.kind != "returned":
-            return self._pipeline.process(frame, products, options)  # raises what was raised there
+            return self._pipeline.process(frame, products, options)  # raises the same exception
         result: Result = outcome.value
         self._pipeline.counts.update(result.times_ms.keys())
         return replace(result, frame=self._pipeline.paired(frame))
 
     def end(self) -> None:
-        """End the process, whatever it does, from any thread; what comes is solved here."""
-        self._over.set()
+        """Kill the worker, from any thread; later frames are solved locally."""
+        self._closed.set()
         self._worker.kill()
 
     def close(self) -> None:
-        """End the process and wait until it is gone; from the thread that has frames solved."""
-        self._built = False
-        self._over.set()
+        """Kill the worker and wait for its end, from the thread that calls `process`."""
+        self._ready = False
+        self._closed.set()
         self._worker.stop()
-        if self._watcher is not None:
-            self._watcher.join()  # it sees that it is over at once
+        if self._watchdog is not None:
+            self._watchdog.join()  # returns at once, as the event is set
 
     def _start(self, products: frozenset[Product]) -> None:
         self._started = True
         model, options = self._pipeline.model, self._pipeline.options
         intrinsics = self._pipeline.camera.intrinsics
-        asked = products & OF_DEPTH
-        self._worker.send(_prepared, model.sensor, intrinsics, options, asked, keep=True)
-        if self._over.is_set():  # meanwhile, when there was nothing to end yet
+        requested = products & DEPTH_PRODUCTS
+        self._worker.send(_prepared, model.sensor, intrinsics, options, requested, keep=True)
+        if self._closed.is_set():  # by another thread, before the worker had started
             self._worker.kill()
 
-    def _is_built(self) -> bool:
-        """Whether the process is ready to solve; does not wait."""
-        if self._built or self._over.is_set() or not self._worker.pipe.poll():
-            return self._built
+    def _is_ready(self) -> bool:
+        """Whether the worker can solve frames; does not wait."""
+        if self._ready or self._closed.is_set() or not self._worker.pipe.poll():
+            return self._ready
         if self._returned(self._worker.outcome()):
-            self._built = True
-            self._watcher = Thread(target=self._watch, name="solver watch", daemon=True)
-            self._watcher.start()
-        return self._built
+            self._ready = True
+            self._watchdog = Thread(target=self._watch, name="solver watchdog", daemon=True)
+            self._watchdog.start()
+        return self._ready
 
     def _call(self, *args: object) -> Outcome:
         self._busy_since_s = time.monotonic()
@@ -106,23 +107,21 @@ class PipelineProcess:
         return outcome
 
     def _returned(self, outcome: Outcome) -> bool:
-        """Whether a call went well; without its process, or its pipeline, it is over."""
-        if outcome.kind == "died" or (outcome.kind == "raised" and not self._built):
-            if not self._over.is_set():
-                self.lost = (
-                    f"no answer for {self._patience_s:g} s" if self._hung else outcome.detail
-                )
+        """Whether a call returned; closes if the worker died or could not build its pipeline."""
+        if outcome.kind == "died" or (outcome.kind == "raised" and not self._ready):
+            if not self._closed.is_set():
+                self.lost = f"no answer for {self._timeout_s:g} s" if self._hung else outcome.detail
             self.close()
         return outcome.kind == "returned"
 
     def _watch(self) -> None:
-        """End a process that hangs, so that the waiting caller learns that it died.
+        """Kill a worker that hangs, so that the waiting caller receives its end.
 
-        A thread of its own: a frame may also wait for the process while it is sent.
+        In a thread, as the caller may also block while it sends a frame.
         """
-        while not self._over.wait(0.2 * self._patience_s):
+        while not self._closed.wait(0.2 * self._timeout_s):
             since_s = self._busy_since_s
-            if since_s is not None and time.monotonic() - since_s > self._patience_s:
+            if since_s is not None and time.monotonic() - since_s > self._timeout_s:
                 self._hung = True
                 self._worker.kill()
 
@@ -138,6 +137,6 @@ def _prepared(
 def _solved(
     pipeline: Pipeline, frame: Frame, products: frozenset[Product], options: FrameOptions | None
 ) -> Result:
-    """Products of a frame; its image is not sent back."""
+    """Products of a frame, without its image."""
     result = pipeline.process(frame, products, options)
     return replace(result, frame=replace(frame, depth_m=np.zeros((0, 0), np.float32)))

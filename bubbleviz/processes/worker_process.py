@@ -1,9 +1,8 @@
 """A separate process for calls that may hang, crash or exhaust its memory.
 
-By hand because a pool of the standard library (`ProcessPoolExecutor`) breaks as a whole when one
-of its processes dies, cannot end a job that has begun, and leaves its processes alive when their
-parent is killed; one pool a process, each with its own start and end, takes more lines than this.
-It has one BLAS thread.
+Not a `ProcessPoolExecutor`, which fails as a whole when one of its processes dies, cannot cancel a
+running job, and leaves its processes alive when their parent is killed; a pool for each process
+would take more code than this. The process has one BLAS thread.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from typing import Any, Literal
 from bubbleviz.processes.worker_server import serve
 
 MEMORY_LIMIT_BYTES = 8 * 2**30
-"""For a call that may ask for too much; chosen: what a small computer has."""
+"""For calls that may allocate too much; chosen: the memory of a small computer."""
 
 Kind = Literal["returned", "raised", "hung", "died"]
 
@@ -33,16 +32,15 @@ Kind = Literal["returned", "raised", "hung", "died"]
 @dataclass(frozen=True)
 class Outcome:
     kind: Kind
-    value: Any  # what it returned
-    # type and message of the exception, with the line it came from, or how the process ended
-    detail: str
+    value: Any  # return value
+    detail: str  # exception with message and line of code, or how the process ended
     ms: float  # wall time
 
 
 class WorkerProcess:
-    """One process that makes calls, one after another; replaced when it hangs or dies.
+    """One process that runs calls one after another; replaced when it hangs or dies.
 
-    Use as a context manager. Functions and arguments must be importable there (`spawn`).
+    Use as a context manager. The process can unpickle functions and arguments (`spawn`).
     """
 
     def __init__(self, memory_limit_bytes: int | None = None) -> None:
@@ -58,7 +56,7 @@ class WorkerProcess:
         self.stop()
 
     def call(self, function: Callable[..., Any], *args: Any, limit_s: float) -> Outcome:
-        """Call a function; give up after `limit_s`, the start of Python not counted."""
+        """Call a function; give up after `limit_s`, without the start of Python."""
         if self._process is None:
             self.send(os.getpid)
             self.outcome()
@@ -67,23 +65,23 @@ class WorkerProcess:
 
     @property
     def pid(self) -> int | None:
-        """Number of the process; None while there is none."""
+        """Process id; None while there is no process."""
         process = self._process
         return None if process is None else int(process.pid)
 
     def send(self, function: Callable[..., Any], *args: Any, keep: bool = False) -> None:
-        """Begin a call; `pipe` is ready when it has ended, and `outcome` tells how.
+        """Start a call; `pipe` is ready when it has ended, and `outcome` returns the result.
 
-        With `keep` what it returns stays there: the first argument of the calls after it.
+        With `keep` the return value stays in the process, as first argument of later calls.
         """
         if self._process is None:
             self._start()
         self._sent_s = time.perf_counter()
-        with suppress(OSError):  # it died: told by the outcome
+        with suppress(OSError):  # the process died: `outcome` reports it
             self.pipe.send((function, args, keep))
 
     def outcome(self, limit_s: float | None = None) -> Outcome:
-        """Wait for the end of the call; give up after `limit_s`."""
+        """Wait for the end of the call, at most `limit_s`."""
         kind: Kind
         try:
             answered = limit_s is None or self.pipe.poll(limit_s)
@@ -100,13 +98,13 @@ class WorkerProcess:
         return Outcome(kind, value, detail, elapsed)
 
     def kill(self) -> None:
-        """End the process from another thread: `outcome` tells that it died."""
+        """Kill the process from another thread; `outcome` then returns "died"."""
         process = self._process
         if process is not None:
             process.kill()
 
     def stop(self) -> None:
-        """End the process, whatever it does."""
+        """Kill the process and wait for its end."""
         if self._process is not None:
             self.pipe.close()
             self._process.kill()
@@ -118,18 +116,18 @@ class WorkerProcess:
         self.pipe, theirs = context.Pipe()
         args = theirs, os.getpid(), self._memory_limit
         process = context.Process(target=serve, args=args, daemon=True)
-        with _interrupts_for_the_parent():
+        with _block_interrupts():
             process.start()
-        self._process = process  # not before: one that did not start cannot be ended
+        self._process = process  # after the start: only a running process can be killed
         theirs.close()
 
 
 @contextmanager
-def _interrupts_for_the_parent() -> Iterator[None]:
-    """Processes started here never see ^C, which a terminal sends to all of them.
+def _block_interrupts() -> Iterator[None]:
+    """Processes started in this block ignore ^C, which a terminal sends to all processes.
 
-    They inherit what is blocked; here it arrives when the block ends. Python before 3.12 unblocks
-    it when it starts its resource tracker, with the first process: so that is started before.
+    They inherit the blocked signal; this process receives it after the block. Python before 3.12
+    unblocks it when it starts its resource tracker, so that is started first.
     """
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -139,19 +137,16 @@ def _interrupts_for_the_parent() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-# How much memory a piece of work takes.
-
-
 class PeakMemory:
-    """Peak of this process's resident memory from the start of the block, less what it had then.
+    """Increase of the peak resident memory of this process within a block.
 
-    Where the system cannot reset the peak (not Linux), only what exceeds the peak so far counts.
+    Where the system cannot reset the peak (not Linux), it is the increase over the earlier peak.
     """
 
     increase_bytes = 0
 
     def __enter__(self) -> PeakMemory:
-        gc.collect()  # garbage that goes within the block would be taken off its peak
+        gc.collect()  # garbage freed within the block would hide part of its peak
         clear = Path("/proc/self/clear_refs")
         try:
             clear.write_text("5", encoding="ascii")

@@ -14,21 +14,21 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 def serve(
     pipe: Connection,  # gives (function, args, keep), takes (kind, value, detail) of an `Outcome`
-    parent: int,  # process without which this one ends
+    parent: int,  # process id; this process ends with it
     memory_limit_bytes: int | None,
 ) -> None:
-    """Make the calls that come through a pipe and answer how each ended, until it is closed."""
+    """Run the calls received through a pipe and send their outcomes, until it is closed."""
     os.environ.update(dict.fromkeys(_THREADS, "1"), TQDM_DISABLE="1")
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     from tqdm import tqdm  # reads the environment when it is imported
 
-    tqdm.set_lock(threading.RLock())  # its own is a semaphore that outlives a process killed
+    tqdm.set_lock(threading.RLock())  # the default is a semaphore that outlives a killed process
     if memory_limit_bytes is not None:
         _limit_memory(memory_limit_bytes)
     kept: tuple[Any, ...] = ()
     while True:
         try:
-            function, args, keep = pipe.recv()  # imports the function, and BLAS with it
+            function, args, keep = pipe.recv()  # imports the function's module, and BLAS
         except EOFError:
             return
         try:
@@ -44,7 +44,7 @@ def serve(
 
 
 def _end_with(parent: int) -> None:
-    """End this process soon after its parent, even one that was killed."""
+    """End this process soon after its parent, even if the parent was killed."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)

@@ -55,11 +55,11 @@ class TextureFlow:
         Raises InputError: the camera does not see the membrane, or the estimator is not of the
         exact membrane; the pipeline then uses depth only.
         """
-        pipeline.watch_texture(self, camera, options)
+        pipeline.use_optical_flow(self, camera, options)
         try:
             pipeline.prepare(frozenset({"traction"}))
         except InputError:
-            pipeline.watch_texture(None, options=options)
+            pipeline.use_optical_flow(None, options=options)
             raise
 
 
@@ -111,7 +111,7 @@ class PassingTexture:
         )
         self._images: dict[int, np.ndarray] | None = {}  # None after they are collected
         self._recent: dict[int, np.ndarray] = {}  # colour may show a contact before depth
-        pipeline.watch_texture(None, options=self._options)
+        pipeline.use_optical_flow(None, options=self._options)
 
     def take(self, result: Result) -> None:
         """Take the colour image of a frame without contact, until there are enough."""

@@ -212,7 +212,7 @@ class _Bench:
             ways = random.standard_normal((2, 3))
             ways *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(ways, axis=1)[:, None]
             start = moved(true.T_B_O, ways.ravel(), true.center)
-            self._pipeline.follow(self._model.obj, start)
+            self._pipeline.track(self._model.obj, start)
             rows.append(self._row(sighting, true, seen, number))
         return rows
 

@@ -65,7 +65,7 @@ def test_refusals_before_the_work(tmp_path):
         write(there, never, 30.0)
     with pytest.raises(InputError, match=r"ends in \.mp4"):
         write(tmp_path / "x.avi", never, 30.0)
-    with pytest.raises(InputError, match="pictures a second"):
+    with pytest.raises(InputError, match="pictures per second"):
         write(tmp_path / "x.mp4", never, float("nan"))
     assert there.read_text() == "mine"
 

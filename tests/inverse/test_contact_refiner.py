@@ -191,7 +191,7 @@ def test_a_noisy_camera_and_the_rule_of_the_paper_take_the_mesh_of_the_sensor(re
     assert estimate.status == "ok"
     assert (estimate.fine is None) is (kappa is None)
     assert ("fine_contact" in pipe.counts) is (kappa is not None)
-    assert pipe.whole_patch(estimate, kappa).fine_level is None
+    assert pipe.unfiltered_patch(estimate, kappa).fine_level is None
 
 
 @pytest.mark.parametrize("name", preset_names("sensors"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.membrane import ObjectSurface, level_line
-from bubbleviz.pipeline import OF_OBJECT, Pipeline
+from bubbleviz.pipeline import OBJECT_PRODUCTS, Pipeline
 from bubbleviz.pose import ObjectPatchFinder
 from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
@@ -79,9 +79,9 @@ def test_without_a_pose_of_the_frame_there_is_none(model, seen, status):
 
 def test_it_is_found_when_asked_for_and_changes_no_pose(model, source):
     poses = []
-    for products in (frozenset({"pose"}), OF_OBJECT):
+    for products in (frozenset({"pose"}), OBJECT_PRODUCTS):
         pipeline = Pipeline(model)
-        pipeline.follow(source.obj, upright(x=0.004))
+        pipeline.track(source.obj, upright(x=0.004))
         results = [pipeline.process(source[k], products) for k in range(2)]
         assert [r.object_patch is not None for r in results] == ["object_patch" in products] * 2
         assert pipeline.counts["object_patch"] == 2 * ("object_patch" in products)
@@ -91,15 +91,15 @@ def test_it_is_found_when_asked_for_and_changes_no_pose(model, source):
 
 def test_a_lost_frame_has_none_and_the_next_object_its_own(model, source):
     pipeline = Pipeline(model)
-    pipeline.follow(source.obj, upright())
-    cylinder = pipeline.process(source[0], OF_OBJECT)
+    pipeline.track(source.obj, upright())
+    cylinder = pipeline.process(source[0], OBJECT_PRODUCTS)
     assert cylinder.object_patch is not None
     gone = replace(source[1], depth_m=np.full_like(source[1].depth_m, np.nan))
-    lost = pipeline.process(gone, OF_OBJECT)
+    lost = pipeline.process(gone, OBJECT_PRODUCTS)
     assert lost.pose.status == "lost" and lost.object_patch is None
-    pipeline.follow(made("sphere"), upright())
-    ball = pipeline.process(source[2], OF_OBJECT)
+    pipeline.track(made("sphere"), upright())
+    ball = pipeline.process(source[2], OBJECT_PRODUCTS)
     if ball.object_patch is not None:
         assert ball.object_patch.area_m2 < 0.8 * cylinder.object_patch.area_m2
-    pipeline.follow(None)
-    assert pipeline.process(source[2], OF_OBJECT).object_patch is None
+    pipeline.track(None)
+    assert pipeline.process(source[2], OBJECT_PRODUCTS).object_patch is None

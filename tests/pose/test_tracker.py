@@ -59,7 +59,7 @@ def blank(frame):
 
 def test_followed_lost_and_found_again(pipeline, source):
     off = moved(source.poses[0], np.array([2e-3, -1e-3, 1e-3, 0.05, 0.03, 0.05]), np.zeros(3))
-    pipeline.follow(source.obj, off)
+    pipeline.track(source.obj, off)
     frames = [source[k] for k in range(FRAMES)]
     frames[3] = blank(frames[3])
     poses = [pipeline.process(frame, PRODUCTS).pose for frame in frames]
@@ -81,7 +81,7 @@ def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
     here[:3, 3], far[:3, 3] = [0.018, 0.0, 0.036], [-0.018, 0.0, 0.036]
     path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
     jumping = SyntheticSource(sensor, made("frustum"), path, DepthNoise(0.005), nodes=4_000)
-    pipeline.follow(jumping.obj, here)
+    pipeline.track(jumping.obj, here)
     poses = [pipeline.process(jumping[k], PRODUCTS).pose for k in range(8)]
     assert close(poses[0], here)
     assert poses[-1].status == "ok"
@@ -91,7 +91,7 @@ def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
 
 
 def test_without_a_start_it_is_searched_for(pipeline, source):
-    pipeline.follow(source.obj)
+    pipeline.track(source.obj)
     pose = pipeline.process(source[0], PRODUCTS).pose
     assert pose.status == "ok"
     assert pose.stage_two.fitness > 0.7
@@ -104,7 +104,7 @@ def test_no_contact_and_no_data_are_said(pipeline, source, sensor):
     far = np.eye(4)
     far[2, 3] = 1.0
     untouched = SyntheticSource(sensor, source.obj, far[None], nodes=4_000)[0]
-    pipeline.follow(source.obj)
+    pipeline.track(source.obj)
     pose = pipeline.process(untouched, PRODUCTS).pose
     assert pose.status == "no_contact"
     assert pose.T_B_O.shape == (4, 4) and np.isnan(pose.T_B_O).all()
@@ -112,7 +112,7 @@ def test_no_contact_and_no_data_are_said(pipeline, source, sensor):
 
 
 def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
-    pipeline.follow(source.obj, source.poses[0])
+    pipeline.track(source.obj, source.poses[0])
     result = pipeline.process(source[0], frozenset({"estimate", "patch"}))
     level = np.full_like(result.patch.level, -1.0)
     level[np.argmax(result.patch.level)] = 0.05  # one node, and hardly
@@ -124,17 +124,17 @@ def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
 def test_objects_that_cannot_be_are_refused(pipeline):
     obj = made("frustum")
     with pytest.raises(InputError, match="millimetres"):
-        pipeline.follow(RigidObject("big", 1e3 * obj.vertices, obj.triangles))
+        pipeline.track(RigidObject("big", 1e3 * obj.vertices, obj.triangles))
     with pytest.raises(InputError, match="no area"):
-        pipeline.follow(RigidObject("flat", 0.0 * obj.vertices + obj.vertices[0], obj.triangles))
+        pipeline.track(RigidObject("flat", 0.0 * obj.vertices + obj.vertices[0], obj.triangles))
 
 
 def test_without_requests_nothing_runs(pipeline, source):
-    pipeline.follow(source.obj, source.poses[0])
+    pipeline.track(source.obj, source.poses[0])
     result = pipeline.process(source[0], frozenset({"patch"}))
     assert result.pose is None
     assert pipeline.counts["pose"] == 0
-    pipeline.follow(None)
+    pipeline.track(None)
     assert pipeline.process(source[0], PRODUCTS).pose is None
     assert pipeline.counts["pose"] == 0
 
@@ -181,7 +181,7 @@ def test_rectified_ranges_slide_flat_faces_as_true_ones_do(sensor, tmp_path):
         pipeline = Pipeline.of(
             sensor.model_copy(update={"calibration": calibration, "folder": tmp_path})
         )
-        pipeline.follow(source.obj, off)
+        pipeline.track(source.obj, off)
         poses.append(pipeline.process(frame, PRODUCTS).pose)
     plain, rectified = poses
     assert plain.status == rectified.status == "ok"

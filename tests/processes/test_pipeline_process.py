@@ -10,7 +10,7 @@ from small_press import small_source, write_small_sensor
 
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import FrameOptions, Pipeline
-from bubbleviz.processes import OF_DEPTH, PipelineProcess
+from bubbleviz.processes import DEPTH_PRODUCTS, PipelineProcess
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import load_sensor
 
@@ -36,7 +36,7 @@ def pipeline(sensor_file):
 def started(process, frame):
     """Have a frame solved again and again until it is in the other process."""
     while process.pid is None:
-        process.process(frame, OF_DEPTH, OPTIONS)
+        process.process(frame, DEPTH_PRODUCTS, OPTIONS)
         assert process.lost == ""
     return process.pid
 
@@ -44,7 +44,7 @@ def started(process, frame):
 @pytest.fixture
 def process(pipeline, frames):
     """One that has solved the first frame."""
-    with closing(PipelineProcess(pipeline, patience_s=1.0)) as process:
+    with closing(PipelineProcess(pipeline, timeout_s=1.0)) as process:
         started(process, frames[0])
         yield process
 
@@ -59,9 +59,12 @@ def gone(pid):
 
 def test_frames_have_the_answers_they_have_here(process, sensor_file, frames):
     here = Pipeline.of(load_sensor(sensor_file))
-    here.process(frames[0], OF_DEPTH, OPTIONS)
+    here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)
     for frame in frames[1:]:
-        a, b = process.process(frame, OF_DEPTH, OPTIONS), here.process(frame, OF_DEPTH, OPTIONS)
+        a, b = (
+            process.process(frame, DEPTH_PRODUCTS, OPTIONS),
+            here.process(frame, DEPTH_PRODUCTS, OPTIONS),
+        )
         assert a.frame is frame and set(a.times_ms) == set(b.times_ms)
         assert a.estimate.status == b.estimate.status
         for one, two in (
@@ -80,10 +83,10 @@ def test_frames_have_the_answers_they_have_here(process, sensor_file, frames):
 def test_they_are_solved_there_and_counted_here(process, pipeline, frames):
     before = pipeline.counts["estimate"]
     pipeline.restart()
-    cold = pipeline.estimate_aside(frames[2])
-    process.process(frames[2], OF_DEPTH, OPTIONS)
+    cold = pipeline.estimate_once(frames[2])
+    process.process(frames[2], DEPTH_PRODUCTS, OPTIONS)
     assert pipeline.counts["estimate"] == before + 1
-    again = pipeline.estimate_aside(frames[2])  # from rest still: nothing was solved here
+    again = pipeline.estimate_once(frames[2])  # from rest still: nothing was solved here
     np.testing.assert_array_equal(again.contact_pressure_pa, cold.contact_pressure_pa)
 
 
@@ -96,7 +99,7 @@ def test_a_process_that_dies_or_hangs_costs_no_frame(process, frames, how, words
     assert pid is not None
     os.kill(pid, how)
     for frame in frames[2:]:
-        result = process.process(frame, OF_DEPTH, OPTIONS)
+        result = process.process(frame, DEPTH_PRODUCTS, OPTIONS)
         assert result.estimate is not None and result.frame is frame
         assert process.lost == words
     assert process.pid is None and gone(pid)
@@ -105,8 +108,8 @@ def test_a_process_that_dies_or_hangs_costs_no_frame(process, frames, how, words
 def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(process, frames):
     wrong = Frame(7, 0.0, np.ones((3, 4), np.float32))
     with pytest.raises(InputError, match="frame 7: image is 4×3 pixels"):
-        process.process(wrong, OF_DEPTH)
-    assert process.process(frames[1], OF_DEPTH).estimate is not None
+        process.process(wrong, DEPTH_PRODUCTS)
+    assert process.process(frames[1], DEPTH_PRODUCTS).estimate is not None
     assert process.pid is not None and process.lost == ""
 
 
@@ -122,10 +125,10 @@ def test_closing_ends_it_also_while_it_is_built(pipeline, frames):
     pid = started(first, frames[0])
     first.close()
     assert gone(pid) and first.lost == ""
-    assert first.process(frames[1], OF_DEPTH).estimate is not None  # here
+    assert first.process(frames[1], DEPTH_PRODUCTS).estimate is not None  # here
     assert first.pid is None
     with closing(PipelineProcess(pipeline)) as second:
-        second.process(frames[0], OF_DEPTH)
+        second.process(frames[0], DEPTH_PRODUCTS)
         second.end()
-        assert second.process(frames[1], OF_DEPTH).estimate is not None
+        assert second.process(frames[1], DEPTH_PRODUCTS).estimate is not None
         assert second.pid is None and second.lost == ""

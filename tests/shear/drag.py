@@ -45,7 +45,7 @@ class Eyes:
         self.pipeline = Pipeline.of(sensor(nodes))
         self.flows: list[FlowSighting] = []
         chosen = TractionOptions(**options)
-        self.pipeline.watch_texture(lambda frame: self.flows[frame.index].flow, options=chosen)
+        self.pipeline.use_optical_flow(lambda frame: self.flows[frame.index].flow, options=chosen)
 
     def see(self, truth, seed=0, flow_px=FLOW_PX):
         """The next frame."""

@@ -95,7 +95,7 @@ def test_a_contact_without_texture_is_solved_by_depth_only():
         )
     )
     bare = eyes.pipeline.process(frame, wanted)
-    eyes.pipeline.watch_texture(None)
+    eyes.pipeline.use_optical_flow(None)
     blind = eyes.pipeline.process(frame, wanted)
     for result, reason in ((bare, "no flow where"), (blind, "no optical flow")):
         traction, estimate = result.traction, result.estimate

@@ -207,7 +207,7 @@ def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tm
     options = driver.window.controller.client.demand.options
     assert [frame for frame, _ in drawn] == [73, 74, 75, 76]
     for frame, area_m2 in drawn:
-        pipeline.settle(source[frame])
+        pipeline.converge(source[frame])
         alone = pipeline.process(source[frame], frozenset({"patch"}), options)
         assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
 

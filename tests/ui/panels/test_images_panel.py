@@ -160,17 +160,17 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     driver.settle()
     assert driver.state.choices.images == {"depth"}
     panel.boxes["change"].trigger()
-    driver.wait(lambda: counts["look change"] > 0)
-    assert counts["look residual"] == 0 and counts["pixel_mask"] == 0
+    driver.wait(lambda: counts["diagnose change"] > 0)
+    assert counts["diagnose residual"] == 0 and counts["pixel_mask"] == 0
     panel.boxes["residual"].trigger()
     panel.boxes["patch"].trigger()
-    driver.wait(lambda: counts["look residual"] > 0 and counts["pixel_mask"] > 0)
+    driver.wait(lambda: counts["diagnose residual"] > 0 and counts["pixel_mask"] > 0)
     driver.window.panels["images"].hide()
     driver.wait(lambda: "images" not in driver.state.choices.panels)
     driver.seek(CONTACT + 2)  # behind it nothing that was asked for before is left to do
-    before = counts["look change"], counts["look residual"], counts["pixel_mask"]
+    before = counts["diagnose change"], counts["diagnose residual"], counts["pixel_mask"]
     driver.seek(CONTACT + 1)
-    assert (counts["look change"], counts["look residual"], counts["pixel_mask"]) == before
+    assert (counts["diagnose change"], counts["diagnose residual"], counts["pixel_mask"]) == before
     # nothing is picked while playing unless images are open
     driver.seek(CONTACT)
     nodes, found = driver.pipeline.mesh.nodes, driver.window.hover
@@ -193,13 +193,13 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     controller = driver.window.controller
     monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
     driver.settle()  # what was asked for before counts, too
-    before = counts["look change"], counts["total"]
+    before = counts["diagnose change"], counts["total"]
     driver.state.choose(every_frame=True)
     driver.state.set_playing(True)
     driver.wait(lambda: counts["total"] > before[1] + 20)
-    assert counts["look change"] == before[0]
+    assert counts["diagnose change"] == before[0]
     monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 0.0)
-    driver.wait(lambda: counts["look change"] > before[0] + 2)
+    driver.wait(lambda: counts["diagnose change"] > before[0] + 2)
     monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
     driver.state.set_playing(False)
     driver.settle()

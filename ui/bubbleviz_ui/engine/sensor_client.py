@@ -11,7 +11,7 @@ import numpy as np
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.diagnostics import Inspection, Numbers
-from bubbleviz.pipeline import OF_OBJECT, FrameOptions, Product
+from bubbleviz.pipeline import OBJECT_PRODUCTS, FrameOptions, Product
 from bubbleviz.recordings import Frame, Gap
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
@@ -104,7 +104,7 @@ class SensorClient(QObject):
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
             due = self._due(self.demand)
-            products = self._shown_as.products - OF_OBJECT | due.looks
+            products = self._shown_as.products - OBJECT_PRODUCTS | due.looks
             demand = replace(due, products=products, options=self._options)
             function = partial(self.solver.frame, self.result.frame.index, demand, settled=True)
             self.worker.submit(function, self._take_settled, key="settle")
@@ -228,7 +228,7 @@ class SensorClient(QObject):
         same = shown is not None and shown.frame.index == new.frame.index
         wanted = self._shown_as.products | self.demand.looks
         # else another frame, or more of this one, is looked at by now
-        if shown is not None and same and wanted <= asked.products | OF_OBJECT:
+        if shown is not None and same and wanted <= asked.products | OBJECT_PRODUCTS:
             pose, by_object = shown.pose, shown.object_patch
             self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
             self._shown_as = replace(self._shown_as, options=asked.options)

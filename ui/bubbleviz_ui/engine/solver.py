@@ -16,8 +16,8 @@ from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.output import Measured, SideBySide
-from bubbleviz.pipeline import LOOKS, FrameOptions, Pipeline, Product
+from bubbleviz.output import ComparedResult, SettingsComparison
+from bubbleviz.pipeline import DIAGNOSTICS, FrameOptions, Pipeline, Product
 from bubbleviz.pressure_zero import PressureZero, zero_of, zeroed
 from bubbleviz.processes import PipelineProcess
 from bubbleviz.progress import Cancelled
@@ -146,7 +146,7 @@ class Session:
     opened: Source
     source: FrameSource
     pipeline: Pipeline
-    side_by_side: SideBySide
+    side_by_side: SettingsComparison
     shear: ShearReference = field(default_factory=ShearReference)
     kept: KeptEstimates = field(default_factory=KeptEstimates)
     beside: PipelineProcess | None = None
@@ -176,9 +176,11 @@ class Session:
             return Result(frame)
         if stream is not None:
             frame = zeroed(frame, stream.zero, pipeline)
-        products = self.shear.products(self.source, pipeline, frame.index, demand) - LOOKS.keys()
+        products = (
+            self.shear.products(self.source, pipeline, frame.index, demand) - DIAGNOSTICS.keys()
+        )
         if settled:
-            pipeline.settle(frame)
+            pipeline.converge(frame)
         result = (beside or pipeline).process(frame, products, demand.options)
         if products & SHEAR:
             self.shear.collect(result)
@@ -191,7 +193,7 @@ class Session:
         wanted = "kappa_curve" in demand.looks
         truth = truth_of(self.source, result.frame.index) if wanted else None
         mask = truth.patch_mask if truth is not None else None
-        result = self.pipeline.look(result, demand.products, demand.options, mask)
+        result = self.pipeline.diagnose(result, demand.products, demand.options, mask)
         seen = replace(result.inspection or Inspection(), reference=self.shear.words)
         return replace(result, inspection=seen)
 
@@ -285,7 +287,7 @@ class Solver:
         `start`: (4, 4) array or None: T_B_O to begin at; None to search.
         """
         obj = None if object_name is None else load_object(object_name, unit)
-        self._open.pipeline.follow(obj, start)
+        self._open.pipeline.track(obj, start)
         return obj
 
     def patch(self, result: Result, demand: Demand) -> tuple[Result, Numbers]:
@@ -315,13 +317,13 @@ class Solver:
 
     def compare(
         self, index: int, settings: tuple[ComparedOptions, ...], *, settled: bool
-    ) -> tuple[Measured | str, ...]:
+    ) -> tuple[ComparedResult | str, ...]:
         """Measure settings on a frame; a text where one is impossible.
 
         No settings: let go of what was built for that.
         """
         session = self._open
-        bench, measured = session.side_by_side, list[Measured | str]()
+        bench, measured = session.side_by_side, list[ComparedResult | str]()
         bench.keep([options for options, _ in settings])
         if not settings:
             return ()
@@ -365,7 +367,7 @@ class Solver:
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if stream is not None:
                 stream.zero.refer_to(pipeline.model.gas.P0)
-            settings = SideBySide(sensor, pipeline.camera.intrinsics)
+            settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
             session = Session(request.source, source, pipeline, settings)
             products = session.shear.products(source, pipeline, frame.index, request.demand)
             pipeline.prepare(products)  # apart: says nothing about a frame

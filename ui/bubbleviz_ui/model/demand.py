@@ -9,7 +9,14 @@ from statistics import median
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from bubbleviz.pipeline import LOOKS, OF_COLOUR, OF_OBJECT, FrameOptions, Product, stages
+from bubbleviz.pipeline import (
+    COLOUR_PRODUCTS,
+    DIAGNOSTICS,
+    OBJECT_PRODUCTS,
+    FrameOptions,
+    Product,
+    stages,
+)
 from bubbleviz.result import Result
 from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, PLOTS, Products
@@ -60,16 +67,16 @@ class Demand:
     @property
     def looks(self) -> Products:
         """Closer looks at the frame that is shown."""
-        return self.products & LOOKS.keys()
+        return self.products & DIAGNOSTICS.keys()
 
     def looking(self, looks: Products = NOTHING) -> Demand:
         """The same with other closer looks, or none."""
-        return replace(self, products=self.products - LOOKS.keys() | looks)
+        return replace(self, products=self.products - DIAGNOSTICS.keys() | looks)
 
     @property
     def of_colour(self) -> bool:
         """Whether colour images are needed for it."""
-        return bool(self.products & OF_COLOUR)
+        return bool(self.products & COLOUR_PRODUCTS)
 
     def thinned(self, times: int) -> Demand:
         """The same with fewer points of the cloud, unless all of them are asked for."""
@@ -99,12 +106,12 @@ def products(choices: Choices) -> Products:
     if choices.pose_track and (choices.layers | choices.panels) & POSE_CONSUMERS:
         needed |= PATCH | of_object(choices)
     looks = _looks(choices)
-    return needed.union(looks, *(LOOKS[look] for look in looks))
+    return needed.union(looks, *(DIAGNOSTICS[look] for look in looks))
 
 
 def of_object(choices: Choices) -> Products:
     """What is asked of a frame in which an object is looked for."""
-    return OF_OBJECT if "object_patch" in choices.layers else frozenset({"pose"})
+    return OBJECT_PRODUCTS if "object_patch" in choices.layers else frozenset({"pose"})
 
 
 def plotted(choices: Choices) -> Products:
@@ -119,7 +126,7 @@ def _looks(choices: Choices) -> Products:
     if "threshold" in choices.panels:
         wanted |= {"kappa_curve", "components"}
     if "images" in choices.panels:
-        wanted |= {look for look in LOOKS if look.removesuffix("_image") in choices.images}
+        wanted |= {look for look in DIAGNOSTICS if look.removesuffix("_image") in choices.images}
     return wanted
 
 
@@ -208,7 +215,7 @@ def who_asks(choices: Choices, *, analysing: bool = False) -> dict[str, list[str
     asked: dict[str, list[str]] = {}
 
     def note(name: str, needed: Iterable[Product]) -> None:
-        for stage in stages(frozenset(needed)) - LOOKS.keys():
+        for stage in stages(frozenset(needed)) - DIAGNOSTICS.keys():
             asked.setdefault(stage, []).append(name)
 
     for name in sorted(choices.layers):

@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.errors import InputError
-from bubbleviz.output import Measured
+from bubbleviz.output import ComparedResult
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.controller import Controller
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import Beside
 
 NOT_MEASURED = None, None
-ROWS: dict[str, tuple[str, Callable[[Measured, Units], str]]] = {
+ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
     "status": ("Status", lambda m, u: m.numbers.status),
@@ -102,10 +102,10 @@ class Column:
         rule = {} if kappa is None else {"kappa": kappa}
         self._state.choose(solver=SETTINGS[self._number], **rule)
 
-    def show_measured(self, measured: Measured | str | None, units: Units) -> None:
+    def show_measured(self, measured: ComparedResult | str | None, units: Units) -> None:
         """Write the numbers; a text says why there are none."""
         for name, (_, text) in ROWS.items():
-            shown = text(measured, units) if isinstance(measured, Measured) else NOTHING
+            shown = text(measured, units) if isinstance(measured, ComparedResult) else NOTHING
             self.values[name].setText(shown)
         if isinstance(measured, str):
             self.values["status"].setText("impossible")
@@ -286,14 +286,14 @@ class ComparePanel(QWidget):
     What it measures it asks of the solver thread, which does it when nobody waits for a frame.
     """
 
-    # What the panel shows of A and of B, each a `Measured`, or anything else for none
+    # What the panel shows of A and of B, each a `ComparedResult`, or anything else for none
     measured = Signal(object)
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
         self.setObjectName("compare")
         self._state, self._controller = state, controller
-        self._measured: tuple[Measured | str | None, ...] = NOT_MEASURED
+        self._measured: tuple[ComparedResult | str | None, ...] = NOT_MEASURED
         self.a, self.b = Column(state, 0), Column(state, 1)
         self.outlines = QCheckBox("Outlines in the 3-D view")
         self.outlines.setToolTip("Draw the patch outlines of A and B in their colours")
@@ -374,7 +374,7 @@ class ComparePanel(QWidget):
             self._controller.compare(self._settings)
 
     def _on_compared(
-        self, settings: tuple[ComparedOptions, ...], measured: tuple[Measured | str, ...]
+        self, settings: tuple[ComparedOptions, ...], measured: tuple[ComparedResult | str, ...]
     ) -> None:
         if self._seen and settings == self._settings:
             self._take(measured)
@@ -383,7 +383,7 @@ class ComparePanel(QWidget):
         if failed.key == "compare":
             self._take(NOT_MEASURED)
 
-    def _take(self, measured: tuple[Measured | str | None, ...]) -> None:
+    def _take(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         if measured is not self._measured:
             self._measured = measured
             self._show()

@@ -73,7 +73,7 @@ class ShearReference:
         if not isinstance(source, Recording) or source.colour is None or len(source) > LONG:
             self._passing = PassingTexture(pipeline, options.friction, options.flow)
             return
-        pipeline.watch_texture(None, options=TractionOptions(options.friction))
+        pipeline.use_optical_flow(None, options=TractionOptions(options.friction))
         try:
             self.words = watch_recorded_texture(
                 pipeline,

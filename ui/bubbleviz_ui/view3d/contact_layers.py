@@ -10,7 +10,7 @@ import numpy as np
 import pyvista as pv
 
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.output import Measured
+from bubbleviz.output import ComparedResult
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices, ColourMap
@@ -164,17 +164,17 @@ class ComparedLayer(Layer):
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._outlines = [_Outline(self, colour) for colour in theme.COMPARED]
-        self._measured: tuple[Measured | str | None, ...] = (None, None)
+        self._measured: tuple[ComparedResult | str | None, ...] = (None, None)
 
-    def take(self, measured: tuple[Measured | str | None, ...]) -> None:
-        """Take what A and B were measured to be; anything but a `Measured` for none."""
+    def take(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
+        """Take what A and B were measured to be; anything but a `ComparedResult` for none."""
         self._measured = measured
 
     def draw(self, picture: Picture) -> None:
         """Trace the patches of A and B, unless they are of another frame."""
         shown, larger = picture.result.frame.index, picture.choices.exaggeration
         for outline, one in zip(self._outlines, self._measured, strict=True):
-            there = one if isinstance(one, Measured) else None
+            there = one if isinstance(one, ComparedResult) else None
             if there is not None and there.result.frame.index != shown:
                 there = None
             outline.draw(there, larger)
@@ -188,7 +188,7 @@ class _Outline:
         self._line = _Line(layer, colour, -300.0, line_width=2)
         self._mesh: MembraneMesh | None = None
 
-    def draw(self, measured: Measured | None, exaggeration: float) -> None:
+    def draw(self, measured: ComparedResult | None, exaggeration: float) -> None:
         patch = None if measured is None else measured.result.trusted_patch
         if measured is None or patch is None or patch.area_m2 == 0.0:
             self._line.draw(np.empty((0, 2, 3)))

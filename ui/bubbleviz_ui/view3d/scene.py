@@ -12,7 +12,7 @@ from vtkmodules.vtkRenderingCore import vtkAssembly, vtkProp3D
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Probed
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.output import Measured
+from bubbleviz.output import ComparedResult
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.choices import Choices
@@ -211,7 +211,7 @@ class Scene:
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def compare(self, measured: tuple[Measured | str | None, ...]) -> None:
+    def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings into pictures of the frame they are of."""
         self._drawn.of(ComparedLayer).take(measured)
         self.apply(self._choices)

@@ -1,4 +1,4 @@
-"""Two estimator settings on the same frame: run time and error of each."""
+"""Comparison of estimator settings on one frame: result, run time and error of each."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import Truth
 
-# How well two masks of one image agree.
-
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
     """Intersection over union of two masks; 1 where both are empty."""
@@ -30,20 +28,19 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 
 
 @dataclass(frozen=True)
-class Measured:
-    """One setting on one frame; NaN where there is no number, or no truth to compare with."""
+class ComparedResult:
+    """Result of one setting on one frame; errors are NaN without estimate or ground truth."""
 
-    result: Result  # what it made of the frame
+    result: Result
     numbers: Numbers  # of the result
-    mesh: MembraneMesh  # reference surface it did that on
+    mesh: MembraneMesh  # reference surface
     solver: str
     iou: float = float("nan")  # of the patch's pixels with the true ones
-    # length of the difference of the force vectors over the length of the true one
-    force_error: float = float("nan")
+    force_error: float = float("nan")  # |difference of the forces| over |true force|
 
 
-class SideBySide:
-    """Measures settings; keeps what they need built."""
+class SettingsComparison:
+    """Processes frames with several settings, and caches the pipelines."""
 
     def __init__(
         self,
@@ -51,29 +48,29 @@ class SideBySide:
         intrinsics: Intrinsics | None = None,  # of the recording
     ) -> None:
         self._sensor, self._intrinsics = sensor, intrinsics
-        self.pipelines: dict[EstimatorOptions, Pipeline] = {}  # kept ready, by setting
+        self.pipelines: dict[EstimatorOptions, Pipeline] = {}
 
     def keep(self, settings: Collection[EstimatorOptions]) -> None:
-        """Drop pipelines built for other settings, whose solvers take a lot of memory."""
+        """Drop the pipelines of all other settings, as solvers take a lot of memory."""
         self.pipelines = {o: pipeline for o, pipeline in self.pipelines.items() if o in settings}
 
     def measure(
         self,
         options: EstimatorOptions,
-        frame: Frame,  # its gas pressure already zeroed
-        rule: FrameOptions | None = None,  # what makes the patch
+        frame: Frame,  # with corrected zero of the gas pressure
+        rule: FrameOptions | None = None,  # of the patch
         truth: Truth | None = None,
         *,
-        # the frame has one answer; else it is warm-started from the frame before, as in playback
+        # independent of earlier frames; else warm-started from the previous frame, as in playback
         settled: bool = False,
-    ) -> Measured:
+    ) -> ComparedResult:
         """Process a frame with a setting.
 
-        Raises InputError: the setting is impossible.
+        Raises InputError: invalid settings.
         """
         pipeline = self._pipeline(options)
         if settled or not pipeline.counts:
-            pipeline.settle(frame)
+            pipeline.converge(frame)
         result = pipeline.process(frame, PRODUCTS, rule)
         estimate, patch = result.solution
         errors: dict[str, float] = {}
@@ -81,7 +78,8 @@ class SideBySide:
             errors["iou"] = iou(patch.pixel_mask, truth.patch_mask)
             errors["force_error"] = truth.force_error(patch.force_n)
         numbers = numbers_of(result, pipeline.model.gas)
-        return Measured(result, numbers, pipeline.mesh, pipeline.estimator.solver_name, **errors)
+        solver = pipeline.estimator.solver_name
+        return ComparedResult(result, numbers, pipeline.mesh, solver, **errors)
 
     def _pipeline(self, options: EstimatorOptions) -> Pipeline:
         pipeline = self.pipelines.get(options)
