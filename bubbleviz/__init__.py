@@ -1,14 +1,14 @@
-"""Soft-bubble tactile sensors from Python: no Qt, runs with no screen.
+"""Soft-bubble tactile sensors from Python, without Qt or a screen.
 
-Data flows one way: source → `Frame` → `Pipeline` → `Result` → window, file, publisher.
-Units are SI throughout: m, Pa, N, N/m, s, rad.
+Data flow: source → `Frame` → `Pipeline` → `Result` → window, file, publisher.
+Units are SI: m, Pa, N, N/m, s, rad.
 
     import bubbleviz as bv
 
     run = bv.estimate(bv.open("press.mcap")[60:90])
     run.table()
 
-Importing this loads nothing; each name below loads what it needs when it is first used.
+Each name imports its modules when it is first used.
 """
 
 import lazy_loader

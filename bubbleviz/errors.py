@@ -4,16 +4,16 @@ from __future__ import annotations
 
 
 class InputError(Exception):
-    """Bad input from outside: a file, a message, an argument.
+    """Invalid file, message or argument.
 
-    The message is one line that names the file, what is wrong and what to do. Commands print
-    it and exit with code 2; the window shows it and keeps what it had.
+    The message is one line with the file, the problem and the remedy. Commands print it and exit
+    with code 2; the window shows it and keeps its state.
     """
 
 
 class StreamStoppedError(InputError):
-    """A live source sent depth images and sends no more, though it has not ended."""
+    """A live source has stopped sending depth images without ending."""
 
 
 class SolveError(Exception):
-    """A well-formed problem that has no trustworthy answer (the status of the result says why)."""
+    """Valid input for which the solver found no trustworthy solution."""

@@ -1,4 +1,4 @@
-"""Faster imports: defer modules that may never be used."""
+"""Deferred imports of modules that may never be used."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from types import ModuleType
 from typing import Any
 
 _ATTEMPTS = 9
-"""Tries at an import that other threads' imports disturb; one is enough but by rare chance."""
+"""Tries at an import that imports in other threads may disturb, which is rare."""
 
 
 class _Deferred(ModuleType):
-    """Stands for a module until something of it is asked for."""
+    """Placeholder that imports the module when an attribute is used."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -29,8 +29,8 @@ class _Deferred(ModuleType):
 def import_without(package: str, part: str) -> None:
     """Import a package but defer one of its modules until an attribute of it is used.
 
-    `import open3d` loads a web server for `open3d.visualization`, which is two thirds of its time;
-    pyvista loads `matplotlib.pyplot` for one function. Does nothing when the part is loaded.
+    `import open3d` spends two thirds of its time on a web server for `open3d.visualization`;
+    pyvista loads `matplotlib.pyplot` for one function. No effect if the part is already loaded.
 
     Parameters
     ----------
@@ -45,14 +45,14 @@ def import_without(package: str, part: str) -> None:
     except BaseException:
         sys.modules.pop(name, None)
         raise
-    if part not in vars(module):  # `hasattr` would have numpy import it
+    if part not in vars(module):  # `hasattr` would make numpy import it
         setattr(module, part, deferred)
 
 
 def _imported(package: str) -> ModuleType:
-    """Import a package, again where another thread's import got in its way.
+    """Import a package, and retry if an import in another thread interferes.
 
-    Open3D goes through `sys.modules`, which fails while another thread imports.
+    Open3D iterates over `sys.modules`, which fails during an import in another thread.
     """
     for _ in range(_ATTEMPTS - 1):
         try:
@@ -66,7 +66,7 @@ def _imported(package: str) -> ModuleType:
 def import_later(package: str) -> None:
     """Defer the import of a package until an attribute of it is used.
 
-    pyvista loads one for downloads, with SSL and progress bars. Does nothing when it is loaded.
+    pyvista loads one for downloads, with SSL and progress bars. No effect if already loaded.
     """
     if package not in sys.modules:
         _deferred(package)
@@ -74,18 +74,18 @@ def import_later(package: str) -> None:
 
 def _deferred(name: str) -> ModuleType:
     """Put a placeholder in `sys.modules` that imports the module when first used."""
-    made = _Deferred(name)
-    made.__spec__ = ModuleSpec(name, None)
-    sys.modules[name] = made
-    return made
+    placeholder = _Deferred(name)
+    placeholder.__spec__ = ModuleSpec(name, None)
+    sys.modules[name] = placeholder
+    return placeholder
 
 
 @contextmanager
 def defer_class(module: str, cls: str) -> Iterator[None]:
     """Replace a class, imported by name within the block, by a factory that imports it when called.
 
-    pyvista would load Matplotlib's figure drawing, for a chart that is not used. Does nothing
-    when the module is loaded.
+    pyvista would load Matplotlib's figure drawing for an unused chart. No effect if the module is
+    already loaded.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def defer_class(module: str, cls: str) -> Iterator[None]:
     def make(*args: Any, **kwargs: Any) -> Any:
         return getattr(importlib.import_module(module), cls)(*args, **kwargs)
 
-    meanwhile = ModuleType(module)
-    setattr(meanwhile, cls, make)
-    sys.modules[module] = meanwhile
+    substitute = ModuleType(module)
+    setattr(substitute, cls, make)
+    sys.modules[module] = substitute
     try:
         yield
     finally:
@@ -112,12 +112,12 @@ def defer_class(module: str, cls: str) -> Iterator[None]:
 def hide_package(package: str) -> Iterator[None]:
     """Make a package look uninstalled within the block.
 
-    pyvista would load mypy wherever that is, for a plugin of it. Does nothing when it is loaded.
+    pyvista would load mypy, if installed, for a plugin of it. No effect if already loaded.
     """
     if package in sys.modules:
         yield
         return
-    sys.modules[package] = None  # type: ignore[assignment]  # what makes Python not find it
+    sys.modules[package] = None  # type: ignore[assignment]  # imports then fail
     try:
         yield
     finally:
@@ -125,16 +125,16 @@ def hide_package(package: str) -> Iterator[None]:
 
 
 @contextmanager
-def everything_stays() -> Iterator[None]:
-    """Import many modules without looking for garbage: all they make stays until the end.
+def without_garbage_collection() -> Iterator[None]:
+    """Import modules without garbage collection, which takes a quarter of the import time.
 
-    Python would look again and again at all that is loaded, a quarter of the time of the imports.
+    Objects created in the block are excluded from later collections.
     """
-    looked = gc.isenabled()
+    enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         gc.freeze()
-        if looked:
+        if enabled:
             gc.enable()

@@ -11,7 +11,7 @@ Group = Literal["readers", "sources", "solvers"]
 
 
 def plugin(group: Group, name: str) -> Any:
-    """What an installed package offers as `bubbleviz.<group>` under a name; None if none does.
+    """Object of the entry point `name` in `bubbleviz.<group>`; None if there is none.
 
     Raises
     ------
@@ -21,7 +21,7 @@ def plugin(group: Group, name: str) -> Any:
     for point in entry_points(group=f"bubbleviz.{group}", name=name):
         try:
             return point.load()
-        except Exception as error:  # whatever another package does when it is imported
+        except Exception as error:  # imports of other packages may raise anything
             package = point.dist.name if point.dist is not None else point.module
             raise InputError(
                 f"{name}: the plug-in of package {package} cannot be loaded: {error}; "
@@ -31,5 +31,5 @@ def plugin(group: Group, name: str) -> Any:
 
 
 def plugin_names(group: Group) -> list[str]:
-    """Names that installed packages offer as `bubbleviz.<group>`."""
+    """Names of the entry points in `bubbleviz.<group>`."""
     return sorted(entry_points(group=f"bubbleviz.{group}").names)

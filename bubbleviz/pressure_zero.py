@@ -1,4 +1,4 @@
-"""Zeroing the gas pressure: removes ambient drift and sensor offset."""
+"""Zero of the gas pressure: removes changes of ambient pressure and the sensor's offset."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 
-ENOUGH = 15  # contact-free frames whose median is a zero: half a second at 30 Hz
-FEWEST = 3
-"""Contact-free frames in a row that a recording's zero is taken from where it has no more: one by
-itself may be a failed image."""
-PLACES = 20  # where a recording is looked at for a rest
-PASSED = 6  # live frames after one with contact that are not asked about
+ZERO_FRAMES = 15  # contact-free frames for a zero, which is their median: half a second at 30 Hz
+MIN_FRAMES = 3
+"""Fewest consecutive contact-free frames for the zero of a recording: a single one may be a failed
+image."""
+_SEARCH_POINTS = 20  # positions in a recording where contact-free frames are searched
+SKIPPED = 6  # live frames after one with contact that are not tested
 
 
 class PressureZero:
-    """Shifts the measured gas pressure so that its contact-free level is the sensor file's.
+    """Shifts the measured gas pressure so that it equals the sensor file's without contact.
 
-    The sensor file has the gauge pressure and the atmospheric pressure of the day it was made.
-    Another day's weather (±2 kPa) and the offset of a pressure sensor would be read as contact.
-    What is constant without contact says nothing, hence it is taken away. Until it is known, frames
-    have the weather's standard deviation in `gas_sigma_pa`.
-
+    The sensor file has gauge and atmospheric pressure of the day it was made. The weather of
+    another day (±2 kPa) and the offset of a pressure sensor would look like contact, so they are
+    subtracted. Until they are known, frames have the weather's standard deviation in
+    `gas_sigma_pa`.
     """
 
     def __init__(
@@ -35,23 +34,22 @@ class PressureZero:
         reference_pa: float,  # absolute pressure of the inflated, untouched bubble in the file, Pa
     ) -> None:
         self.reference_pa = reference_pa
-        # taken from every measured pressure, Pa; None until it is known, and nothing is shifted
-        self.offset_pa: float | None = None
-        self.frames = 0  # contact-free ones that it was taken from
+        self.offset_pa: float | None = None  # of the measured pressure; None: unknown
+        self.frames = 0  # contact-free frames used for the offset
         self._free: list[float] = []
-        self._asked = True
-        self._passing = 0
+        self._collecting = True
+        self._to_skip = 0
 
     @property
     def waiting(self) -> bool:
         """Whether contact-free frames are still being collected."""
-        return self._asked
+        return self._collecting
 
     def refer_to(self, reference_pa: float) -> None:
-        """Take the gas pressure of another sensor file, Pa.
+        """Use the gas pressure of another sensor file, Pa.
 
-        What was measured at rest stays, so the offset moves with the reference at once. It is asked
-        for anew, as the other file may see contact where this one saw none.
+        The pressure measured at rest is kept, so the offset changes with the reference. A new zero
+        is collected, as frames without contact by one sensor file may have contact by the other.
         """
         if reference_pa == self.reference_pa:
             return
@@ -61,45 +59,45 @@ class PressureZero:
         self.zero_now()
 
     def zero_now(self) -> None:
-        """Begin anew with the contact-free frames that come; the present offset stays till then."""
-        self._free, self._asked = [], True
+        """Collect a new zero from the next contact-free frames; keep the offset until then."""
+        self._free, self._collecting = [], True
 
     @property
     def rest_pa(self) -> float | None:
-        """Measured without contact, Pa; None until it is known."""
+        """Pressure measured without contact, Pa; None if unknown."""
         return None if self.offset_pa is None else self.offset_pa + self.reference_pa
 
     def restore(self, rest_pa: float | None, *, waiting: bool) -> None:
-        """Return to an earlier `rest_pa`, and to having waited for another or not."""
+        """Restore an earlier state of `rest_pa` and `waiting`."""
         self.offset_pa = None if rest_pa is None else rest_pa - self.reference_pa
-        self._free, self._asked = [], waiting
+        self._free, self._collecting = [], waiting
 
     def learn(
         self,
         raw_pressure_pa: float | None,
         *,
-        contact_free: bool,  # whether its depth image alone says that nothing touches
+        contact_free: bool,  # by the depth image alone
     ) -> None:
-        """Take note of a frame's measured pressure, Pa, as it was before `applied`."""
-        if not self._asked or raw_pressure_pa is None:
+        """Add the measured pressure of a frame, Pa, before correction."""
+        if not self._collecting or raw_pressure_pa is None:
             return
         if not contact_free:
-            self._free.clear()  # a zero is learned in one rest, not from scraps of many
-            self._passing = PASSED
+            self._free.clear()  # a zero comes from consecutive frames
+            self._to_skip = SKIPPED
             return
         self._free.append(raw_pressure_pa)
-        if len(self._free) >= ENOUGH:
+        if len(self._free) >= ZERO_FRAMES:
             self.take(self._free)
 
     def take(self, pressures_pa: Sequence[float]) -> None:
-        """Take the zero from the measured pressures of contact-free frames, Pa."""
+        """Compute the zero from the measured pressures of contact-free frames, Pa."""
         self.offset_pa = float(np.median(pressures_pa)) - self.reference_pa
         self.frames = len(pressures_pa)
-        self._free, self._asked = [], False
+        self._free, self._collecting = [], False
 
     @property
     def words(self) -> str:
-        """What was done, in one line."""
+        """Description in one line."""
         if self.offset_pa is None:
             weather = 1e-3 * HALF_95 * WEATHER_SIGMA_PA
             return (
@@ -109,12 +107,12 @@ class PressureZero:
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 
     def wants_next(self) -> bool:
-        """Whether the next frame should be tested for contact; in one only every few are."""
-        self._passing = max(self._passing - 1, 0)
-        return self._asked and self._passing == 0
+        """Whether to test the next frame for contact; during contact only every sixth is."""
+        self._to_skip = max(self._to_skip - 1, 0)
+        return self._collecting and self._to_skip == 0
 
     def applied(self, frame: Frame) -> Frame:
-        """The frame with its gas pressure shifted, or with how far it may be off."""
+        """The frame with corrected gas pressure, or with its standard deviation."""
         if frame.gas_pressure_pa is None:
             return frame
         if self.offset_pa is None:
@@ -123,36 +121,36 @@ class PressureZero:
 
 
 def zeroed(frame: Frame, zero: PressureZero, pipeline: Pipeline) -> Frame:
-    """The frame with its gas pressure shifted; learned from where the zero is still waited for."""
+    """The frame with corrected gas pressure, after use for the zero if that is being collected."""
     if frame.gas_pressure_pa is not None and zero.wants_next():
         zero.learn(frame.gas_pressure_pa, contact_free=pipeline.is_untouched(frame))
     return zero.applied(frame)
 
 
 def zero_of(source: FrameSource, pipeline: Pipeline) -> PressureZero | None:
-    """Zero of a recording, from a rest of it; None where it has no gas pressure.
+    """Zero from contact-free frames of a recording; None if it has no gas pressure.
 
-    The start is looked at first, then places spread over it: solving contact takes time. Without a
-    rest the zero stays unknown.
+    They are searched at the start, then at positions spread over the recording. The zero is unknown
+    if there are none.
     """
     if source[0].gas_pressure_pa is None:
         return None
     zero = PressureZero(pipeline.model.gas.P0)
     longest: list[float] = []
-    places = np.unique(np.linspace(0, len(source) - FEWEST, PLACES).astype(int))
-    for place in places[places >= 0]:
-        longest = max(longest, _rest_from(source, int(place), pipeline), key=len)
-        if len(longest) == ENOUGH:
+    starts = np.unique(np.linspace(0, len(source) - MIN_FRAMES, _SEARCH_POINTS).astype(int))
+    for start in starts[starts >= 0]:
+        longest = max(longest, _rest_from(source, int(start), pipeline), key=len)
+        if len(longest) == ZERO_FRAMES:
             break
-    if len(longest) >= FEWEST:
+    if len(longest) >= MIN_FRAMES:
         zero.take(longest)
     return zero
 
 
 def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[float]:
-    """Gas pressures of the contact-free frames in a row from one on."""
+    """Gas pressures of consecutive contact-free frames from `start` on."""
     rest: list[float] = []
-    for index in range(start, min(start + ENOUGH, len(source))):
+    for index in range(start, min(start + ZERO_FRAMES, len(source))):
         frame = source[index]
         if frame.gas_pressure_pa is None or not pipeline.is_untouched(frame):
             break

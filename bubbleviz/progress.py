@@ -1,4 +1,4 @@
-"""Progress reports of long computations, and how they are cancelled."""
+"""Progress reports and cancellation of long computations."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ from typing import Protocol
 
 
 class Cancelled(Exception):  # noqa: N818 - no error: requested by the user
-    """Raised by a `Progress` to stop a step; the step leaves nothing behind."""
+    """Raised by a `Progress` to stop a computation, which then leaves no partial results."""
 
 
 class Progress(Protocol):
-    """Called by a long step, often; it may raise `Cancelled`."""
+    """Called repeatedly by a long computation; may raise `Cancelled`."""
 
     def __call__(self, step: str, done: float) -> None:
-        """Step in plain words, and the share of it that is done, 0 … 1."""
+        """Name of the step, and its completed share, 0 … 1."""
 
 
-def part_of(whole: Progress, first: float, last: float) -> Progress:
-    """Progress of a part of a task, as shares of the whole from `first` to `last`.
+def part_of(task: Progress, first: float, last: float) -> Progress:
+    """Progress of a part of a task that takes its shares from `first` to `last`.
 
-    Where the part begins anew, with a step of its own, the whole stays where it is.
+    The share of the task never decreases, even if the part starts several steps.
     """
-    reached = first
+    furthest = first
 
     def report(step: str, done: float) -> None:
-        nonlocal reached
-        reached = max(reached, first + (last - first) * done)
-        whole(step, reached)
+        nonlocal furthest
+        furthest = max(furthest, first + (last - first) * done)
+        task(step, furthest)
 
     return report
 

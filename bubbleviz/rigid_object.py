@@ -11,8 +11,8 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, presets_folder, read_triangles
 
-LARGEST_M = 1.0  # of an object's box, m: more is in millimetres
-SMALLEST_M = 5e-4  # of an object's box, m
+_MAX_SIZE_M = 1.0  # of the bounding box; larger meshes are in millimetres
+_MIN_SIZE_M = 5e-4  # of the bounding box
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class RigidObject:
 def load_object(
     name: str | Path | RigidObject, unit: Literal["m", "mm"] | None = None
 ) -> RigidObject:
-    """Object from a mesh file or, where there is no such file, the preset of that name.
+    """Object from a mesh file or, if there is no such file, the preset of that name.
 
-    An object that is loaded already comes back as it is.
+    A `RigidObject` is returned unchanged.
 
-    Raises InputError: see `object_mesh`.
+    Raises InputError: no such object; see also `object_mesh`.
     """
     if isinstance(name, RigidObject):
         return name
@@ -46,13 +46,12 @@ def load_object(
 
 def object_mesh(
     path: str | Path,  # PLY, OBJ, STL or VTK
-    # unit of the file; by default millimetres where the name ends in `_mm`, else metres
+    # unit of the file; None: millimetres if the name ends in `_mm`, else metres
     unit: Literal["m", "mm"] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) in m and triangles (m, 3) of an object's file.
 
-    Raises InputError: unreadable, or above 1 m or below 0.5 mm in size: a unit mistaken for
-    another.
+    Raises InputError: unreadable, or larger than 1 m or smaller than 0.5 mm, so in a wrong unit.
     """
     path = Path(path)
     vertices, triangles = read_triangles(path)
@@ -60,12 +59,12 @@ def object_mesh(
     if in_mm:
         vertices = vertices * 1e-3
     size = float(np.ptp(vertices, axis=0).max())
-    if size > LARGEST_M:
+    if size > _MAX_SIZE_M:
         raise InputError(
             f"{path}: the object is {size:.4g} m long; if the file is in millimetres, choose "
             "millimetres next to it in the window, give pose --unit mm, or end its name in _mm"
         )
-    if size < SMALLEST_M:
+    if size < _MIN_SIZE_M:
         metres = "if the file is in metres, set its unit to m, or rename it without _mm"
         advice = metres if in_mm else "scale the mesh to metres"
         raise InputError(f"{path}: the object is only {size:.3g} m long; {advice}")

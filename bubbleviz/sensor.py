@@ -1,4 +1,4 @@
-"""The sensor file: validated, read from and written to TOML."""
+"""The sensor file: validated TOML."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from bubbleviz.files import (
 )
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
-"""A length of the sensor: outside 0.1 mm … 1 m somebody mixed up mm and m."""
+"""A length of the sensor: values outside 0.1 mm … 1 m are in a wrong unit."""
 Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
-"""Ten times the largest image."""
+"""Up to ten times the largest image."""
 LEAST_NOISE = 1e-6
 """Smallest relative noise: 0.1 µm at 100 mm, a thousandth of what depth cameras resolve."""
 
@@ -40,7 +40,7 @@ WEATHER_SIGMA_PA = 2e3 / 1.96
 
 
 ATMOSPHERES = 30e3, 120e3
-"""Atmospheric pressure, Pa: from the highest mountain's to a pressurised cabin's."""
+"""Plausible atmospheric pressures, Pa: from the highest mountain to a pressurised cabin."""
 
 
 class _Section(BaseModel):
@@ -76,14 +76,14 @@ class Pneumatics(_Section):
     """The gas behind the membrane and the tension in it."""
 
     gauge_pressure_pa: float = Field(ge=50.0, le=100e3)
-    """Below 50 Pa, 5 mm of water, nothing is inflated; above an atmosphere latex has burst."""
+    """At least 50 Pa (5 mm of water), at most an atmosphere, where latex bursts."""
     gauge_sigma_pa: float | None = Field(default=None, gt=0.0, le=100e3)
-    """Standard deviation of the gauge pressure; absent: by the calibration's interval, if any."""
+    """Standard deviation of the gauge pressure; absent: from the calibration's interval, if any."""
     atmospheric_pressure_pa: float = Field(default=101_325.0, ge=ATMOSPHERES[0], le=ATMOSPHERES[1])
     chamber_volume_m3: float = Field(ge=1e-7, le=10.0)
-    """From 0.1 ml to a room: litres for m³ and the like are beyond."""
+    """From 0.1 ml to 10 m³; values in litres are out of range."""
     tension_n_per_m: float | None = Field(default=None, ge=1e-3, le=1e6)
-    """A hundred times beyond P R/2 of the gauge pressures and sizes that are allowed here."""
+    """Within a factor of a hundred of P R/2 for the allowed gauge pressures and sizes."""
     volume_model: Literal["exact", "paper"] = "exact"
 
     @property
@@ -109,8 +109,8 @@ class Camera(_Section):
     quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
     noise_relative: float = Field(default=0.01, ge=LEAST_NOISE, lt=1.0)
     colour_delay_s: float = Field(default=0.0, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S)
-    """Stamp of a colour image minus that of the depth image of the same moment, s: negative where
-    colour leads depth, as beside a depth camera that filters in time."""
+    """Stamp of a colour image minus that of the depth image of the same scene, s; negative if
+    colour leads depth, as with depth cameras that filter in time."""
 
     @model_validator(mode="after")
     def _plausible_pose(self) -> Camera:
@@ -130,31 +130,31 @@ class Camera(_Section):
 
 
 class Calibration(_Section):
-    """What contact-free frames taught about this one sensor."""
+    """Calibration of this sensor from contact-free frames."""
 
     pixels_file: str
     """NPZ with `mask` (H×W bool, pixels to use), `bias_m` and `noise_m` (H×W, of range)."""
-    recording: str | None = None  # name of the recording it was made from
+    recording: str | None = None  # name of the recording of these frames
     recording_sha256: str | None = None
-    """Of its file, or of its files one after the other in the order of their names."""
-    report: str | None = None  # path of the report that says how, as given when it was made
+    """Of its file, or of its concatenated files in the order of their names."""
+    report: str | None = None  # path of the report, as given by the user
     date: str | None = None  # ISO 8601, UTC
     tension_interval_n_per_m: tuple[float, float] | None = None  # 95 % interval of γ0
     gauge_interval_pa: tuple[float, float] | None = None
-    """95 % interval of the gauge pressure, where it was measured and not assumed."""
-    gauge_from: str | None = None  # what the gauge pressure rests on
+    """95 % interval of the gauge pressure, if measured."""
+    gauge_from: str | None = None  # source of the gauge pressure
     prestretch_interval: tuple[float, float] | None = None
-    """95 % interval of λ, where it was measured."""
-    prestretch_from: str | None = None  # what λ rests on
+    """95 % interval of λ, if measured."""
+    prestretch_from: str | None = None  # source of λ
     edited: tuple[str, ...] | None = None
-    """Keys of values that were changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
+    """Keys of values changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
 
 class Sensor(_Section):
-    """One Soft-bubble sensor, as its file describes it.
+    """One Soft-bubble sensor as described by its file.
 
-    `folder` is where relative file names inside it start and `file` its name there, empty for a
-    sensor of no file; neither is part of the file.
+    Relative file names refer to `folder`; `file` is the file's name there, empty for a sensor
+    without file. Neither is written to the file.
     """
 
     schema_version: Literal[1] = 1
@@ -172,14 +172,14 @@ class Sensor(_Section):
 
 
 def load_sensor(name: str | Path | Sensor) -> Sensor:
-    """Sensor from a TOML file or, where there is no such file, the preset of that name.
+    """Sensor from a TOML file or, if there is no such file, the preset of that name.
 
-    A sensor that is loaded already comes back as it is.
+    A `Sensor` is returned unchanged.
 
     Raises
     ------
     InputError
-        The file is missing, is not TOML, or breaks the schema; names the key and what to do.
+        The file is missing, is not TOML, or violates the schema.
     """
     if isinstance(name, Sensor):
         return name
@@ -196,7 +196,7 @@ MEASURED = {
     "pneumatics.gauge_pressure_pa": ("gauge_interval_pa", "gauge_from"),
     "membrane.prestretch": ("prestretch_interval", "prestretch_from"),
 }
-"""What `Calibration` tells of a value, by the value's key."""
+"""Keys of `Calibration` that describe a value, by the key of the value."""
 
 
 def contradiction(sensor: Sensor) -> str:
@@ -218,12 +218,12 @@ def contradiction(sensor: Sensor) -> str:
 
 def edited(
     sensor: Sensor,
-    # by key, such as `pneumatics.gauge_pressure_pa`; None: absent from the file
+    # by key, such as `pneumatics.gauge_pressure_pa`; None removes a key
     values: Mapping[str, Any],
 ) -> Sensor:
-    """Sensor with other values; the calibration names them, without their intervals.
+    """Sensor with changed values; the calibration lists them as edited, without intervals.
 
-    Raises InputError: one breaks the rules of sensor files; names the key and what to do.
+    Raises InputError: a value violates the schema.
     """
     data = sensor.model_dump(exclude_none=True)
     for key, value in values.items():
@@ -233,18 +233,18 @@ def edited(
             continue
         table[name] = value
         if key == "pneumatics.gauge_pressure_pa":
-            table.pop("gauge_sigma_pa", None)  # of the number that was there
+            table.pop("gauge_sigma_pa", None)  # belongs to the old value
         calibration = data.get("calibration")
         if section and calibration is not None:
             calibration["edited"] = sorted({key, *calibration.get("edited", ())})
-            for told in MEASURED.get(key, ()):
-                calibration.pop(told, None)
-    there = Path(sensor.file or sensor.name)
-    return checked(Sensor, {**data, "folder": sensor.folder, "file": sensor.file}, there, "sensor")
+            for outdated in MEASURED.get(key, ()):
+                calibration.pop(outdated, None)
+    path = Path(sensor.file or sensor.name)
+    return checked(Sensor, {**data, "folder": sensor.folder, "file": sensor.file}, path, "sensor")
 
 
 def with_colour_delay(sensor: Sensor, colour_delay_s: float | None) -> Sensor:
-    """Sensor with another delay of colour, s, which then is of no file; as it is for None."""
+    """Sensor with another colour delay, s, and without file name; unchanged for None."""
     if colour_delay_s in (None, sensor.camera.colour_delay_s):
         return sensor
     camera = sensor.camera.model_copy(update={"colour_delay_s": colour_delay_s})
@@ -252,7 +252,7 @@ def with_colour_delay(sensor: Sensor, colour_delay_s: float | None) -> Sensor:
 
 
 def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) -> None:
-    """Write a sensor file, and under its name copies of the mesh and the pixels that it names.
+    """Write a sensor file, and copies of its mesh and pixels with the same name.
 
     Parameters
     ----------
@@ -260,27 +260,27 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
     path : path
         `X.toml`.
     overwrite : bool
-        Replace files of these names.
+        Replace existing files.
 
     Raises
     ------
     InputError
-        The name does not end in .toml, or a file exists or cannot be written; nothing is written
-        then.
+        The name does not end in .toml, or a file exists or cannot be written; then nothing is
+        written.
     """
     path = Path(path)
     if path.suffix != ".toml":
         raise InputError(f"{path}: a sensor file ends in .toml; rename it")
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
-        # Published last to first: the sensor file comes last, when what it names is there.
+        # Files appear in reverse order: the sensor file last, after the files that it names.
         toml = files.enter_context(whole_file(path, overwrite=overwrite))
 
         def copied(name: str) -> str:
-            there, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)
-            if not there.is_file():
-                raise InputError(f"{there}: is missing; restore it or identify the sensor again")
-            shutil.copyfile(there, files.enter_context(whole_file(copy, overwrite=overwrite)))
+            original, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)
+            if not original.is_file():
+                raise InputError(f"{original}: missing; restore it or identify the sensor again")
+            shutil.copyfile(original, files.enter_context(whole_file(copy, overwrite=overwrite)))
             return copy.name
 
         if membrane.mesh_file is not None:
@@ -294,6 +294,6 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
 
 
 def sensor_to_toml(sensor: Sensor) -> str:
-    """Text of the sensor file that describes `sensor`."""
+    """TOML text of the sensor file."""
     data: dict[str, Any] = sensor.model_dump(mode="json", exclude_none=True)
     return tomli_w.dumps(data)

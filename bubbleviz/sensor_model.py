@@ -1,4 +1,4 @@
-"""Sensor in memory: mesh, camera and pixel model, built once from the sensor file."""
+"""Sensor in memory: mesh, camera and pixel model, built from the sensor file."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.sensor import Sensor
 
-_MAX_BLOCK = 32  # largest side of a block in pixels: beyond it averaging saves no more time
+_MAX_BLOCK = 32  # largest side of a block in pixels: larger blocks save no more time
 
 
 @dataclass(frozen=True, repr=False)
 class SensorModel:
-    """What estimating, simulating and calibrating need of one sensor."""
+    """One sensor for estimation, simulation and calibration."""
 
     sensor: Sensor
     camera: DepthCamera  # in the bubble frame B
     mesh: MembraneMesh  # reference surface
-    pixels: PixelModel | None = None  # calibration of each pixel, where there is one
+    pixels: PixelModel | None = None  # calibration of each pixel; None: not calibrated
 
     @classmethod
     def of(
         cls,
         sensor: Sensor,
-        intrinsics: Intrinsics | None = None,  # of the recording; they win over the sensor file's
-        nodes: int | None = None,  # size of the mesh of an analytic dome in place of the file's
+        intrinsics: Intrinsics | None = None,  # of the recording; override the sensor file's
+        nodes: int | None = None,  # mesh size of an analytic dome; None: the sensor file's
     ) -> SensorModel:
-        """Build what a sensor file describes.
+        """Build the model of a sensor file.
 
-        Raises InputError: the recording's intrinsics are for another image size than the sensor's
-        camera, or mesh or pixels cannot be read.
+        Raises InputError: the intrinsics are for another image size than the sensor's camera, or
+        mesh or pixels cannot be read.
         """
         own, pixels = sensor.camera, None
         shape = own.height, own.width
@@ -57,7 +57,7 @@ class SensorModel:
         return cls(sensor, DepthCamera.of(own, intrinsics), build_mesh(sensor, nodes), pixels)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a pickle has: not what is made of it when it is asked for, three times as much."""
+        """State for pickle, without cached properties, which are three times as large."""
         camera = DepthCamera(self.camera.intrinsics, self.camera.T_B_C)
         own = {"sensor": self.sensor, "mesh": self.mesh, "pixels": self.pixels}
         return {**own, "camera": camera}
@@ -96,11 +96,9 @@ class SensorModel:
 
     def observer(
         self,
-        # side in pixels; half a mesh edge seen from the camera where not given, so that averaging
-        # loses nothing
-        block: int | None = None,
+        block: int | None = None,  # side in pixels; None: half a mesh edge as seen by the camera
     ) -> RangeObserver:
-        """What range images say of the membrane, by blocks of pixels."""
+        """Observer that averages range images over blocks of pixels."""
         noise = self.sensor.camera.noise_relative
         return RangeObserver(
             self.camera, self.mesh, noise, self.pixels, block or self._block(), self.view.at_rest
@@ -113,11 +111,11 @@ class SensorModel:
         return min(max(1, size), _MAX_BLOCK)
 
     def range_image(self, depth_m: np.ndarray) -> np.ndarray:
-        """Range (H, W) of a z-depth image, m: calibrated, NaN in pixels not to be used."""
+        """Calibrated range (H, W) of a z-depth image, m; NaN in unused pixels."""
         ranges = self.camera.range_image(depth_m)
         return ranges if self.pixels is None else self.pixels.corrected(ranges)
 
     def ranges(self, depth_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """The same of some pixels, by their flat indices, (k,)."""
+        """The same for pixels given by flat indices (k,)."""
         ranges = depth_m.ravel()[pixels] * self.camera.range_per_depth.ravel()[pixels]
         return ranges if self.pixels is None else self.pixels.at(pixels).corrected(ranges)

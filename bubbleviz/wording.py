@@ -1,4 +1,4 @@
-"""Parts of messages that several places share."""
+"""Functions that format numbers and texts in messages."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def count_of(number: int, noun: str) -> str:
 
 
 def decimals_of(half_width: float, most: int) -> int:
-    """Decimals that show an uncertainty to two significant digits, or fewer: more say nothing.
+    """Decimals that show an uncertainty to two significant digits, at most `most`.
 
-    Less than 0 where tens or hundreds are already uncertain. Source: JCGM 100:2008 (GUM), 7.2.6.
+    Negative where tens or hundreds are uncertain. Source: JCGM 100:2008 (GUM), 7.2.6.
     """
     if not half_width > 0.0:
         return most
@@ -22,12 +22,12 @@ def decimals_of(half_width: float, most: int) -> int:
 
 
 def rounded(number: float, decimals: int) -> str:
-    """The number as text, to decimals that may be below 0; never -0."""
+    """The number as text, rounded to decimals that may be negative; never -0."""
     return f"{round(number, decimals) + 0.0:.{max(decimals, 0)}f}"
 
 
 def how_to_install(extra: str) -> str:
-    """Command that installs an optional part, from this checkout or from a package index."""
+    """Command that installs an optional extra, from this checkout or from a package index."""
     checkout = Path(__file__).parents[1]
     if (checkout / "pyproject.toml").is_file():
         return f'pip install -e "{checkout}[{extra}]"'
@@ -35,5 +35,5 @@ def how_to_install(extra: str) -> str:
 
 
 def encodable(text: str) -> str:
-    r"""Text that can be written as UTF-8: of a file name that is none, `\udcff` as in JSON."""
+    r"""Text that can be encoded in UTF-8; invalid characters of file names become `\udcff`."""
     return text.encode(errors="backslashreplace").decode()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.pressure_zero import ENOUGH, PASSED, PressureZero
+from bubbleviz.pressure_zero import SKIPPED, ZERO_FRAMES, PressureZero
 from bubbleviz.recordings import Frame
 
 REFERENCE = 103_910.5
@@ -21,7 +21,7 @@ def frame(pressure):
 
 
 def test_the_median_of_a_rest_is_taken_from_every_pressure():
-    pressures = REFERENCE + 250.0 + np.arange(ENOUGH) ** 2
+    pressures = REFERENCE + 250.0 + np.arange(ZERO_FRAMES) ** 2
     assert learned(pressures[:-1]).applied(frame(REFERENCE)).gas_pressure_pa == REFERENCE
     zero = learned(pressures)
     assert not zero.waiting
@@ -34,15 +34,15 @@ def test_the_median_of_a_rest_is_taken_from_every_pressure():
 
 
 def test_an_interrupted_contact_free_run_starts_again():
-    zero = learned(np.full(ENOUGH - 1, REFERENCE + 900.0))
+    zero = learned(np.full(ZERO_FRAMES - 1, REFERENCE + 900.0))
     zero.learn(None, contact_free=False)  # without a pressure there is nothing to tell
     assert zero.wants_next()
     zero.learn(REFERENCE + 900.0, contact_free=False)
-    assert [zero.wants_next() for _ in range(PASSED)] == [False] * (PASSED - 1) + [True]
-    for k in range(ENOUGH):
+    assert [zero.wants_next() for _ in range(SKIPPED)] == [False] * (SKIPPED - 1) + [True]
+    for k in range(ZERO_FRAMES):
         assert zero.offset_pa is None
         zero.learn(REFERENCE - 70.0, contact_free=True)
-        assert zero.waiting is (k < ENOUGH - 1)
+        assert zero.waiting is (k < ZERO_FRAMES - 1)
     assert zero.offset_pa == pytest.approx(-70.0)
     assert not zero.wants_next()
     zero.zero_now()
@@ -50,7 +50,7 @@ def test_an_interrupted_contact_free_run_starts_again():
 
 
 def test_another_sensor_file_keeps_the_measured_rest_and_waits_again():
-    zero = learned(np.full(ENOUGH, REFERENCE + 250.0))
+    zero = learned(np.full(ZERO_FRAMES, REFERENCE + 250.0))
     zero.refer_to(REFERENCE)
     assert not zero.waiting
     zero.refer_to(REFERENCE + 1000.0)

@@ -23,7 +23,7 @@ from bubbleviz.live import (
     status_of,
 )
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pressure_zero import ENOUGH, PressureZero
+from bubbleviz.pressure_zero import ZERO_FRAMES, PressureZero
 from bubbleviz.recordings import Frame, FrameMessages, RecordingWriter
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
@@ -169,10 +169,10 @@ def test_a_zero_is_learned_in_one_rest_and_only_then():
     unknown = zero.applied(frame)
     assert unknown.gas_pressure_pa == 102_400.0
     assert 1.96 * unknown.gas_sigma_pa == pytest.approx(2e3)
-    for _ in range(ENOUGH - 1):
+    for _ in range(ZERO_FRAMES - 1):
         zero.learn(102_400.0, contact_free=True)
     zero.learn(103_000.0, contact_free=False)  # touched: begin again
-    for k in range(ENOUGH - 1):
+    for k in range(ZERO_FRAMES - 1):
         zero.learn(102_400.0 + (k % 3), contact_free=True)
     assert zero.offset_pa is None
     zero.learn(102_400.0, contact_free=True)
@@ -183,7 +183,7 @@ def test_a_zero_is_learned_in_one_rest_and_only_then():
     assert zero.offset_pa == pytest.approx(-1499.0)
     zero.zero_now()
     assert zero.applied(frame).gas_pressure_pa == pytest.approx(103_899.0)  # till the new one
-    for _ in range(ENOUGH):
+    for _ in range(ZERO_FRAMES):
         zero.learn(102_300.0, contact_free=True)
     assert zero.offset_pa == pytest.approx(-1600.0)
     unmeasured = replace(frame, gas_pressure_pa=None)

@@ -123,7 +123,7 @@ def test_without_colour_it_is_depth_alone_and_says_so():
     [
         (["--friction", "-0.5"], "--friction"),
         (["--colour-delay", "-0.05"], "--colour-delay needs --shear"),
-        (["--shear"], "shear takes the exact membrane; choose --solver rubber"),
+        (["--shear"], "shear requires the exact membrane; choose --solver rubber"),
     ],
 )
 def test_what_is_asked_in_vain_is_said(tmp_path, options, said):

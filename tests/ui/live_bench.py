@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from window_driver import Driver
 
 from bubbleviz.live import SensorPlace, SessionPreset
-from bubbleviz.pressure_zero import ENOUGH
+from bubbleviz.pressure_zero import ZERO_FRAMES
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz_ui.live.connection import single
 
@@ -95,7 +95,7 @@ class Bench(Driver):
         """Have the zero of the gas pressure learned from readings at rest; returns it."""
         zero = self.run.session.sensors[0].zero
         zero.zero_now()
-        for _ in range(ENOUGH):
+        for _ in range(ZERO_FRAMES):
             zero.learn(reading_pa or zero.reference_pa + shift_pa, contact_free=True)
         return zero
 

@@ -7,10 +7,10 @@ import sys
 
 from bubbleviz.lazy_imports import (
     defer_class,
-    everything_stays,
     hide_package,
     import_later,
     import_without,
+    without_garbage_collection,
 )
 
 
@@ -18,7 +18,7 @@ def import_the_backend() -> None:
     """Import what looks at a recording, before there is a window."""
     for part in ("f2py", "testing"):  # SciPy asks for all of NumPy
         import_without("numpy", part)
-    with everything_stays():
+    with without_garbage_collection():
         import bubbleviz.recordings.sensor_matching  # noqa: F401
 
 
@@ -30,7 +30,7 @@ def import_the_window() -> None:
     import_without("scipy", "ndimage")
     import_later("pooch")
     charts = defer_class("matplotlib.backends.backend_agg", "FigureCanvasAgg")
-    with everything_stays(), charts, hide_package("mypy"):
+    with without_garbage_collection(), charts, hide_package("mypy"):
         # First what knows no Qt: PySide6 reads the source of every module that is imported after it
         import pyvista.plotting  # noqa: F401
 

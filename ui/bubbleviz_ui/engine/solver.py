@@ -468,10 +468,10 @@ def _misfit(session: Session) -> str:
         return ""
     # what the window starts without
     from bubbleviz.calibration import check_sensor
-    from bubbleviz.pressure_zero import ENOUGH
+    from bubbleviz.pressure_zero import ZERO_FRAMES
     from bubbleviz.recordings import find_contact_free
 
-    first = HeldFrames([source[k] for k in range(min(ENOUGH, len(source)))], source.name)
+    first = HeldFrames([source[k] for k in range(min(ZERO_FRAMES, len(source)))], source.name)
     try:
         free = find_contact_free(first).frames
         found = check_sensor(model, [first[k] for k in free], quick=True)
