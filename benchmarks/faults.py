@@ -88,7 +88,7 @@ def _row(press_name: str, kind: str, seed: int, number: int) -> list[FaultRow]:
     half = np.where(status == "no_contact", _NO_CONTACT_N, half)
     true = np.linalg.norm(press.force_n, axis=1)
     error = np.abs(force - np.pad(true, (0, count - len(true)), "edge"))
-    told = ~np.isin(status, ("ok", "no_contact")) | bool(run.said["warning"])
+    told = ~np.isin(status, ("ok", "no_contact")) | bool(run.context["warning"])
     held = ~told & (error <= half)
     worst = float(error[~told & ~held].max(initial=0.0))
     return [FaultRow(press_name, kind, size, unit, count, int(told.sum()), int(held.sum()), worst)]

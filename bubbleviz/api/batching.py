@@ -1,4 +1,4 @@
-"""Estimate many recordings, in processes here or on a Dask cluster, into one table."""
+"""Estimation of many recordings, in local processes or on a Dask cluster, into one table."""
 
 from __future__ import annotations
 
@@ -39,41 +39,41 @@ from bubbleviz.result import TRUSTED
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 
 RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
-"""Files in the folder of a recording's result."""
+"""Files in the result folder of a recording."""
 SUFFIXES = (".mcap", ".db3", ".bag")
-_COMPARED, _LOCK = "summary.csv", ".batch.lock"
+_SUMMARY_TABLE, _LOCK = "summary.csv", ".batch.lock"
 _NAN = float("nan")
 _HEADER = (
     *("recording", "frames", "contact", "max N", "mean N", "wrench N", "residual mm", "ms/frame"),
-    *("look at frame", "outcome"),
+    *("worst frame", "outcome"),
 )
 
 Outcome = Literal["done", "kept", "bad_input", "failed"]
-"""`done` now, `kept` from before; `bad_input` the recording's or the sensor's fault, `failed` any
-other."""
+"""`done` in this batch, `kept` from an earlier one; `bad_input`: a problem of recording or sensor,
+`failed`: any other."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """One recording in the summary table; NaN and -1 for what is not known."""
+class BatchRow:
+    """One recording in the summary table; NaN or -1 if unknown."""
 
-    recording: str  # path below the batch's folder
+    recording: str  # path relative to the batch's folder
     outcome: Outcome
     frames: int = 0
     contact_frames: int = 0  # with a contact patch
     untrusted_frames: int = 0  # neither `ok` nor `no_contact`
-    max_force_n: float = _NAN  # over the frames about which something is known
-    mean_contact_force_n: float = _NAN  # over those of them with a patch
-    mean_contact_measured_force_n: float = _NAN  # by the wrench, less its contact-free bias
+    max_force_n: float = _NAN  # over trusted frames
+    mean_contact_force_n: float = _NAN  # over trusted frames with a patch
+    mean_contact_measured_force_n: float = _NAN  # of the wrench, minus its contact-free bias
     median_residual_rms_m: float = _NAN
-    median_ms: float = _NAN  # depth image in → patch out, first frame left out
-    worst_frame: int = -1  # the first not to be trusted, else that of the largest residual
+    median_ms: float = _NAN  # depth image in → patch out, without the first frame
+    worst_frame: int = -1  # the first untrusted one, else that of the largest residual
     worst_status: str = ""
     worst_residual_rms_m: float = _NAN
     sensor: str = ""
-    error: str = ""  # one sentence; empty when there is a result
-    note: str = ""  # what is missing of the recording, or does not fit the sensor file
-    kappa: float | None = None  # None where the rule of the patch is automatic
+    error: str = ""  # one sentence; empty if there is a result
+    note: str = ""  # missing data, or differences from the sensor file
+    kappa: float | None = None  # None: automatic rule of the patch
 
     @property
     def has_result(self) -> bool:
@@ -81,39 +81,39 @@ class Row:
         return self.outcome in ("done", "kept")
 
     @classmethod
-    def of(cls, recording: str, rows: list[dict[str, Any]], said: dict[str, Any]) -> Row:
-        """Row of the frames of a `Run`, at least one of which is known, and what it says."""
-        told = statistics(rows)
+    def of(cls, recording: str, rows: list[dict[str, Any]], context: dict[str, Any]) -> BatchRow:
+        """Row of a `Run` from its frames, at least one of them trusted, and its context."""
+        summary = statistics(rows)
         trusted = [row["status"] in TRUSTED for row in rows]
         touching = [row for row in rows if row["patch_area_m2"] > 0.0]
         residuals = [row["residual_rms_m"] for row in rows]
         worst = rows[int(np.nanargmax(residuals)) if all(trusted) else trusted.index(False)]
         measured = np.array([row["measured_force_n"] for row in touching])
-        median_ms = told["median_total_ms"]
+        median_ms = summary["median_total_ms"]
         return cls(
             recording,
             "done",
             frames=len(rows),
             contact_frames=len(touching),
             untrusted_frames=len(rows) - sum(trusted),
-            max_force_n=told["max_force_n"],
+            max_force_n=summary["max_force_n"],
             mean_contact_force_n=_mean([np.linalg.norm(row["force_n"]) for row in touching]),
             mean_contact_measured_force_n=_mean(measured[np.isfinite(measured)]),
-            median_residual_rms_m=told["median_residual_rms_m"],
+            median_residual_rms_m=summary["median_residual_rms_m"],
             median_ms=_NAN if median_ms is None else median_ms,
             worst_frame=worst["frame"],
             worst_status=worst["status"],
             worst_residual_rms_m=float(worst["residual_rms_m"]),
-            sensor=said["sensor"],
-            note=said["warning"] or "",
-            kappa=said["kappa"],
+            sensor=context["sensor"],
+            note=context["warning"] or "",
+            kappa=context["kappa"],
         )
 
     @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> Row:
-        """Row from its JSON object; TypeError if its fields are not those of a row."""
+    def from_dict(cls, values: dict[str, Any]) -> BatchRow:
+        """Row from its JSON object. Raises TypeError: wrong fields."""
         if set(values) != {field.name for field in fields(cls)}:
-            raise TypeError("not the fields of a row")
+            raise TypeError("wrong fields of a row")
         known: Any = {k: _NAN if v is None and k != "kappa" else v for k, v in values.items()}
         return cls(**known)
 
@@ -121,8 +121,8 @@ class Row:
         """Texts for the terminal."""
         if not self.has_result:
             return [self.recording, *["–"] * (len(_HEADER) - 2), self.outcome]
-        trust = self.worst_status in TRUSTED
-        why = _number(1e3 * self.worst_residual_rms_m, " mm") if trust else self.worst_status
+        trusted = self.worst_status in TRUSTED
+        why = _number(1e3 * self.worst_residual_rms_m, " mm") if trusted else self.worst_status
         return [
             self.recording,
             str(self.frames),
@@ -142,27 +142,28 @@ class BatchSummary(Summary):
     """Summary of a batch."""
 
     table: str  # path of the CSV file
-    rows: list[Row]  # in the order of the recordings' paths
+    rows: list[BatchRow]  # in the order of the recordings' paths
 
     def to_text(self) -> str:
         """Aligned table with units, errors, and the path of the table."""
         kept = sum(row.outcome == "kept" for row in self.rows)
-        have = sum(row.has_result for row in self.rows)
-        was = f", {kept} of them from an earlier run" if kept else ""
+        with_result = sum(row.has_result for row in self.rows)
+        earlier = f", {kept} of them from an earlier run" if kept else ""
         return "\n".join(
             [
                 table(_HEADER, [row.cells() for row in self.rows]),
                 *(row.error for row in self.rows if not row.has_result),
                 *(f"{row.recording}: {row.note}" for row in self.rows if row.note),
-                f"wrote {self.table}: {have} of {len(self.rows)} recordings have a result{was}",
+                f"wrote {self.table}: {with_result} of {len(self.rows)} recordings have a result"
+                f"{earlier}",
             ]
         )
 
     def raise_failures(self) -> None:
-        """Raise when a recording has no result.
+        """Raise if a recording has no result.
 
-        Raises InputError: the recordings that failed are bad input. Raises SolveError: one of them
-        failed for another reason.
+        Raises InputError: all failures are bad input. Raises SolveError: one failed for another
+        reason.
         """
         failed = [row for row in self.rows if not row.has_result]
         if not failed:
@@ -177,12 +178,12 @@ class BatchSummary(Summary):
 class Job:
     """A recording to estimate."""
 
-    name: str  # path below the batch's folder
-    recording: str  # where it is
+    name: str  # path relative to the batch's folder
+    recording: str  # absolute path
     out: str  # folder of its result
     sensor: str  # file, preset or `auto`
     options: dict[str, Any]  # of `estimate`, and `frames` of `open`
-    keep: bool = True  # a result of the same recording and settings counts
+    keep: bool = True  # reuse an existing result of the same recording and settings
 
 
 def batch(
@@ -197,10 +198,10 @@ def batch(
     progress: Progress = quiet,
     **options: Any,
 ) -> BatchSummary:
-    """Estimate every recording below a folder in parallel, and write OUT/summary.csv.
+    """Estimate every recording in a folder and its subfolders in parallel; write OUT/summary.csv.
 
-    The result of FOLDER/a/b.mcap is in OUT/a/b.mcap/. Stopped at any moment, OUT holds whole
-    results only, or nothing but hidden temporary files that `resume` removes.
+    The result of FOLDER/a/b.mcap is in OUT/a/b.mcap/. An interrupted batch leaves complete results
+    only, and hidden temporary files that `resume` removes.
 
     Parameters
     ----------
@@ -210,56 +211,56 @@ def batch(
     sensor : str or path
         File or preset; `auto` for the preset that fits each recording.
     jobs : int, optional
-        Processes; by default as many as this process may use processors.
+        Processes; by default the number of processors available.
     scheduler : str, optional
-        Address of a Dask scheduler in place of processes here.
+        Address of a Dask scheduler, instead of local processes.
     resume : bool
-        Keep the results made of the same recordings with the same settings.
+        Keep existing results of the same recordings with the same settings.
     overwrite : bool
         Replace the results in `out`.
     progress : callable
-        Told each recording that is done, and the share of them; may raise to stop.
+        Called with each finished recording and the share of finished ones; may raise to stop.
     **options
         `kappa`, `solver`, `friction` and others of `estimate`, `frames` of `open`.
 
     Raises
     ------
     InputError
-        No recordings, a sensor or cluster that is not there, or `out` cannot be used. What is
-        wrong with single recordings is in their rows.
+        No recordings, no such sensor or cluster, or `out` cannot be used. Problems of single
+        recordings are in their rows.
     """
     if jobs is not None and scheduler is not None:
         raise InputError("--jobs counts processes on this machine; leave it out with --scheduler")
     found, out = find_recordings(folder), Path(out)
     if str(sensor) != AUTO:
-        load_sensor(sensor)  # else every recording would fail for the same reason
+        load_sensor(sensor)  # one error instead of one for every recording
     if scheduler is not None:
         check_cluster(scheduler)
     if not ((resume or overwrite) and out.is_dir()):
         refuse_existing(out)
-    todo = _jobs(found, Path(folder), out, str(sensor), options, keep=not overwrite or resume)
-    rows: dict[str, Row] = {}
-    with _owned(out, todo, scheduler is None):
+    all_jobs = _jobs(found, Path(folder), out, str(sensor), options, keep=not overwrite or resume)
+    rows: dict[str, BatchRow] = {}
+    with _locked(out, all_jobs, scheduler is None):
         running = (
-            run_in_processes(todo, min(jobs or _processors(), len(todo)))
+            run_in_processes(all_jobs, min(jobs or _processors(), len(all_jobs)))
             if scheduler is None
-            else _run_on_cluster(todo, scheduler)
+            else _run_on_cluster(all_jobs, scheduler)
         )
         with closing(running):
             for row in running:
                 rows[row.recording] = row
-                progress(row.recording, len(rows) / len(todo))
-        summary = BatchSummary(str(out / _COMPARED), [rows[job.name] for job in todo])
-        with whole_file(out / _COMPARED, overwrite=True) as temporary:
+                progress(row.recording, len(rows) / len(all_jobs))
+        summary = BatchSummary(str(out / _SUMMARY_TABLE), [rows[job.name] for job in all_jobs])
+        with whole_file(out / _SUMMARY_TABLE, overwrite=True) as temporary:
             write_rows(temporary, [asdict(row) for row in summary.rows])
     return summary
 
 
 def find_recordings(folder: str | Path) -> list[Path]:
-    """Everything below a folder that `Recording` would open, by path.
+    """All recordings in a folder and its subfolders, sorted by path.
 
     A folder with metadata.yaml is one recording (a rosbag2); elsewhere every .mcap, .db3 and .bag
-    file is one. Names that begin with a dot are left out: they are files being written.
+    file is one. Hidden files are ignored, as they may be unfinished.
 
     Raises InputError: there is no such folder, or no recording in it.
     """
@@ -267,56 +268,55 @@ def find_recordings(folder: str | Path) -> list[Path]:
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder; give the folder that holds the recordings")
     found: list[Path] = []
-    seen: set[str] = set()
-    for where, folders, files in os.walk(folder, followlinks=True):
-        real = os.path.realpath(where)
-        if real in seen:  # a link back, or to what was found already
+    visited: set[str] = set()
+    for parent, folders, files in os.walk(folder, followlinks=True):
+        real = os.path.realpath(parent)
+        if real in visited:  # a symbolic link to a folder searched already
             folders.clear()
             continue
-        seen.add(real)
+        visited.add(real)
         if "metadata.yaml" in files:
-            found.append(Path(where))
+            found.append(Path(parent))
             folders.clear()
             continue
         folders[:] = [name for name in folders if not name.startswith(".")]
-        shown = (name for name in files if not name.startswith("."))
-        found += [Path(where, name) for name in shown if name.endswith(SUFFIXES)]
+        visible = (name for name in files if not name.startswith("."))
+        found += [Path(parent, name) for name in visible if name.endswith(SUFFIXES)]
     if not found:
         raise InputError(
-            f"{folder}: no recording in it or below; it needs rosbag2 folders, .mcap, .db3 or "
-            ".bag files"
+            f"{folder}: no recording in it or its subfolders; it needs rosbag2 folders, .mcap, "
+            ".db3 or .bag files"
         )
     return sorted(found)
 
 
-def run_job(job: Job) -> Row:
-    """Estimate a recording unless a result of the same recording and settings is there.
+def run_job(job: Job) -> BatchRow:
+    """Estimate a recording, or reuse an existing result of the same recording and settings.
 
-    Never raises because of the recording: its row says what is wrong.
+    Exceptions are reported in the row.
     """
     try:
         return _run(job)
     except InputError as error:
-        return Row(job.name, "bad_input", error=_sentence(error))
+        return BatchRow(job.name, "bad_input", error=_sentence(error))
     except SolveError as error:
-        return Row(job.name, "failed", error=_sentence(error))
-    except Exception as error:  # the others of the batch do not depend on it
-        return Row(job.name, "failed", error=f"{type(error).__name__}: {_sentence(error)}")
+        return BatchRow(job.name, "failed", error=_sentence(error))
+    except Exception as error:  # must not stop the other jobs
+        return BatchRow(job.name, "failed", error=f"{type(error).__name__}: {_sentence(error)}")
 
 
-def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Row]:
-    """Rows of jobs as they end, in any order; closing the iterator ends the processes.
+def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[BatchRow]:
+    """Rows of jobs in the order in which they finish; closing the iterator kills the processes.
 
-    A process that dies costs its own job only. Not by a pool of the standard library, for the
-    reasons that `worker_process` gives.
+    If a process dies, only its job fails (see `worker_process`).
     """
-    left = list(reversed(jobs))
+    pending = list(reversed(jobs))
     busy: dict[Any, tuple[WorkerProcess, Job]] = {}
     with ExitStack() as stack:
-        idle = [stack.enter_context(WorkerProcess()) for _ in range(min(processes, len(left)))]
-        while left or busy:
-            while left and idle:
-                worker, job = idle.pop(), left.pop()
+        idle = [stack.enter_context(WorkerProcess()) for _ in range(min(processes, len(pending)))]
+        while pending or busy:
+            while pending and idle:
+                worker, job = idle.pop(), pending.pop()
                 worker.send(run_job, job)
                 busy[worker.pipe] = worker, job
             for pipe in wait(list(busy)):
@@ -326,23 +326,23 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Row]:
                 idle.append(worker)
 
 
-def _run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Row]:
+def _run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[BatchRow]:
     with closing(run_on_cluster(run_job, jobs, scheduler)) as running:
         for job, row, why in running:
             yield _lost(job, why) if row is None else row
 
 
-def _lost(job: Job, why: str) -> Row:
-    return Row(job.name, "failed", error=f"{job.recording}: {why}")
+def _lost(job: Job, why: str) -> BatchRow:
+    return BatchRow(job.name, "failed", error=f"{job.recording}: {why}")
 
 
-def _run(job: Job) -> Row:
+def _run(job: Job) -> BatchRow:
     out = Path(job.out)
     sensor_name, sensor = checked_sensor(job.recording, job.sensor)
     named = [sensor.membrane.mesh_file, sensor.calibration and sensor.calibration.pixels_file]
     files = [Path(job.recording), *(sensor.resolve(file) for file in named if file)]
-    depends = {**job.options, "sensor": sensor_to_toml(sensor), "version": bubbleviz.__version__}
-    parts = [*map(file_hash, files), json.dumps(depends, sort_keys=True)]
+    inputs = {**job.options, "sensor": sensor_to_toml(sensor), "version": bubbleviz.__version__}
+    parts = [*map(file_hash, files), json.dumps(inputs, sort_keys=True)]
     key = sha256("\n".join(parts).encode()).hexdigest()
     kept = _finished(out, key) if job.keep else None
     if kept is not None:
@@ -350,74 +350,75 @@ def _run(job: Job) -> Row:
     try:
         return _estimated(job, sensor_name, key)
     except InputError:
-        kept = _finished(out, key)  # a worker that was thought to be lost was faster
+        kept = _finished(out, key)  # a worker presumed lost may have finished first
         if kept is None:
             raise
         return kept
 
 
-def _finished(out: Path, key: str) -> Row | None:
-    """Row of the result in a folder, where it was made of the same recording and settings."""
+def _finished(out: Path, key: str) -> BatchRow | None:
+    """Row of an existing result of the same recording and settings; None if there is none."""
     if not (out / RESULT).is_file():
         return None
     try:
-        said = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
-        row = Row.from_dict(said["row"])
+        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        row = BatchRow.from_dict(summary["row"])
     except (OSError, ValueError, TypeError, KeyError):
         return None
-    return replace(row, outcome="kept") if said.get("key") == key else None
+    return replace(row, outcome="kept") if summary.get("key") == key else None
 
 
-def _estimated(job: Job, sensor_name: str, key: str) -> Row:
+def _estimated(job: Job, sensor_name: str, key: str) -> BatchRow:
     out = Path(job.out)
     out.parent.mkdir(parents=True, exist_ok=True)
     if out.is_dir() and {path.name for path in out.iterdir()} <= {RESULT, TABLE, SUMMARY}:
-        shutil.rmtree(out)  # of other settings; anything else there is not ours to remove
-    how = {name: value for name, value in job.options.items() if name != "frames"}
+        shutil.rmtree(out)  # a result of other settings; folders with other files are kept
+    options = {name: value for name, value in job.options.items() if name != "frames"}
     with (
         whole_file(out) as folder,
         open(job.recording, job.options.get("frames")) as frames,
     ):
         folder.mkdir()
-        run = estimate(frames, sensor_name, out=folder / RESULT, csv=folder / TABLE, **how)
-        row = Row.of(job.name, run.rows(), run.said)
-        said = {"key": key, "row": asdict(row)}
-        (folder / SUMMARY).write_text(to_json(said) + "\n", encoding="utf-8")
+        run = estimate(frames, sensor_name, out=folder / RESULT, csv=folder / TABLE, **options)
+        row = BatchRow.of(job.name, run.rows(), run.context)
+        summary = {"key": key, "row": asdict(row)}
+        (folder / SUMMARY).write_text(to_json(summary) + "\n", encoding="utf-8")
     return row
 
 
 def _jobs(
     found: list[Path], folder: Path, out: Path, sensor: str, options: dict[str, Any], *, keep: bool
 ) -> list[Job]:
-    """A job for each recording, with absolute paths: workers may start elsewhere."""
+    """A job for each recording, with absolute paths, as workers may run in other folders."""
     sensor = str(Path(sensor).absolute()) if Path(sensor).exists() else sensor
-    made = []
+    jobs = []
     for path in found:
         name = path.relative_to(folder)
         name = Path(path.absolute().name) if name == Path() else name  # FOLDER is the recording
-        where = str(path.absolute()), str((out / name).absolute())
-        made.append(Job(str(name), *where, sensor, options, keep))
-    return made
+        paths = str(path.absolute()), str((out / name).absolute())
+        jobs.append(Job(str(name), *paths, sensor, options, keep))
+    return jobs
 
 
 @contextmanager
-def _owned(out: Path, todo: list[Job], local: bool) -> Iterator[None]:
-    """The output folder for this batch alone, without temporary files of unfinished results.
+def _locked(out: Path, jobs: list[Job], local: bool) -> Iterator[None]:
+    """Lock the output folder for this batch, and remove temporary files before and after it.
 
-    Stopped, workers of a cluster finish what they have begun; local ones are dead.
+    After an interruption only those of local workers, which are dead; workers of a cluster finish
+    their jobs.
     """
     try:
         out.mkdir(exist_ok=True)
         with (out / _LOCK).open("w") as lock:
             _lock(lock.fileno(), out)
-            _discard_unfinished(todo)
+            _discard_unfinished(jobs)
             try:
                 yield
             except BaseException:
                 if local:
-                    _discard_unfinished(todo)
+                    _discard_unfinished(jobs)
                 raise
-            _discard_unfinished(todo)  # of workers that died on the way
+            _discard_unfinished(jobs)  # of workers that died
     except PermissionError as error:
         raise cannot_write(out, error) from error
 
@@ -435,9 +436,9 @@ def _lock(descriptor: int, out: Path) -> None:
         ) from None
 
 
-def _discard_unfinished(todo: list[Job]) -> None:
-    """Remove partial results of killed workers; the lock keeps other batches away."""
-    for out in {Path(job.out) for job in todo}:
+def _discard_unfinished(jobs: list[Job]) -> None:
+    """Remove partial results of killed workers; the lock excludes other batches."""
+    for out in {Path(job.out) for job in jobs}:
         sweep(out, of_others=True)
 
 

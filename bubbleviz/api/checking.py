@@ -1,4 +1,4 @@
-"""Check whether a sensor file still fits."""
+"""Check of a sensor file against contact-free frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bubbleviz.recordings import AUTO, KeptFrames, Recording, find_contact_free,
 from bubbleviz.sensor_model import SensorModel
 
 _TEMPERATURE = "sensor_msgs/msg/Temperature"
-_MOST = 60  # frames: more of them only take time
+_MAX_FRAMES = 60  # more frames only take time
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class CheckSummary(SensorCheck, Summary):
     sensor: str = ""
 
     def facts(self) -> dict[str, Any]:
-        """Verdict and numbers; of each quantity its value, interval, limit and what to do."""
+        """Verdict, and for each quantity its value, interval, limit and remedy."""
         names = ("quantity", "value", "half_width", "limit", "todo")
         rows = [{name: getattr(row, name) for name in names} for row in self.rows]
         return {**asdict(self), "rows": rows}
@@ -51,22 +51,22 @@ def check(
     frames : sequence of Frame or path
         Beginning without contact.
     sensor : str, path or Sensor
-        As of `estimate`.
+        As in `estimate`.
     contact_free : sequence of int or str, optional
-        Indices into `frames`, or "A:B"; found by default.
+        Indices into `frames`, or "A:B"; searched by default.
     progress : Progress
 
     Returns
     -------
     CheckSummary
-        `verdict` is `fits`, `drifted` or `another` (membrane or camera); `reason` says in one line
-        what changed, what it is worth in N, and what to do; `bias_m` is the mean of measured minus
+        `verdict` is `fits`, `drifted` or `another` (membrane or camera); `reason` is one line with
+        the change, its effect on force, and the remedy; `bias_m` is the mean of measured minus
         expected z-depth, m.
 
     Raises
     ------
     InputError
-        Sensor and frames do not fit together, or no frames are without contact.
+        Sensor and frames do not match, or there are no contact-free frames.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def check(
             contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
         free = contact_free or find_contact_free(source, progress).frames
         try:
-            some = [source[k] for k in free[:: -(-len(free) // _MOST)]]
+            some = [source[k] for k in free[:: -(-len(free) // _MAX_FRAMES)]]
             found = check_sensor(SensorModel.of(own, intrinsics), some)
         except InputError as error:
             raise InputError(f"{shown_name(chosen.source)}: {error}") from error

@@ -31,13 +31,12 @@ def connect(
     Returns
     -------
     LiveStream
-        To hand to `estimate` or `track`, or to take frames from; close it, or use `with`.
+        For `estimate` or `track`, or to read frames from; close it, or use `with`.
 
     Raises
     ------
     InputError
-        The source is malformed, or names something that does not exist. It waits for a robot that
-        does not answer yet.
+        The source is malformed, or does not exist. A robot that does not answer yet is no error.
 
     Examples
     --------
@@ -51,7 +50,7 @@ def connect(
 
 
 def sensor_of(source: str, sensor: str | Path | Sensor) -> Sensor:
-    """Sensor of a live source, found by its first image for `auto`."""
+    """Sensor of a live source; `auto` chooses it by the first image."""
     if not isinstance(sensor, Sensor):
         sensor = sensor_for_source(source, str(sensor))
     return load_sensor(sensor)

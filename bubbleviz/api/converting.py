@@ -1,4 +1,4 @@
-"""Convert other recordings, and folders of depth images, to MCAP."""
+"""Conversion of recordings, and of folders of depth images, to MCAP."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ConvertSummary(Summary):
         return (
             f"wrote {self.out}: {count_of(self.frames, 'frame')} of {self.width}×{self.height} "
             f"pixels lasting {self.duration_s:.3g} s"
-            + "".join(f", {name}" for name, there in parts.items() if there)
+            + "".join(f", {name}" for name, present in parts.items() if present)
         )
 
 
@@ -60,41 +60,41 @@ def convert(
     *,
     overwrite: bool = False,
     progress: Progress = quiet,
-    **beside: str | Path | float | None,
+    **image_options: str | Path | float | None,
 ) -> ConvertSummary:
     """Convert a recording or a folder of depth images to MCAP.
 
     Parameters
     ----------
     source : path
-        A folder of images, or whatever `open` opens.
+        A folder of images, or a recording for `open`.
     out : path
         `X.mcap`, or a new folder for a rosbag2.
     overwrite : bool
         Replace existing files.
     progress : Progress
-    **beside
-        Of a folder of images: files `intrinsics`, `times`, `gas_pressure` and `wrench` (see
-        `bubbleviz.recordings.image_folder`; the first two are looked for in the folder, too, as
-        `intrinsics.toml`, `intrinsics.json` and `times.csv`), `rate_hz` where the images have no
-        times, and `metres_per_unit`.
+    **image_options
+        For a folder of images: files `intrinsics`, `times`, `gas_pressure` and `wrench` (see
+        `bubbleviz.recordings.image_folder`; defaults for the first two are `intrinsics.toml` or
+        `.json` and `times.csv` in the folder), `rate_hz` for images without times, and
+        `metres_per_unit`.
 
     Raises
     ------
     InputError
-        Something cannot be read or does not fit together, or `out` exists; nothing is written.
+        An input cannot be read or does not match the others, or `out` exists; nothing is written.
     """
     refuse_existing(out, overwrite=overwrite)
     source = Path(source)
-    beside = {name: value for name, value in beside.items() if value is not None}
+    image_options = {name: value for name, value in image_options.items() if value is not None}
     progress("opening", 0.0)
     if is_image_folder(source):
-        images = _images_of(source, **beside)  # type: ignore[arg-type]
+        images = _images_of(source, **image_options)  # type: ignore[arg-type]
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
-    if beside:
+    if image_options:
         raise InputError(
-            f"{source}: is a recording with its own intrinsics, times and measurements; leave "
-            "those options out"
+            f"{source}: a recording has its own intrinsics, times and measurements; leave those "
+            "options out"
         )
     with Recording(source) as recording:
         whole_millimetres = recording.encoding == "16UC1"
@@ -113,8 +113,8 @@ def _images_of(
 ) -> ImageFolder:
     if rate_hz is not None and times is not None:
         raise InputError(f"{folder}: give either a rate or times of the images, not both")
-    camera = intrinsics or _there(folder, *INTRINSICS)
-    times = times or (None if rate_hz else _there(folder, "times.csv"))
+    camera = intrinsics or _existing(folder, *INTRINSICS)
+    times = times or (None if rate_hz else _existing(folder, "times.csv"))
     return ImageFolder(
         folder,
         intrinsics=None if camera is None else read_intrinsics(camera),
@@ -151,5 +151,5 @@ def _written(
     )
 
 
-def _there(folder: Path, *names: str) -> Path | None:
+def _existing(folder: Path, *names: str) -> Path | None:
     return next((folder / name for name in names if (folder / name).is_file()), None)

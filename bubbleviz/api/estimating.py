@@ -1,4 +1,4 @@
-"""Estimate contact and follow objects, in one frame, in many, and live."""
+"""Estimation of contact and tracking of objects, in one frame, in recordings, and live."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ SensorName = str | Path | Sensor
 Recorded = Sequence[Frame] | str | Path
 """Frames, or the path of a recording."""
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
-"""Pixels of the patch are found when they are asked for, or written to a file."""
+"""Pixels of the patch are computed on first use, or for a file."""
 
 
 class Solving(TypedDict, total=False):
-    """Options that `estimate` and `track` have, which both document."""
+    """Options of both `estimate` and `track`."""
 
     solver: str | None
     friction: float | None
@@ -104,31 +104,31 @@ def estimate(
 ) -> FrameResult | Run | Iterator[FrameResult]:
     """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
 
-    Each frame starts from the solution of the last one.
+    Each frame is warm-started from the solution of the previous one.
 
     Parameters
     ----------
     frames : Frame, sequence of Frame, path or LiveStream
-        What `open`, `simulate` or `connect` returned, a slice of it, or the path of a recording.
-        For arrays use `Estimator`.
+        Returned by `open`, `simulate` or `connect`, a slice of it, or the path of a recording. For
+        arrays use `Estimator`.
     sensor : str, path or Sensor
         Sensor file or preset; `auto` is the preset with the images' size, or the stream's sensor.
     kappa : float, optional
         Threshold of the patch over the mean contact pressure (V-C); automatic by default.
     solver : str, optional
-        `rubber`: the exact membrane, default where the sensor has a pre-stretch; `linear` and
-        `paper` (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
+        `rubber`: the exact membrane, default if the sensor has a pre-stretch; `linear` and `paper`
+        (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
     friction : float, optional
         Expected coefficient of friction on the exact membrane, 1 by default; 0 for no friction.
         With `shear` it also limits tangential over normal traction.
     zero_gas : bool
         Shift the measured gas pressure so that contact-free frames have that of the sensor file.
-        Without such frames the interval of the force contains the ±2 kPa of the weather. False:
-        use it as recorded.
+        Without such frames the interval of the force includes the ±2 kPa of the weather. False: no
+        shift.
     shear : bool
         Also estimate friction at every node, and slip, from colour images.
     colour_delay_s : float, optional
-        Stamp of a colour image minus that of the depth image of the same moment, s: negative where
+        Stamp of a colour image minus that of the depth image of the same scene, s; negative if
         colour leads depth. By default the sensor file's.
     out, csv : path, optional
         RESULT.npz and RESULT.csv, written frame by frame; results are then not kept in memory.
@@ -141,15 +141,14 @@ def estimate(
     Returns
     -------
     FrameResult, Run or iterator of FrameResult
-        Of a frame, of frames, and of a stream: its newest frame each time.
+        For a frame, for frames, and for a stream (its newest frame each time).
 
     Raises
     ------
     InputError
-        Sensor and frames do not fit together, no frame has data, or a file exists (in one line that
-        says what to do).
+        Sensor and frames do not match, no frame has data, or a file exists.
     StreamStoppedError
-        No frame of a stream came in `timeout_s` (an `InputError`, too).
+        No frame of a stream arrived within `timeout_s` (an `InputError`, too).
 
     Examples
     --------
@@ -161,10 +160,10 @@ def estimate(
     options = patch_options(kappa)
     if isinstance(frames, np.ndarray):
         raise InputError("estimate takes frames or a recording; use bv.Estimator for arrays")
-    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Frame | Sequence | Path):
-        how |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
-        return _watched(frames, sensor, timeout_s, out, csv, **how)
+        solving |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
+        return _watched(frames, sensor, timeout_s, out, csv, **solving)
     if csv is not None and out is None:
         raise InputError(f"{csv}: a CSV is written only together with RESULT.npz; give out as well")
     _check_outputs(out, csv, overwrite=overwrite)
@@ -174,14 +173,14 @@ def estimate(
         texture, products = None, _PRODUCTS
         if shear:
             texture, products = watch_texture(chosen, pipeline, friction), products | SHEAR
-        zero, run = _begun(chosen, name, pipeline, out, **how)
-        run.said |= {
-            "solver": run.made_by["solver"],
+        zero, run = _new_run(chosen, name, pipeline, out, **solving)
+        run.context |= {
+            "solver": run.provenance["solver"],
             "kappa": kappa,
             "texture": texture,
             "gas_zero": None if zero is None else zero.words,
         }
-        seen, equal = False, EqualImages()
+        any_depth, equal = False, EqualImages()
         with ExitStack() as stack:
             write: Callable[[Result], object] = lambda _: None  # noqa: E731
             if out is not None:
@@ -191,11 +190,12 @@ def estimate(
             frame_solver = FrameSolver(pipeline, products, options, zero)
             for result in solved(chosen, frame_solver, progress):
                 equal.take(result.frame.depth_m)
-                seen = seen or has_returns(result.frame.depth_m)
+                any_depth = any_depth or has_returns(result.frame.depth_m)
                 write(result)
                 run.add(result, keep=out is None)
-            _check_any_data(run, seen)
-        _end(run, chosen, frame_solver, frame_solver.sensor_warning("recording"), equal.warning)
+            _check_any_data(run, any_depth)
+        warnings = frame_solver.sensor_warning("recording"), equal.warning
+        _add_warnings(run, chosen, frame_solver, *warnings)
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -205,26 +205,26 @@ def register(
     sensor: SensorName = AUTO,
     **options: Unpack[Tracking],
 ) -> FrameResult:
-    """Find where a known object is in one frame, by dual-stage registration.
+    """Find the pose of a known object in one frame, by dual-stage registration.
 
     Parameters
     ----------
     frame : Frame
     object, sensor
-        As of `track`.
+        As in `track`.
     **options
-        `init`, `unit`, `solver`, `friction` and `object_patch` of `track`. `init` need be right to
-        about 5 mm and 10°; it is searched for by default.
+        `init`, `unit`, `solver`, `friction` and `object_patch` of `track`. `init` must be right to
+        about 5 mm and 10°; by default it is searched.
 
     Returns
     -------
     FrameResult
-        Its `T_B_O` (4, 4), and `pose` with covariance and what contact does not determine.
+        With `T_B_O` (4, 4), and `pose` with covariance and undetermined motions.
 
     Raises
     ------
     InputError
-        Something given does not exist or does not fit together, or there is no pose.
+        An input does not exist or does not match the others, or no pose was found.
     """
     return track([frame], object, sensor, **options)[0]
 
@@ -259,7 +259,7 @@ def track(
     timeout_s: float | EllipsisType | None = ...,
     progress: Progress = quiet,
 ) -> Run | Iterator[FrameResult]:
-    """Follow a known object through frames, as `bubbleviz pose` does.
+    """Track a known object through frames, as `bubbleviz pose` does.
 
     Parameters
     ----------
@@ -267,17 +267,17 @@ def track(
     object : str, path or RigidObject
         Mesh file or preset.
     sensor, solver, friction, zero_gas, timeout_s, progress
-        As of `estimate`.
+        As in `estimate`.
     init : str or (4, 4) array, optional
-        T_B_O in the first frame, or "x y z qx qy qz qw"; searched for by default.
+        T_B_O in the first frame, or "x y z qx qy qz qw"; by default it is searched.
     unit : {"m", "mm"}, optional
-        Of the object's file; by default millimetres where its name ends in `_mm`.
+        Of the object's file; by default millimetres if its name ends in `_mm`, else metres.
     object_patch : bool
-        Find the patch by the object's surface, too; its area and that of the patch become columns.
+        Also compute the patch from the object's surface; adds columns of both areas.
     out : path, optional
-        POSES.csv; what else was found is not kept in memory then.
+        POSES.csv; other results are then not kept in memory.
     overwrite : bool
-        Replace it where it exists.
+        Replace an existing file.
 
     Returns
     -------
@@ -287,25 +287,25 @@ def track(
     Raises
     ------
     InputError
-        Something given does not exist or does not fit together, or no frame has a pose.
+        An input does not exist or does not match the others, or no frame has a pose.
     """
-    start = parse_pose(init) if isinstance(init, str) else init
+    initial_pose = parse_pose(init) if isinstance(init, str) else init
     obj = load_object(object, unit)
-    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Sequence | Path):
-        return _watched(frames, sensor, timeout_s, out, object=obj, init=start, **how)
+        return _watched(frames, sensor, timeout_s, out, object=obj, init=initial_pose, **solving)
     _check_outputs(out, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
-        pipeline.track(obj, start)
-        zero, run = _begun(chosen, name, pipeline, out, **how)
-        run.said["object"] = obj.name if isinstance(object, RigidObject) else str(object)
+        pipeline.track(obj, initial_pose)
+        zero, run = _new_run(chosen, name, pipeline, out, **solving)
+        run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zero=zero)
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
-        _end(run, chosen, frame_solver)
+        _add_warnings(run, chosen, frame_solver)
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -313,13 +313,13 @@ def track(
 
 
 def as_frames(frames: Frame | Recorded) -> Frames:
-    """Frames of a source, opened where it is a path; InputError where there are none."""
+    """Frames as a `Frames` object; opens a path. Raises InputError: no frames."""
     if isinstance(frames, str | Path):
         return open(frames)
-    held = [frames] if isinstance(frames, Frame) else frames
-    if not len(held):
+    several = [frames] if isinstance(frames, Frame) else frames
+    if not len(several):
         raise InputError("no frames were given; choose at least one")
-    return held if isinstance(held, Frames) else Frames(HeldFrames(held))
+    return several if isinstance(several, Frames) else Frames(HeldFrames(several))
 
 
 def pipeline_for(
@@ -329,7 +329,7 @@ def pipeline_for(
     friction: float | None,
     colour_delay_s: float | None = None,
 ) -> tuple[str, Pipeline]:
-    """Name of the sensor that fits some frames, and a pipeline for them alone."""
+    """Name of the sensor that fits some frames, and a new pipeline for them."""
     options = EstimatorOptions.named(solver, friction)
     name, own, intrinsics = sensor_for(frames, sensor)
     return name, Pipeline.of(with_colour_delay(own, colour_delay_s), intrinsics, options)
@@ -370,19 +370,19 @@ def _watched(
     sensor: SensorName,
     timeout_s: float | EllipsisType | None,
     *files: str | Path | None,
-    **how: Any,
+    **options: Any,
 ) -> Iterator[FrameResult]:
-    """Results of a stream's newest frames; `how` as of `Estimator`."""
-    from bubbleviz.api.watching import Watcher  # opens networks and cameras
+    """Results of a stream's newest frames; `options` as in `Estimator`."""
+    from bubbleviz.api.watching import Watcher  # loads network and camera libraries
 
     for path in filter(None, files):
         raise InputError(f"{path}: estimate of a stream writes no files; use watch(source, out=…)")
     own = stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
     patience_s = stream.timeout_s if isinstance(timeout_s, EllipsisType) else timeout_s
-    return Watcher.on(stream, own, **how).results(patience_s)
+    return Watcher.on(stream, own, **options).results(patience_s)
 
 
-def _begun(
+def _new_run(
     frames: Frames,
     sensor_name: str,
     pipeline: Pipeline,
@@ -392,32 +392,32 @@ def _begun(
     friction: float | None,
     zero_gas: bool,
 ) -> tuple[PressureZero | None, Run]:
-    """Zero of the gas pressure, and a run without frames that says what it is made of."""
+    """Zero of the gas pressure, and a run with context and provenance but no frames yet."""
     zero = recorded_zero(frames.source, pipeline) if zero_gas else None
-    made_by = {
+    provenance = {
         "sensor_toml": sensor_to_toml(pipeline.model.sensor),
         "version": bubbleviz.__version__,
         "solver": solver or pipeline.estimator.solver_name,
     }
     if zero is not None and zero.offset_pa is not None:
-        made_by["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
-    said = {
+        provenance["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
+    context = {
         "recording": shown_name(frames.source),
         "sensor": sensor_name,
         "out": None if out is None else str(out),
     }
-    return zero, Run(pipeline.model, said, made_by)
+    return zero, Run(pipeline.model, context, provenance)
 
 
-def _end(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:
-    """Have a run say what does not fit together; a recording also what is missing of it."""
+def _add_warnings(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:
     note = frames.source.bag.note if isinstance(frames.source, Recording) else ""
-    run.said["warning"] = "; ".join(filter(None, (note, *warnings, solver.drift_warning()))) or None
+    parts = filter(None, (note, *warnings, solver.drift_warning()))
+    run.context["warning"] = "; ".join(parts) or None
 
 
-def _check_any_data(run: Run, seen: bool) -> None:
-    """InputError if no frame has an estimate; `seen`: some have depth."""
-    statuses, name = set(run.status.tolist()), run.said["recording"]
+def _check_any_data(run: Run, any_depth: bool) -> None:
+    """Raise InputError if no frame has a trusted estimate; `any_depth`: some have depth."""
+    statuses, name = set(run.status.tolist()), run.context["recording"]
     if statuses & set(TRUSTED):
         return
     if "implausible" in statuses:
@@ -430,7 +430,7 @@ def _check_any_data(run: Run, seen: bool) -> None:
             f"{name}: no frame could be solved; try --solver linear, and check tension "
             "and prestretch in the sensor file"
         )
-    if not seen:
+    if not any_depth:
         raise InputError(f"{name}: no depth in any frame; uncover or check the camera")
     raise InputError(
         f"{name}: no depth pixel lies on the membrane in any frame; "
@@ -450,4 +450,4 @@ def _check_any_pose(run: Run) -> None:
     statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
         why = _REASONS[statuses.most_common(1)[0][0]]
-        raise InputError(f"{run.said['recording']}: no pose in any frame: {why}")
+        raise InputError(f"{run.context['recording']}: no pose in any frame: {why}")

@@ -31,47 +31,46 @@ if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
-"""There is a pose only where the pipeline follows an object. Pixels of the patch are found when
-they are asked for, or written to a file."""
-_IMAGES_KEPT = 10_000
-"""Images whose errors are kept for the warning of drift: those of five minutes of a stream."""
-_OTHER_UNIT = math.sqrt(10.0)
-"""Depths this many times nearer or farther than the membrane at rest are in another unit: the
-geometric mean of 1 and 10, the smallest mistake of units (0.1 mm taken for 1 mm)."""
+"""The pose is only computed with an object to track, pixels of the patch on first use."""
+_DRIFT_IMAGES = 10_000
+"""Most recent images used for the drift warning: five minutes of a stream."""
+_WRONG_UNIT = math.sqrt(10.0)
+"""Ratio of depths to those of the membrane at rest beyond which they are in a wrong unit: the
+geometric mean of 1 and 10, the smallest wrong factor (0.1 mm taken for 1 mm)."""
 
 
 class Estimator:
-    """Contact, patch and force of one sensor, image by image, for a loop of your own.
+    """Contact, patch and force of one sensor, image by image, for your own loop.
 
-    Built once, with its solvers ready before the first image. Every image is started where the
-    last one ended, as by `estimate` and a live stream, which are made of this.
+    Solvers are built in advance. Every image is warm-started from the solution of the previous one,
+    as in `estimate`.
 
     Parameters
     ----------
     sensor : str, path or Sensor
         Sensor file or preset.
     intrinsics : Intrinsics, optional
-        Of the depth camera, in place of the sensor file's. A first `Frame` with other intrinsics
-        counts as given here, and has the solvers built once more.
+        Of the depth camera, instead of the sensor file's. If the first `Frame` has other
+        intrinsics, the solvers are built again with those.
     object : str, path or RigidObject, optional
-        To track: a mesh file or preset; results have its pose `T_B_O`.
+        Mesh file or preset of an object to track; results have its pose `T_B_O`.
     init : str or (4, 4) array, optional
-        Its T_B_O in the first image, or "x y z qx qy qz qw"; searched for by default.
+        Its T_B_O in the first image, or "x y z qx qy qz qw"; by default it is searched.
     unit : {"m", "mm"}, optional
-        As of `track`.
+        As in `track`.
     kappa, solver, friction, colour_delay_s
-        As of `estimate`.
+        As in `estimate`.
     zero_gas : bool
-        Shift the measured gas pressure so that without contact it is the sensor file's, from the
-        first 15 contact-free images in a row on; until then it is known within the weather's ±2
-        kPa. If not, it is believed as it is.
+        Shift the measured gas pressure so that it equals the sensor file's without contact, after
+        the first 15 consecutive contact-free images; until then assume an error of ±2 kPa, by the
+        weather. False: no shift.
     shear : bool
-        Traction with friction and slip, too, once 20 colour images without contact were seen.
+        Also estimate traction with friction and slip, after 20 colour images without contact.
 
     Raises
     ------
     InputError
-        There is no such sensor, object or solver, or they do not fit together.
+        There is no such sensor, object or solver, or they do not match.
 
     Examples
     --------
@@ -100,25 +99,25 @@ class Estimator:
                 f"sensor {AUTO}: needs a recording to choose the sensor by; give Estimator a "
                 "sensor file or preset"
             )
-        start = parse_pose(init) if isinstance(init, str) else init
-        self._followed = None if object is None else (load_object(object, unit), start)
+        initial_pose = parse_pose(init) if isinstance(init, str) else init
+        self._tracked = None if object is None else (load_object(object, unit), initial_pose)
         self._sensor = with_colour_delay(load_sensor(sensor), colour_delay_s)
-        self._how = EstimatorOptions.named(solver, friction)
+        self._estimator_options = EstimatorOptions.named(solver, friction)
         self._options = patch_options(kappa)
         self._zero_gas, self._shear, self._friction = zero_gas, shear, friction
         self._build(intrinsics)
 
     def _build(self, intrinsics: Intrinsics | None) -> None:
         with OneBlasThread():
-            self._pipeline = Pipeline.of(self._sensor, intrinsics, self._how)
+            self._pipeline = Pipeline.of(self._sensor, intrinsics, self._estimator_options)
             self.reset()
 
     def reset(self) -> None:
-        """Forget all images: warm start, zero of the gas pressure, pose and colour at rest."""
+        """Discard warm start, zero of the gas pressure, pose and colour reference."""
         pipeline, texture = self._pipeline, None
         pipeline.restart()
-        if self._followed is not None:
-            pipeline.track(*self._followed)
+        if self._tracked is not None:
+            pipeline.track(*self._tracked)
         if self._shear:
             from bubbleviz.shear import PassingTexture  # needs OpenCV
 
@@ -126,7 +125,7 @@ class Estimator:
         zero = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self.solver = FrameSolver(pipeline, products, self._options, zero, texture)
-        self._count, self._began_ns, self._unit_known = 0, 0, False
+        self._count, self._first_stamp_ns, self._unit_known = 0, 0, False
 
     def update(
         self,
@@ -140,15 +139,15 @@ class Estimator:
         Parameters
         ----------
         depth : (H, W) array or Frame
-            z-depth: floats are m, integers mm, as of a `16UC1` image; give other units as metres,
-            `raw * scale`. 0 and NaN are no return. A `Frame` has all of the below.
+            z-depth: floats in m, integers in mm, as in a `16UC1` image; convert other units to
+            metres, `raw * scale`. 0 and NaN are no return. A `Frame` includes the other arguments.
         gas_pressure_pa : float, optional
-            Absolute pressure of the gas, Pa; without it, the gas law's.
+            Absolute pressure of the gas, Pa; by default from the gas law.
         colour : (H, W, 3) uint8 array, optional
             Red, green and blue of the same pixels, for `shear`.
         time_s : float, optional
-            When the image was taken, s. Where that is the time since 1970, `age_s` of the result
-            counts from it, else from now; the present time by default.
+            Time of the image, s; by default the present. If it is the time since 1970, `age_s` of
+            the result counts from it, else from now.
 
         Returns
         -------
@@ -157,7 +156,7 @@ class Estimator:
         Raises
         ------
         InputError
-            Shape, type or unit is not what was expected.
+            Wrong shape, type or unit.
         """
         if isinstance(depth, Frame):
             if any(each is not None for each in (gas_pressure_pa, colour, time_s)):
@@ -165,9 +164,9 @@ class Estimator:
                     "a Frame already contains gas pressure, colour and time; leave those "
                     "arguments out"
                 )
-            frame, lens = depth, depth.intrinsics
-            if not self._count and lens not in (None, self._pipeline.camera.intrinsics):
-                self._build(lens)
+            frame, intrinsics = depth, depth.intrinsics
+            if not self._count and intrinsics not in (None, self._pipeline.camera.intrinsics):
+                self._build(intrinsics)
         else:
             frame = self._frame(depth, gas_pressure_pa, colour, time_s)
         found = FrameResult(self.solver.solve(frame), self._pipeline.model)
@@ -188,8 +187,8 @@ class Estimator:
         shape = own.height, own.width
         if raw.shape != shape or raw.dtype.kind not in "fiu":
             raise InputError(
-                f"depth: an array {shape} of floats in m or integers in mm is expected, as of the "
-                f"camera of sensor {self._sensor.name}; this is {raw.dtype} {raw.shape}"
+                f"depth: expected an array {shape} of floats in m or integers in mm, as the camera "
+                f"of sensor {self._sensor.name} has; this is {raw.dtype} {raw.shape}"
             )
         for name, value in (("gas_pressure_pa", gas_pressure_pa), ("time_s", time_s)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
@@ -197,16 +196,16 @@ class Estimator:
         known_pa = self._pipeline.model.gas.P0
         if gas_pressure_pa is not None and not 0.5 < gas_pressure_pa / known_pa < 2.0:
             raise InputError(
-                f"gas_pressure_pa = {gas_pressure_pa:g}: the absolute pressure in Pa is expected, "
-                f"near {known_pa:.0f} for sensor {self._sensor.name}; None where it is not measured"
+                f"gas_pressure_pa = {gas_pressure_pa:g}: expected the absolute pressure in Pa, "
+                f"near {known_pa:.0f} for sensor {self._sensor.name}, or None if not measured"
             )
         now_ns = time.time_ns()
         stamp_ns = now_ns if time_s is None else round(1e9 * time_s)
         if not self._count:
-            self._began_ns = stamp_ns
+            self._first_stamp_ns = stamp_ns
         return Frame(
             index=self._count,
-            time_s=1e-9 * (stamp_ns - self._began_ns),
+            time_s=1e-9 * (stamp_ns - self._first_stamp_ns),
             depth_m=metres(raw.astype(np.float32), 1.0 if raw.dtype.kind == "f" else 1e-3),
             intrinsics=own,
             gas_pressure_pa=gas_pressure_pa,
@@ -220,8 +219,8 @@ class Estimator:
     ) -> Callable[[float], ColourImage | None]:
         if rgb.shape != (*shape, 3) or rgb.dtype != np.uint8:
             raise InputError(
-                f"colour: an array {(*shape, 3)} of uint8, red, green and blue of the pixels of "
-                f"the depth image, is expected; this is {rgb.dtype} {rgb.shape}"
+                f"colour: expected an array {(*shape, 3)} of uint8, red, green and blue of the "
+                f"pixels of the depth image; this is {rgb.dtype} {rgb.shape}"
             )
         height, width = shape
         encoded = EncodedImage("rgb8", rgb.tobytes(), width, height, 3 * width)
@@ -230,15 +229,15 @@ class Estimator:
         return lambda _: image
 
     def _check_unit(self, depth_m: np.ndarray) -> None:
-        """Refuse depth images, unusable so far, that another unit would explain."""
+        """Raise InputError if no image is usable so far and depths look like a wrong unit."""
         if not has_returns(depth_m):
             return
         model = self._pipeline.model
-        seen_m = float(np.nanmedian(depth_m))
+        median_m = float(np.nanmedian(depth_m))
         rest_m = float(np.nanmedian(model.view.rest_range / model.camera.range_per_depth))
-        if not 1.0 / _OTHER_UNIT < seen_m / rest_m < _OTHER_UNIT:
+        if not 1.0 / _WRONG_UNIT < median_m / rest_m < _WRONG_UNIT:
             raise InputError(
-                f"depth: {seen_m:.3g} m in the median, where the membrane of sensor "
+                f"depth: {median_m:.3g} m in the median, but the membrane of sensor "
                 f"{self._sensor.name} is {rest_m:.3g} m from the camera; floats are m, integers mm"
             )
 
@@ -246,8 +245,7 @@ class Estimator:
 class FrameSolver:
     """Solves frames one after the other, for `Estimator`, recordings and streams.
 
-    The gas pressure is shifted by a zero, which is learned where it is still waited for; a texture
-    adds traction with friction and slip.
+    `zero` corrects the gas pressure; `texture` adds traction with friction and slip.
     """
 
     def __init__(
@@ -262,8 +260,8 @@ class FrameSolver:
         self.pipeline, self.zero, self.texture = pipeline, zero, texture
         self._products, self._options = products, options
         self._measured_pa: float | None = None
-        self._image_errors: deque[np.ndarray] = deque(maxlen=_IMAGES_KEPT)
-        self._blas = ThreadpoolController()  # looking for the libraries takes 2 ms: once
+        self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
+        self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
         """The products of the next frame."""
@@ -279,16 +277,16 @@ class FrameSolver:
         return result
 
     def drift_warning(self) -> str:
-        """What to say where whole depth images are off by more than three standard deviations."""
+        """Warning if depth images drift by more than three standard deviations; else empty."""
         if not self._image_errors:
             return ""
         estimator = self.pipeline.estimator
         by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
-        off_m = float(units @ np.median(self._image_errors, axis=0) / by_offset)
-        if abs(off_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
+        drift_m = float(units @ np.median(self._image_errors, axis=0) / by_offset)
+        if abs(drift_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
             return ""
         return (
-            f"depth has drifted by {1e3 * off_m:+.2f} mm since the calibration; forces are "
+            f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration; forces are "
             "corrected for that. Let the camera warm up, or identify the sensor again"
         )
 
@@ -304,14 +302,14 @@ class FrameSolver:
 
 
 def patch_options(kappa: float | None) -> FrameOptions:
-    """Options with a patch threshold; InputError where it is no number of 0 or more."""
+    """Options with a patch threshold. Raises InputError: it is not a number ≥ 0."""
     if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
         raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
     return FrameOptions(kappa, fine_contact=kappa is None)
 
 
 def recorded_zero(source: FrameSource, pipeline: Pipeline) -> PressureZero | None:
-    """Zero of the gas pressure by all of a recording, which its frames do not change any more."""
+    """Zero of the gas pressure from a recording, fixed for all of its frames."""
     zero = zero_of(source, pipeline)
     if zero is not None:
         zero.restore(zero.rest_pa, waiting=False)
@@ -319,10 +317,7 @@ def recorded_zero(source: FrameSource, pipeline: Pipeline) -> PressureZero | Non
 
 
 def solved(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> Iterator[Result]:
-    """Results of frames, each started where the last one ended.
-
-    InputError where one cannot be read.
-    """
+    """Results of frames in order, warm-started. Raises InputError: a frame cannot be read."""
     for done, index in enumerate(frames.chosen, 1):
         yield solver.solve(frames.source[index])
         progress("solving", done / len(frames))

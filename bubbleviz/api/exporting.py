@@ -1,4 +1,4 @@
-"""Export frames as files for other programs."""
+"""Export of frames as files for other programs."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class ExportSummary(Summary):
     kinds: tuple[str, ...]
     frames: int
     files: int
-    stages: Mapping[str, int]  # how often each stage ran; one that no kind needs is not there
-    warning: str | None = None  # what is missing of the recording
+    stages: Mapping[str, int]  # number of runs of each stage, without stages that did not run
+    warning: str | None = None  # missing parts of the recording
 
     def to_text(self) -> str:
         """Text for the terminal."""
@@ -62,7 +62,7 @@ def export(
 ) -> ExportSummary:
     """Write frames as tables, plots, ParaView and PLY series, patch clouds and pictures.
 
-    Only what the chosen files need is computed: depth pictures solve nothing.
+    Only products that the chosen files need are computed; depth pictures need no solve.
 
     Parameters
     ----------
@@ -72,9 +72,9 @@ def export(
     sensor, kappa, solver, friction, shear, colour_delay_s, progress
         As of `estimate`; with `shear`, tables and the LeRobot dataset have slip.
     what : str or sequence of str
-        Into a folder: table, parquet, plots, lerobot (dataset of one episode, v3.0), vtk
-        (ParaView), ply, patch (points with pressure), depth, pressure (pictures; png for both);
-        one text has commas between them.
+        Kinds of files in a folder: table, parquet, plots, lerobot (dataset of one episode, v3.0),
+        vtk (ParaView), ply, patch (points with pressure), depth, pressure (pictures; png for both);
+        separated by commas in a str.
     poses : path, optional
         POSES.csv to join to the table.
     overwrite : bool
@@ -83,11 +83,11 @@ def export(
     Raises
     ------
     InputError
-        Something given does not exist or does not fit together, or `out` exists; nothing is left
-        then.
+        An input does not exist or does not match the others, or `out` exists; then nothing is
+        written.
     """
-    asked = [what] if isinstance(what, str) else what
-    kinds = [word.strip() for text in asked for word in text.split(",") if word.strip()]
+    texts = [what] if isinstance(what, str) else what
+    kinds = [word.strip() for text in texts for word in text.split(",") if word.strip()]
     joined = None if poses is None else read_poses(poses)
     plan = ExportPlan.of(out, kinds, joined, overwrite=overwrite)
     options, chosen = patch_options(kappa), as_frames(frames)
@@ -111,8 +111,8 @@ def export_frames(
 ) -> ExportSummary:
     """Run the stages that the plan's kinds need, and `besides`, and write the files.
 
-    The pipeline is for this export alone: it warm-starts from frame to frame. Nothing is left
-    behind where an InputError or `Cancelled` ends it.
+    Give a pipeline of its own, as it is warm-started from frame to frame. Nothing is written if an
+    InputError or `Cancelled` is raised.
     """
     with whole_file(plan.out, overwrite=plan.overwrite) as temporary:
         if plan.is_folder:

@@ -1,4 +1,4 @@
-"""Frames of a source, indexed like a list, and facts about a recording."""
+"""Frames of a source as a sequence, and facts about a recording."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bubbleviz.wording import count_of
 class Frames(Sequence[Frame]):
     """Frames of a recording or a simulation, like a list: `frames[3]`, `frames[-1]`, `frames[::2]`.
 
-    A frame is read when it is asked for, and not kept. Slices share the open file.
+    A frame is read on access, and not kept in memory. Slices share the open file.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Frames(Sequence[Frame]):
     name : str
         Of the source.
     path : Path or None
-        Of the source, where it is a file.
+        Of the source, if it is a file.
     """
 
     def __init__(self, source: FrameSource, chosen: range | None = None) -> None:
@@ -61,7 +61,7 @@ class Frames(Sequence[Frame]):
     @overload
     def __getitem__(self, index: slice) -> Self: ...
     def __getitem__(self, index: int | slice) -> Frame | Self:
-        """One frame, or some of them.
+        """One frame, or a slice of frames.
 
         Raises
         ------
@@ -112,12 +112,13 @@ def open(
     ----------
     path : path
         rosbag2 (folder, `.mcap`, `.db3`) or ROS 1 `.bag` with a depth image (`16UC1` in mm, `32FC1`
-        in m) or a point cloud and, where there are, camera info, gas pressure and wrench; or a
-        format that a plug-in reads.
+        in m) or a point cloud and optionally camera info, gas pressure and wrench; or a format of a
+        plug-in.
     frames : str, optional
-        `A:B` or `A:B:STEP`, B left out; all by default.
+        `A:B` or `A:B:STEP`, B excluded; all by default.
     depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
-        Topics to use; without them the first depth images, and of the others the nearest by name.
+        Topics to use; by default the first depth topic, and of the others that of the most similar
+        name.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def open(
     Raises
     ------
     InputError
-        The file is missing, damaged or truncated, has no depth images, or not these frames.
+        The file is missing, damaged or truncated, or has no depth images or no such frames.
 
     Examples
     --------
@@ -152,24 +153,24 @@ def open(
 def parse_frames(text: str | None, count: int, name: str, option: str = "--frames") -> range:
     """Range of frames `A:B` or `A:B:STEP`, B excluded, out of `count`; all if None.
 
-    A, B or both may be empty: the first, and the last, frame. Errors name recording and option.
+    An empty A means the first frame, an empty B the last. Raises InputError: invalid range.
     """
     if text is None:
         return range(count)
-    asked, parts = f'{option} "{text}"', [part.strip() for part in text.split(":")]
+    given, parts = f'{option} "{text}"', [part.strip() for part in text.split(":")]
     if len(parts) not in (2, 3) or not all(p.isascii() and p.isdigit() for p in parts if p):
-        raise InputError(f"{asked}: give A:B or A:B:STEP, such as 0:60 for 0 … 59")
+        raise InputError(f"{given}: give A:B or A:B:STEP, such as 0:60 for 0 … 59")
     start, stop, step = (
         int(part) if part else default
         for part, default in zip([*parts, ""][:3], (0, count, 1), strict=True)
     )
     if step < 1:
-        raise InputError(f"{asked}: the step must be 1 or more")
+        raise InputError(f"{given}: the step must be 1 or more")
     if stop > count or start >= count:
-        there = count_of(count, "frame")
-        raise InputError(f"{name}: {asked} is outside its {there}; choose within 0:{count}")
+        frames = count_of(count, "frame")
+        raise InputError(f"{name}: {given} is outside its {frames}; choose within 0:{count}")
     if start >= stop:
-        raise InputError(f"{asked}: contains no frame; choose A below B")
+        raise InputError(f"{given}: contains no frame; choose A below B")
     return range(start, stop, step)
 
 
@@ -180,16 +181,16 @@ class ColourInfo:
     topic: str
     encoding: str
     images: int
-    rate_hz: float | None  # one over the median period; None for fewer than two
+    rate_hz: float | None  # one over the median period; None: fewer than two images
     width: int
     height: int
     intrinsics: Intrinsics | None
     T_D_C: list[list[float]]  # pose of the colour camera in the depth camera, (4, 4)
-    remark: str  # what of its camera was not recorded and is taken for granted
+    remark: str  # assumptions about parameters of its camera that were not recorded
 
     @classmethod
     def of(cls, recording: Recording) -> ColourInfo | None:
-        """Facts of the colour images of an open recording; None where it has none."""
+        """Facts of the colour images of an open recording; None if it has none."""
         colour = recording.colour
         if colour is None:
             return None
@@ -222,22 +223,22 @@ class RecordingInfo(Summary):
 
     path: str
     topics: tuple[Topic, ...]
-    depth_topic: str  # of the depth images, as `encoding` and `frames`
-    encoding: str
+    depth_topic: str
+    encoding: str  # of the depth images
     frames: int
     duration_s: float  # from the first to the last frame
-    rate_hz: float | None  # one over the median period; None for fewer than two frames
+    rate_hz: float | None  # one over the median period; None: fewer than two frames
     size_bytes: int
     width: int
     height: int
     gaps: int  # missing frames
-    gap_positions: tuple[Gap, ...]  # where they are missing
+    gap_positions: tuple[Gap, ...]
     intrinsics: Intrinsics | None
     gas_pressure_pa: tuple[float, float] | None  # lowest and highest, absolute
     wrench: bool
     colour: ColourInfo | None
-    bad_frames: tuple[int, ...] = ()  # whose message is too short for an image: they have no data
-    note: str = ""  # what is missing of the recording, in words; empty when it is whole
+    bad_frames: tuple[int, ...] = ()  # without data, as the message is too short for an image
+    note: str = ""  # missing parts of the recording; empty if it is complete
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -280,7 +281,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
     Parameters
     ----------
     recording : path, Frames or Recording
-        All of it counts, whichever frames are chosen.
+        Facts refer to the entire recording, also for a slice of its frames.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Identify a sensor file from contact-free frames."""
+"""Identification of a sensor file from contact-free frames."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 @dataclass
 class Identified(Summary):
-    """An identified sensor, in a file once it is saved.
+    """An identified sensor; `save` writes the file.
 
     Attributes
     ----------
     found : Identification
-        Everything that was found, with the `sensor` and its `model`.
+        All results, with the `sensor` and its `model`.
     source : FrameSource
-        The frames it was made from.
+        The frames used.
     started_from : str
-        Name of the sensor file it started from.
+        Name of the initial sensor file.
     validation : Validation or None
-        By a known press, where one was given.
+        By a known press, if one was given.
     numbers : dict
-        Of the report, SI units, with `verdict`; empty until it is saved.
+        Numbers of the report, SI units, with `verdict`; empty before `save`.
     out, report : Path or None
-        Where it was saved.
+        Files written by `save`.
     """
 
     found: Identification
@@ -98,7 +98,7 @@ class Identified(Summary):
         report : path, optional
             New folder for HTML and JSON.
         overwrite : bool
-            Replace files of these names, and a folder of such files.
+            Replace existing files.
         progress : Progress
 
         Returns
@@ -109,18 +109,18 @@ class Identified(Summary):
         Raises
         ------
         InputError
-            A file exists or cannot be written; nothing is written then.
+            A file exists or cannot be written; then nothing is written.
         """
         out, folder = Path(out), None if report is None else Path(report)
-        where = self.found, self.source, self.started_from, out, folder
+        args = self.found, self.source, self.started_from, out, folder
         files = output_files(out, folder, overwrite=overwrite)
         with set_aside(*files) if overwrite else nullcontext():
-            self.numbers = save(*where, progress, self.validation)
+            self.numbers = save(*args, progress, self.validation)
         self.out, self.report = out, folder
         return self.numbers
 
     def facts(self) -> dict[str, Any]:
-        """The numbers of the report; before it is saved tension, gauge pressure and pre-stretch."""
+        """Numbers of the report; before `save`, tension, gauge pressure and pre-stretch."""
         return self.numbers or {
             "tension_n_per_m": self.tension_n_per_m,
             "tension_interval_n_per_m": self.tension_interval_n_per_m,
@@ -129,7 +129,7 @@ class Identified(Summary):
         }
 
     def to_text(self) -> str:
-        """Verdict and advice for people, and what was written."""
+        """Verdict, advice, and the files written."""
         if not self.numbers:
             return repr(self)
         verdict = self.numbers["verdict"]
@@ -167,52 +167,51 @@ def identify(
     Parameters
     ----------
     frames : Frames or path
-        Of a recording that begins without contact.
+        Recording that begins without contact.
     sensor : str, path or Sensor
-        What to start from: name, camera pose, gauge pressure, chamber volume.
+        Initial sensor: name, camera pose, gauge pressure, chamber volume.
     contact_free : sequence of int or str, optional
-        Indices into `frames`, or "A:B"; found where not given.
+        Indices into `frames`, or "A:B"; by default they are searched.
     surface : {"sphere", "ellipsoid", "free-form"}, optional
-        In place of the data's choice.
+        By default chosen by cross-validation.
     nodes : int
         Of the mesh.
     levels : iterable of Frames or path
-        The untouched sensor at other inflation levels: better pixels and, where gas pressures were
-        recorded, pre-stretch λ and gauge pressure.
+        The untouched sensor at other inflation levels, for a better correction of the pixels and,
+        if gas pressures were recorded, pre-stretch λ and gauge pressure.
     level_sigma : float, optional
-        Standard deviation of the error of a recording's gas pressure beside another one's, Pa:
-        drift of the sensor's zero and the weather between them. Not given, 1 % of the largest gauge
-        pressure, as of silicon sensors whose total error band is ±1 to ±2 % of full scale.
+        Standard deviation of gas pressure differences between recordings, Pa, by drift of the
+        sensor's zero and the weather. By default 1 % of the largest gauge pressure, as for silicon
+        sensors with a total error band of ±1 to ±2 % of full scale.
     vented : Frames or path, optional
-        The chamber open: its gas pressure is the atmospheric one.
+        Recording of the open chamber, for the atmospheric pressure.
     held_press : bool
-        Whether a press in `frames` that is held is asked for λ and gauge pressure where there are
-        no levels.
+        Determine λ and gauge pressure from a held press in `frames` if there are no levels.
     object, pose, pressed : str, optional
         Validate by a known press in `frames`: mesh file or preset, its T_B_O as
         "x y z qx qy qz qw" (m, unit quaternion), and the frames "A:B" in which it is held still.
     out, report, overwrite
-        As of `Identified.save`, which is done at the end where `out` is given.
+        As in `Identified.save`, which is called if `out` is given.
     progress : callable
-        Told each step and how far it is.
+        Called with each step and its completed share.
 
     Returns
     -------
     Identified
-        To look at, and to `save`.
+        Results, with `save`.
 
     Raises
     ------
     InputError
-        Whatever makes the answer worthless: too few contact-free frames, frames of another camera
-        or in another unit, no gauge pressure, half of the dome unseen, contact all along.
+        Too few contact-free frames, frames of another camera or in a wrong unit, no gauge pressure,
+        less than half of the dome visible, or contact in all frames.
 
     Examples
     --------
     >>> found = bv.identify(bv.open("rest.mcap"), "punyo_oval_d405")
     >>> found.save("mine.toml", report="report")
     """
-    if out is not None:  # before the work
+    if out is not None:  # fail before the computation
         output_files(out, None if report is None else Path(report), overwrite=overwrite)
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
     source = KeptFrames(open(frames) if isinstance(frames, str | Path) else frames)
@@ -232,7 +231,7 @@ def identify(
     )
     with OneBlasThread():
         draft = Workbench(source, load_sensor(sensor)).work(settings, progress)
-    assert draft.found is not None  # of all steps
+    assert draft.found is not None  # after the last step
     identified = Identified(draft.found, source, name, draft.validation)
     if out is not None:
         identified.save(out, report, overwrite=overwrite, progress=progress)
@@ -246,7 +245,7 @@ def _source(frames: FrameSource | str | Path) -> FrameSource | Path:
 def _known_press(
     source: FrameSource, obj: str | None, pose: str | None, pressed: str | None
 ) -> KnownPress | None:
-    """What to validate by, refused before the work where it cannot be read."""
+    """Press for the validation. Raises InputError: incomplete or unreadable."""
     if obj is None and pose is None and pressed is None:
         return None
     if obj is None or pose is None or pressed is None:

@@ -27,8 +27,8 @@ names = sdk.camera_info.name, sdk.camera_info.serial_number
 found = [" ".join(map(each.get_info, names)) for each in sdk.context().query_devices()]
 print(", ".join(found) or "none connected")
 """
-_LONGEST_S = 30.0
-"""How long a driver may take to answer: drivers may hang or crash, in a process of their own."""
+_TIMEOUT_S = 30.0
+"""For an answer of a driver, which may hang or crash, in a separate process."""
 _VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM", "OPENBLAS_NUM_THREADS")
 
 
@@ -52,7 +52,7 @@ class Listing(Summary):
 
 
 def presets() -> Listing:
-    """List the sensors and objects that come with bubbleviz, for `sensor` and `object`.
+    """List the sensors and objects shipped with bubbleviz, for `sensor` and `object`.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def presets() -> Listing:
 
 
 def doctor() -> Listing:
-    """Gather what a bug report needs: versions, libraries, OpenGL, cameras.
+    """Collect facts for a bug report: versions, libraries, OpenGL, cameras.
 
     Returns
     -------
@@ -90,21 +90,21 @@ def doctor() -> Listing:
 
 
 def _libraries() -> dict[str, str]:
-    """Version of each library that the package asks for, or how to have it."""
+    """Version of each required or optional library, or how to install it."""
     try:
-        asked_for = metadata.requires("bubbleviz") or ()
+        requirements = metadata.requires("bubbleviz") or ()
     except metadata.PackageNotFoundError:
         return {"bubbleviz": "not installed; run from a folder"}
     found = {}
-    for needed in asked_for:
-        name = re.split(r"[^\w.-]", needed)[0]
-        extra = re.search(r"extra == ['\"](.+?)['\"]", needed)
+    for requirement in requirements:
+        name = re.split(r"[^\w.-]", requirement)[0]
+        extra = re.search(r"extra == ['\"](.+?)['\"]", requirement)
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             if extra is not None:
                 found[name] = f"not installed; {how_to_install(extra[1])}"
-            elif ";" not in needed:  # else it may be for another system
+            elif ";" not in requirement:  # else it may be for another system
                 found[name] = "missing; install bubbleviz again"
     return found
 
@@ -116,13 +116,13 @@ def _answer(program: str, extra: str) -> str:
             [sys.executable, "-c", program],
             capture_output=True,
             text=True,
-            timeout=_LONGEST_S,
+            timeout=_TIMEOUT_S,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"no answer in {_LONGEST_S:.0f} s"
+        return f"no answer in {_TIMEOUT_S:.0f} s"
     if "ModuleNotFoundError" in done.stderr:
         return f"not known; {how_to_install(extra)}"
     lines = (done.stderr if done.returncode else done.stdout).split("\n")
-    said = [line.strip() for line in lines if line.strip()]
-    return said[-1] if said else f"the driver ended with code {done.returncode}"
+    printed = [line.strip() for line in lines if line.strip()]
+    return printed[-1] if printed else f"the driver ended with code {done.returncode}"

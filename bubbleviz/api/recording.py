@@ -1,4 +1,4 @@
-"""Record and publish live sources until they end or ^C."""
+"""Recording and publishing of live sources, until they end or ^C."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from bubbleviz.wording import count_of
 if TYPE_CHECKING:
     from bubbleviz.live import OfferedTopic, SessionOptions, ZenohPublisher
 
-_LOOK_S = 0.05  # s between looks at a source; chosen
-_LINGER_S = 0.5
-"""How long the session stays open after the last message, so that it goes out."""
-_SETTLE_S = 0.3
-"""How long no more subscriptions must come before the first message: one subscriber has several."""
+_POLL_S = 0.05  # polling period of a source; chosen
+_CLOSING_DELAY_S = 0.5
+"""Time until the session is closed after the last message, so that it is sent."""
+_SUBSCRIPTION_DELAY_S = 0.3
+"""Time without new subscriptions before the first message, as a subscriber has several."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class RecordSummary(Summary):
     source: str
     out: str
     messages: int
-    frames: int  # depth images among the messages that make frames
+    frames: int  # complete frames among the messages
     duration_s: float  # from the first message to the end
     size_bytes: int
-    most_waiting_bytes: int  # how far the disk was behind at worst
-    stalls: int  # how often the source had to wait for it
-    counters: dict[str, Any]  # what was wrong with messages, which are recorded all the same
+    most_waiting_bytes: int  # largest backlog of the disk
+    stalls: int  # number of waits of the source for the disk
+    counters: dict[str, Any]  # of problems with messages, which are recorded nevertheless
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -54,13 +54,13 @@ class RecordSummary(Summary):
             f"frames  {self.frames} in {self.duration_s:.2f} s, "
             f"{count_of(self.messages, 'message')}",
         ]
-        wrong = {
+        problems = {
             name.replace("_", " "): count
             for name, count in self.counters.items()
             if isinstance(count, int) and count and name not in ("received", "frames", "skipped")
         }
-        if wrong:
-            lines.append(f"notes   {counted(wrong)}; {self.counters['problem']}".rstrip("; "))
+        if problems:
+            lines.append(f"notes   {counted(problems)}; {self.counters['problem']}".rstrip("; "))
         return "\n".join(lines)
 
 
@@ -74,31 +74,31 @@ def record(
 ) -> RecordSummary:
     """Record every message of a live source until the duration is over, it ends, or ^C.
 
-    The file is whole then; should the machine stop, it opens up to the last second.
+    After a crash of the machine the file can be opened up to the last second.
 
     Parameters
     ----------
     source : str
-        As of `connect`.
+        As in `connect`.
     out : path
         `X.mcap`, or a rosbag2 folder.
     sensor : str, path or Sensor
-        Simulated by `synthetic:`, where `auto` is the built-in one.
+        Simulated by `synthetic:`; `auto` is the built-in one.
     duration_s : float, optional
-        Counted from the first message, s.
+        From the first message, s.
     overwrite : bool
         Replace existing files.
 
     Raises
     ------
     InputError
-        The source or the file cannot be opened, nothing arrived, or the disk refused.
+        The source or the file cannot be opened, nothing arrived, or writing failed.
     """
     stream = open_stream(source, _simulated(sensor), any_size=True)
     recorder = Recorder()
     recorder.listen_to(stream)
     first: float | None = None
-    with room_for(out, overwrite=overwrite), stopped_by_signals() as stop:
+    with replacing(out, overwrite=overwrite), stopped_by_signals() as stop:
         recorder.start(out)
         try:
             with stream:
@@ -130,14 +130,14 @@ def _wait(
     stop: threading.Event,
     duration_s: float | None,
 ) -> float | None:
-    """Wait until recording ends; returns when the first message came (`time.monotonic`)."""
+    """Wait until recording ends; returns the time of the first message (`time.monotonic`)."""
     began, first = time.monotonic(), None
     with tqdm(unit=" messages", disable=None, file=sys.stderr) as bar:  # only on a terminal
-        for first in _looks(stop, duration_s, lambda: stream.counters.received > 0):
+        for first in _poll(stop, duration_s, lambda: stream.counters.received > 0):
             status = recorder.status()
             if status is None or status.problem or stream.ended:
                 break
-            stream.take()  # frees the slot of a frame that is not solved here
+            stream.take()  # frees the slot of the newest frame, which is not solved
             bar.n = status.messages
             bar.set_postfix_str(f"{status.size_bytes / 1e6:.1f} MB, {stream.status().text}")
             waited_s = time.monotonic() - began
@@ -146,16 +146,16 @@ def _wait(
     return first
 
 
-def _looks(
-    stop: threading.Event, duration_s: float | None, began: Callable[[], bool]
+def _poll(
+    stop: threading.Event, duration_s: float | None, has_begun: Callable[[], bool]
 ) -> Iterator[float | None]:
-    """Yield at every poll when messages began (`time.monotonic`), or None before.
+    """Yield at every poll the time of the first message (`time.monotonic`), or None before.
 
-    Ends by `stop`, or `duration_s` after they began.
+    Ends by `stop`, or `duration_s` after the first message.
     """
     first: float | None = None
-    while not stop.wait(_LOOK_S):
-        first = first or (time.monotonic() if began() else None)
+    while not stop.wait(_POLL_S):
+        first = first or (time.monotonic() if has_begun() else None)
         yield first
         if duration_s is not None and first and time.monotonic() - first >= duration_s:
             return
@@ -165,11 +165,11 @@ def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
     if status.problem:
         raise InputError(status.problem)
     problem, lost = stream.source.problem, stream.source.link == "lost"
-    if problem and not (lost and status.messages):  # what came before it was lost is in the file
+    if problem and not (lost and status.messages):  # messages before the loss are in the file
         raise InputError(f"--source {source}: {problem}")
     if not status.messages:
-        there = stream.offered
-        raise InputError(f"--source {source}: nothing arrived ({there}); nothing was written")
+        offered = stream.offered
+        raise InputError(f"--source {source}: nothing arrived ({offered}); nothing was written")
 
 
 @dataclass(frozen=True)
@@ -199,31 +199,31 @@ def publish(
 ) -> PublishSummary:
     """Publish every message of a source over Zenoh until the duration is over, it ends, or ^C.
 
-    Subscribers that are slow are waited for: nothing is lost on the way.
+    Slow subscribers delay the source; no message is lost.
 
     Parameters
     ----------
     source, sensor, duration_s
-        As of `record`.
+        As in `record`.
     listen, connect : str, optional
         Endpoint that subscribers connect to, `tcp/127.0.0.1:7447` by default, or router to publish
         through.
     layout : {"rmw", "dds"}
-        Names of Zenoh keys, as of `rmw_zenoh` or the DDS bridge.
+        Names of Zenoh keys, as in `rmw_zenoh` or the DDS bridge.
     domain : int
         ROS_DOMAIN_ID.
     wait : bool
         Start when a subscriber connects.
     **credentials
-        As of `watch`.
+        As in `watch`.
 
     Raises
     ------
     InputError
-        The source cannot be opened, the address cannot be bound, or no router answers; or it is to
-        wait, and its topics are not known before it starts.
+        The source cannot be opened, the address cannot be bound, or no router answers; or `wait` is
+        given and the topics of the source are unknown before it starts.
     """
-    from bubbleviz.live import ZenohPublisher  # `record` does without
+    from bubbleviz.live import ZenohPublisher  # not needed by `record`
 
     place = zenoh_place(listen, connect, credentials)
     sent: Counter[str] = Counter()
@@ -248,12 +248,12 @@ def publish(
             _wait_for_subscriber(publisher, topics, stop)
         live.start(send)
         try:
-            for _ in _looks(stop, duration_s, lambda: bool(sent)):
+            for _ in _poll(stop, duration_s, lambda: bool(sent)):
                 if live.link == "ended":
                     break
         finally:
             live.stop()
-        stop.wait(_LINGER_S)
+        stop.wait(_CLOSING_DELAY_S)
     return PublishSummary(source, place.connect or place.listen or "", dict(sent))
 
 
@@ -265,16 +265,16 @@ def _wait_for_subscriber(
     before = 0
     while not stop.is_set() and (not before or publisher.subscribed != before):
         before = publisher.subscribed
-        stop.wait(_SETTLE_S)
+        stop.wait(_SUBSCRIPTION_DELAY_S)
 
 
 def zenoh_place(
     listen: str | None, connect: str | None, credentials: dict[str, str | None]
 ) -> SessionOptions:
-    """Where to publish: at an endpoint, this computer's by default, or through a router."""
+    """Session options to publish at an endpoint, by default of this computer, or by a router."""
     from bubbleviz.live import (
         ROUTER,
-        Credentials,  # `record` does without
+        Credentials,  # not needed by `record`
         SessionOptions,
         listening_warning,
     )
@@ -295,8 +295,8 @@ def zenoh_place(
 
 
 @contextmanager
-def room_for(out: str | Path, *, overwrite: bool) -> Iterator[None]:
-    """Move an existing recording aside while its replacement is written in place."""
+def replacing(out: str | Path, *, overwrite: bool) -> Iterator[None]:
+    """Move an existing recording aside while its replacement is written."""
     if overwrite:
         refuse_existing(out, overwrite=True)
     with set_aside(*([Path(out)] if overwrite else [])):

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 _PRESSURE = "contact pressure, kPa"
 _NO_IMAGE = np.empty((0, 0), np.float32)
-"""In place of the depth images of a `Run`, which would fill the memory as colour images would."""
+"""Replaces the depth images in a `Run`, which would fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class FrameResult:
     result : Result
         With its `estimate`, `patch`, `pose` and `times_ms`.
     model : SensorModel
-        The sensor it was made with, with its `mesh` of n nodes.
+        Model of the sensor, with its `mesh` of n nodes.
     """
 
     result: Result
@@ -90,14 +90,14 @@ class FrameResult:
 
     @property
     def stamp_ns(self) -> int:
-        """Time stamp of the image, ns since 1970 by the clock that stamped it; 0 without one."""
+        """Time stamp of the image, ns since 1970 by the source's clock; 0 if there is none."""
         return self.result.frame.stamp_ns
 
     @property
     def age_s(self) -> float:
         """Time since the image was taken, s; NaN for recordings.
 
-        Since its stamp or, if that is of another clock, since its arrival.
+        From its stamp or, if the clocks differ, from its arrival.
         """
         taken_ns = self.result.frame.taken_ns
         return math.nan if taken_ns is None else 1e-9 * (time.time_ns() - taken_ns)
@@ -109,7 +109,7 @@ class FrameResult:
 
     @property
     def force_n(self) -> np.ndarray:
-        """Force of the whole contact on the membrane in B, friction included, (3,), N."""
+        """Total contact force on the membrane in B, with friction, (3,), N."""
         return self._numbers("force_n")
 
     @property
@@ -142,7 +142,7 @@ class FrameResult:
 
     @property
     def patch_area_interval_m2(self) -> np.ndarray:
-        """Areas within the inner and outer line of the band that holds the true edge, (2,), m²."""
+        """Areas within the inner and outer line of the band around the edge, (2,), m²."""
         return self._numbers("patch_area_interval_m2")
 
     @property
@@ -173,7 +173,7 @@ class FrameResult:
 
     @property
     def T_B_O(self) -> np.ndarray:
-        """Pose of the object, (4, 4), m; NaN where there is none."""
+        """Pose of the object, (4, 4), m; NaN if unknown."""
         pose = self.result.pose
         return np.full((4, 4), np.nan) if pose is None else pose.T_B_O
 
@@ -193,19 +193,19 @@ class FrameResult:
         Parameters
         ----------
         screenshot : path, optional
-            Write this PNG instead, without a screen.
+            Write this PNG instead; needs no screen.
         overwrite : bool
-            Replace it where it exists.
+            Replace an existing file.
 
         Returns
         -------
         object
-            What `pyvista.Plotter.show` returns: in a notebook the picture.
+            The return value of `pyvista.Plotter.show`: in a notebook the picture.
 
         Raises
         ------
         InputError
-            pyvista, of the extra `window`, is not installed, or the file exists.
+            pyvista (extra `window`) is not installed, or the file exists.
         """
         try:
             import pyvista  # an extra
@@ -213,10 +213,10 @@ class FrameResult:
             raise _missing("pyvista", "window") from error
         if screenshot is not None:
             refuse_existing(screenshot, overwrite=overwrite)
-        with pyvista.vtk_verbosity("error"):  # without an X server VTK warns, and draws
+        with pyvista.vtk_verbosity("error"):  # no warnings of VTK without an X server
             plotter = pyvista.Plotter(off_screen=screenshot is not None)
             _draw(plotter, pyvista, self)
-            backend = "static" if plotter.notebook else None  # needs neither a screen nor trame
+            backend = "static" if plotter.notebook else None  # works without screen and trame
             if screenshot is None:
                 return plotter.show(jupyter_backend=backend)
             with whole_file(screenshot, overwrite=overwrite) as temporary:
@@ -247,40 +247,41 @@ class FrameResult:
 
 
 class Run(Sequence[FrameResult], Summary):
-    """What was found in the frames of a recording, like a list; images are not kept.
+    """Results of the frames of a recording, like a list; images are not kept.
 
-    Of frames that were written to a file as they were found, only the numbers are kept: table, plot
-    and summary, and no `run[k]`; `load_run` has all of it.
+    If results were written to a file during estimation, only summary values are in memory, for
+    table, plot and summary, and `run[k]` is an error; `load_run` reads the results.
 
     Parameters
     ----------
     model : SensorModel
-    said : dict
-        Facts of the summary that are not of the frames: recording, sensor, solver, warning, ….
-    made_by : dict
-        What RESULT.npz keeps of how it was made.
+    context : dict
+        Facts of the summary beside those of the frames: recording, sensor, solver, warning, ….
+    provenance : dict
+        Texts stored in RESULT.npz: sensor file, version, solver, ….
 
     Attributes
     ----------
     poses : list of dict
-        Lines of POSES.csv, where an object was tracked.
+        Lines of POSES.csv, if an object was tracked.
     """
 
-    def __init__(self, model: SensorModel, said: dict[str, Any], made_by: dict[str, str]) -> None:
-        self.model, self.said, self.made_by = model, said, made_by
+    def __init__(
+        self, model: SensorModel, context: dict[str, Any], provenance: dict[str, str]
+    ) -> None:
+        self.model, self.context, self.provenance = model, context, provenance
         self.poses: list[PoseRow] = []
         self._numbers = FrameTable(model.sensor.name)
         self._results: list[FrameResult] = []
 
     def add(self, result: Result, *, keep: bool) -> None:
-        """Take the next frame."""
+        """Add the result of the next frame; `keep`: in memory."""
         pose = [] if result.pose is None else [pose_row(result)]
         self.poses += pose
         self._numbers.add(result, pose_columns(pose[0]) if pose else None)
         if keep:
             frame = replace(result.frame, depth_m=_NO_IMAGE, find_colour=None)
-            light = replace(result, frame=frame)
-            self._results.append(FrameResult(light, self.model))
+            self._results.append(FrameResult(replace(result, frame=frame), self.model))
 
     def __len__(self) -> int:
         """Count the frames."""
@@ -291,26 +292,26 @@ class Run(Sequence[FrameResult], Summary):
     @overload
     def __getitem__(self, index: slice) -> Self: ...
     def __getitem__(self, index: int | slice) -> FrameResult | Self:
-        """What was found in one frame, or in some of them.
+        """Result of one frame, or of a slice of frames.
 
         Raises
         ------
         InputError
-            It was written to a file and not kept.
+            Results were written to a file and not kept.
         """
         if len(self) and not self._results:
-            raise InputError(f"{self.said['out']}: holds the results; read them with load_run")
+            raise InputError(f"{self.context['out']}: holds the results; read them with load_run")
         if not isinstance(index, slice):
             return self._results[index]
-        part = type(self)(self.model, self.said, self.made_by)
+        part = type(self)(self.model, self.context, self.provenance)
         for each in self._results[index]:
             part.add(each.result, keep=True)
         return part
 
     @property
     def warning(self) -> str | None:
-        """What is missing or does not fit together, but was solved all the same."""
-        return self.said["warning"]
+        """Missing data and mismatches that did not prevent the estimation; None without any."""
+        return self.context["warning"]
 
     @property
     def times_s(self) -> np.ndarray:
@@ -324,35 +325,35 @@ class Run(Sequence[FrameResult], Summary):
 
     @property
     def force_n(self) -> np.ndarray:
-        """Force on the membrane in B, (F, 3), N; NaN where it is not to be trusted."""
+        """Force on the membrane in B, (F, 3), N; NaN in untrusted frames."""
         return self._of_frames("force_n")
 
     @property
     def T_B_O(self) -> np.ndarray:
-        """Pose of the object in each frame, (F, 4, 4), m; NaN where there is none."""
+        """Pose of the object in each frame, (F, 4, 4), m; NaN if unknown."""
         return np.array([each.T_B_O for each in self])
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Numbers of each frame by column, (F,) each, units in the names, times in ms."""
+        """Values of each frame by column, (F,) each, units in the names, run times in ms."""
         table = self._numbers.columns()
         table["kappa"] = [np.nan if kappa is None else kappa for kappa in table["kappa"]]
         return {name: np.array(values) for name, values in table.items()}
 
     def rows(self) -> list[dict[str, Any]]:
-        """Numbers of each frame by key of RESULT.npz."""
+        """Values of each frame by key of RESULT.npz."""
         return self._numbers.rows()
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Every array of RESULT.npz but the masks, by the same names: frames, nodes and mesh."""
+        """Arrays of RESULT.npz by name, without the masks."""
         return result_arrays(self.rows(), [each.result for each in self], self.model.mesh)
 
     def table(self) -> pandas.DataFrame:
-        """Table of the numbers of each frame, the frame's index as index.
+        """Table with one row per frame, indexed by frame.
 
         Raises
         ------
         InputError
-            pandas, of the extra `notebook`, is not installed.
+            pandas (extra `notebook`) is not installed.
         """
         try:
             import pandas  # an extra
@@ -363,12 +364,12 @@ class Run(Sequence[FrameResult], Summary):
     def dataset(self) -> xarray.Dataset:
         """Fields of all frames with named dimensions, and units as attributes.
 
-        They are `frame`, `node`, `axis`, `bound` of an interval, `triangle` and `corner`.
+        Dimensions are `frame`, `node`, `axis`, `bound` of an interval, `triangle` and `corner`.
 
         Raises
         ------
         InputError
-            xarray, of the extra `notebook`, is not installed.
+            xarray (extra `notebook`) is not installed.
         """
         try:
             import xarray  # an extra
@@ -386,14 +387,14 @@ class Run(Sequence[FrameResult], Summary):
         Parameters
         ----------
         path : path, optional
-            Write this PNG, SVG or PDF, too.
+            Also write this PNG, SVG or PDF.
         overwrite : bool
-            Replace it where it exists.
+            Replace an existing file.
 
         Returns
         -------
         Figure
-            Notebooks show it; without a path it is of pyplot, so that scripts can by
+            Shown by notebooks; without a path it belongs to pyplot, and scripts can show it by
             `matplotlib.pyplot.show()`.
 
         Raises
@@ -411,7 +412,7 @@ class Run(Sequence[FrameResult], Summary):
     def save(
         self, out: str | Path, csv: str | Path | None = None, *, overwrite: bool = False
     ) -> None:
-        """Write RESULT.npz, and RESULT.csv where it is asked for, both or neither.
+        """Write RESULT.npz, and RESULT.csv if requested, both or neither.
 
         Raises
         ------
@@ -427,15 +428,15 @@ class Run(Sequence[FrameResult], Summary):
     def files(
         self, out: str | Path, csv: str | Path | None, *, overwrite: bool, frames: int | None = None
     ) -> Iterator[Callable[[Result], object]]:
-        """Function to write so many frames with; the files are there when the block ends."""
+        """Function that writes the results of `frames` frames; the files appear after the block."""
         with ExitStack() as stack:
             archive = stack.enter_context(whole_file(out, overwrite=overwrite))
             table = stack.enter_context(whole_file(csv, overwrite=overwrite)) if csv else None
             count, shape = len(self) if frames is None else frames, self.model.view.shape
-            shear = self.said.get("texture") is not None
+            shear = self.context.get("texture") is not None
             writer = ResultWriter(archive, self.model.mesh, count, shape, shear=shear)
             yield stack.enter_context(writer).add
-            writer.finish(self.rows(), **self.made_by)
+            writer.finish(self.rows(), **self.provenance)
             if table:
                 sensor = self.model.sensor.name
                 write_rows(table, [csv_row(row, sensor) for row in self.rows()])
@@ -449,22 +450,23 @@ class Run(Sequence[FrameResult], Summary):
             No object was tracked, or the file exists or cannot be written.
         """
         if not self.poses:
-            raise InputError(f"{self.said['recording']}: no object was tracked; use bv.track")
+            raise InputError(f"{self.context['recording']}: no object was tracked; use bv.track")
         write_poses(Path(out), self.poses, "csv", overwrite=overwrite)
 
     def facts(self) -> dict[str, Any]:
-        """Summary of the run, with the statistics of its frames, or of the poses where tracked."""
-        tracked = "object" in self.said
-        return self.said | (_of_poses(self.poses) if tracked else statistics(self.rows()))
+        """Context and statistics of the frames, or of the poses if an object was tracked."""
+        tracked = "object" in self.context
+        return self.context | (_pose_statistics(self.poses) if tracked else statistics(self.rows()))
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
-        told = self.facts()
-        told |= {"way": "patch out, first frame left out"} | _pose_words(told) | _shear_words(told)
-        lines = [] if told["out"] is None else [f"wrote   {told['out']}"]
-        lines.append(f"frames  {told['frames']}: {counted(told['status'])}")
-        known = (key for key in _LINES if told.get(key) is not None)
-        return "\n".join([*lines, *(_LINES[key].format(told[key], **told) for key in known)])
+        facts = self.facts()
+        facts["end"] = "patch out, without the first frame"
+        facts |= _pose_texts(facts) | _shear_texts(facts)
+        lines = [] if facts["out"] is None else [f"wrote   {facts['out']}"]
+        lines.append(f"frames  {facts['frames']}: {counted(facts['status'])}")
+        known = (key for key in _LINES if facts.get(key) is not None)
+        return "\n".join([*lines, *(_LINES[key].format(facts[key], **facts) for key in known)])
 
     def _of_frames(self, name: str) -> np.ndarray:
         return np.array([row[name] for row in self.rows()])
@@ -472,28 +474,29 @@ class Run(Sequence[FrameResult], Summary):
     def __repr__(self) -> str:
         force = np.linalg.norm(self.force_n, axis=1) if len(self) else np.zeros(0)
         known = force[np.isfinite(force)]
-        most = f", up to {known.max():.3g} N" if len(known) else ""
+        largest = f", up to {known.max():.3g} N" if len(known) else ""
         statuses = counted(Counter(each["status"] for each in self.rows()))
-        return f"<{count_of(len(self), 'frame')} of {self.said['recording']}: {statuses}{most}>"
+        frames = count_of(len(self), "frame")
+        return f"<{frames} of {self.context['recording']}: {statuses}{largest}>"
 
 
 def load_run(path: str | Path) -> Run:
-    """Load what `estimate` found from the RESULT.npz that it, or `Run.save`, wrote.
+    """Load the results of `estimate` from a RESULT.npz.
 
     Parameters
     ----------
     path : path
-        All of it is read, with 0.3 MB a frame of 640×480 pixels for the mask of the patch.
+        Read completely into memory; the mask of the patch takes 0.3 MB per frame of 640×480 pixels.
 
     Returns
     -------
     Run
-        Of traction and slip the file alone tells, as the `warning` of such a run says.
+        Without traction and slip, which its `warning` mentions; read them from the file.
 
     Raises
     ------
     InputError
-        The file is missing, or is no RESULT.npz.
+        The file is missing, or is not a RESULT.npz.
 
     Examples
     --------
@@ -511,8 +514,8 @@ def load_run(path: str | Path) -> Run:
         raise InputError(
             f"{path}: not a RESULT.npz of bubbleviz estimate ({error}); choose one"
         ) from error
-    lost = "traction and slip are not loaded into a run; read them from the file"
-    said = {
+    shear_warning = "traction and slip are not loaded into a run; read them from the file"
+    context = {
         "recording": str(path),
         "sensor": sensor.name,
         "out": None,
@@ -520,9 +523,9 @@ def load_run(path: str | Path) -> Run:
         "kappa": results[0].solution[1].kappa,
         "texture": None,
         "gas_zero": None,
-        "warning": lost if "traction_status" in arrays else None,
+        "warning": shear_warning if "traction_status" in arrays else None,
     }
-    run = Run(SensorModel(sensor, DepthCamera.of(sensor.camera), mesh), said, texts)
+    run = Run(SensorModel(sensor, DepthCamera.of(sensor.camera), mesh), context, texts)
     for result in results:
         run.add(result, keep=True)
     return run
@@ -531,25 +534,25 @@ def load_run(path: str | Path) -> Run:
 _LINES = {
     "fit": "fit     {} (medians)",
     "median_contact_force_n": "force   {:.3g} N median in contact, {max_force_n:.3g} N highest",
-    "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench, less its "
-    "contact-free bias",
+    "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench, without "
+    "its contact-free bias",
     "gas_zero": "{}",
     "shear": "{}\n        {texture}",
-    "median_total_ms": "time    depth image in → {way}: {:.1f} ms median, "
+    "median_total_ms": "time    depth image in → {end}: {:.1f} ms median, "
     "{p95_total_ms:.1f} ms p95",
     "median_contact_total_ms": "        {:.1f} ms median in contact",
     "areas": "patch   {} (medians)",
 }
-"""Lines of a summary, by the fact without which there is none."""
+"""Lines of a summary, by the fact that each requires."""
 
 
 def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Statistics of frames: `status` counts them, what has no frames is None.
+    """Statistics of frames; None if no frame has the value.
 
-    Times in ms are over all frames after the first, depth image in → patch out, `solve_ms` the
-    solver alone; `contact` is over frames with a contact patch, `measured_force_n` by the
-    recording's wrench less its contact-free bias, `traction` by colour, with half of its 95 %
-    interval.
+    Run times in ms are over all frames but the first, depth image in → patch out; `solve_ms` is of
+    the solver alone. `contact` means frames with a contact patch, `measured_force_n` the force of
+    the wrench minus its contact-free bias, `traction` the force with friction, with half of its
+    95 % interval.
     """
     known = [row for row in rows if row["status"] in TRUSTED]
     touching = [row for row in rows if row["patch_area_m2"] > 0.0]
@@ -578,8 +581,8 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _of_poses(rows: Sequence[PoseRow]) -> dict[str, Any]:
-    """Statistics of poses; medians over the frames with one, times without the first."""
+def _pose_statistics(rows: Sequence[PoseRow]) -> dict[str, Any]:
+    """Statistics of poses: medians over `ok` frames, run times without the first."""
     good = [row for row in rows if row["status"] == "ok"]
     areas = [(row["patch_area_m2"], row["object_patch_area_m2"]) for row in good]
     both = [pair for pair in areas if np.isfinite(pair).all()]
@@ -597,39 +600,39 @@ def _of_poses(rows: Sequence[PoseRow]) -> dict[str, Any]:
     }
 
 
-def _pose_words(told: dict[str, Any]) -> dict[str, str]:
-    if "object" not in told:
+def _pose_texts(facts: dict[str, Any]) -> dict[str, str]:
+    if "object" not in facts:
         return {}
-    words = {"way": "pose out while tracking"}
-    if told["median_rmse_m"] is not None:
-        share, off_mm = 100.0 * told["median_fitness"], 1e3 * told["median_rmse_m"]
-        words["fit"] = f"{share:.0f} % of the patch on the object, rmse {off_mm:.2f} mm"
-    if told["median_patch_area_m2"] is not None:
-        mm2 = [1e6 * told[key] for key in ("median_patch_area_m2", "median_object_patch_area_m2")]
-        words["areas"] = f"{mm2[0]:.0f} mm² by the contact pressure, {mm2[1]:.0f} mm² by the object"
-    return words
+    texts = {"end": "pose out while tracking"}
+    if facts["median_rmse_m"] is not None:
+        share, rmse_mm = 100.0 * facts["median_fitness"], 1e3 * facts["median_rmse_m"]
+        texts["fit"] = f"{share:.0f} % of the patch on the object, rmse {rmse_mm:.2f} mm"
+    if facts["median_patch_area_m2"] is not None:
+        mm2 = [1e6 * facts[key] for key in ("median_patch_area_m2", "median_object_patch_area_m2")]
+        texts["areas"] = f"{mm2[0]:.0f} mm² by the contact pressure, {mm2[1]:.0f} mm² by the object"
+    return texts
 
 
-def _shear_words(told: dict[str, Any]) -> dict[str, str]:
-    if told.get("traction_status") is None:
+def _shear_texts(facts: dict[str, Any]) -> dict[str, str]:
+    if facts.get("traction_status") is None:
         return {}
-    status = counted(told["traction_status"])
-    if told["median_traction_force_n"] is None:
+    status = counted(facts["traction_status"])
+    if facts["median_traction_force_n"] is None:
         return {"shear": f"shear   {status}"}
     return {
-        "shear": f"shear   {told['median_traction_force_n']:.3g} ± "
-        f"{told['median_traction_half_width_n']:.2g} N (95 %) "
+        "shear": f"shear   {facts['median_traction_force_n']:.3g} ± "
+        f"{facts['median_traction_half_width_n']:.2g} N (95 %) "
         f"median with friction: {status}; its direction has not been verified"
     }
 
 
 def _over(rows: Sequence[dict[str, Any]], key: str) -> list[float]:
-    """Numbers of some frames, sizes of vectors."""
+    """Values of some frames; of vectors the magnitude."""
     return [float(np.linalg.norm(row[key])) if np.ndim(row[key]) else row[key] for row in rows]
 
 
 def _known(statistic: Callable[[list[float]], Any], values: list[float]) -> float | None:
-    """Statistic of finite values; None where there are none, as JSON has no NaN."""
+    """Statistic of finite values; None if there are none, as JSON has no NaN."""
     finite = [value for value in values if math.isfinite(value)]
     return float(statistic(finite)) if finite else None
 
@@ -662,16 +665,16 @@ def _draw(plotter: Any, pyvista: Any, found: FrameResult) -> None:
 
 
 def _new_figure(shown: bool) -> Figure:
-    """Make an empty figure, of pyplot where it is shown."""
-    from matplotlib.figure import Figure  # 0.4 s
+    """Make an empty figure, of pyplot if it is shown."""
+    from matplotlib.figure import Figure  # takes 0.4 s
 
     if not shown:
         return Figure(figsize=SIZE_IN, layout="constrained")
-    from matplotlib import pyplot  # looks for a display
+    from matplotlib import pyplot  # searches a display
 
     figure = pyplot.figure(figsize=SIZE_IN, layout="constrained")
     if "inline" in pyplot.get_backend():
-        pyplot.close(figure)  # it is the cell's result; pyplot would show it once more
+        pyplot.close(figure)  # shown as the cell's result; pyplot would show it again
     return figure
 
 
@@ -688,11 +691,11 @@ def _dimensions() -> dict[str, tuple[str, ...]]:
 
 
 _UNITS = {"m": "m", "m2": "m2", "n": "N", "nm": "N m", "pa": "Pa", "s": "s", "ms": "ms", "px": "1"}
-"""Units by the end of a name, as UDUNITS spells them."""
+"""Units in UDUNITS notation, by the suffix of a name."""
 
 
 def _unit(name: str) -> dict[str, str]:
-    """Attributes of an array of RESULT.npz: its unit, where it has one."""
+    """Attributes of an array of RESULT.npz: its unit, if any."""
     unit = _UNITS.get(name.rpartition("_")[2]) if "_" in name else None
     return {} if unit is None else {"units": unit}
 
@@ -702,8 +705,8 @@ def _missing(library: str, extra: str = "notebook") -> InputError:
 
 
 OneBlasThread = partial(threadpool_limits, limits=1, user_api="blas")
-"""A context in which BLAS uses one thread; what was set before comes back.
+"""Context in which BLAS uses one thread; restores the previous setting.
 
-The solver's matrices are small: threads that wait for each other cost more than they save. The
-command line sets `OPENBLAS_NUM_THREADS` before NumPy is loaded, which a library cannot.
+The solver's matrices are small, so synchronising threads costs more than they save. The command
+line sets `OPENBLAS_NUM_THREADS` before NumPy is loaded, which a library cannot do.
 """

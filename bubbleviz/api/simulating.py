@@ -23,7 +23,7 @@ from bubbleviz.simulation import DepthNoise, Speckle, SyntheticSource, Truth, pr
 
 
 class Simulation(Frames):
-    """Simulated frames, made when they are asked for.
+    """Simulated frames, computed on access.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ class Simulation(Frames):
     @overload
     def __getitem__(self, index: slice) -> Self: ...
     def __getitem__(self, index: int | slice) -> Frame | Self:
-        """One frame, or some of them; SolveError where there is no equilibrium."""
+        """One frame, or a slice of frames. Raises SolveError: there is no equilibrium."""
         with OneBlasThread():
             return super().__getitem__(index)
 
     def truth(self, index: int) -> Truth:
-        """What is true of a frame: displacement, contact pressure, force, patch; SI units."""
+        """Ground truth of a frame: displacement, contact pressure, force, patch; SI units."""
         with OneBlasThread():
             return self.source.truth(self.chosen[index])
 
@@ -56,14 +56,14 @@ class Simulation(Frames):
         overwrite: bool = False,
         progress: Progress = quiet,
     ) -> None:
-        """Write all frames as a recording, and TRUTH.npz where it is asked for.
+        """Write all frames as a recording, and TRUTH.npz if requested; in case of errors nothing.
 
         Raises
         ------
         InputError
-            A file exists or cannot be written; nothing is written then.
+            A file exists or cannot be written.
         SolveError
-            No equilibrium at a pose; nothing is written.
+            No equilibrium at a pose.
         """
         for path in (out, truth) if truth else (out,):
             refuse_existing(path, overwrite=overwrite)
@@ -115,34 +115,34 @@ def simulate(
     frames : int
         Frames at one pose.
     rate_hz : float
-        Frames a second.
+        Frames per second.
     noise_sigma_m, noise_relative : float
-        σ of range, m, and over range; both add in squares.
+        σ of range, m, and relative to range; their squares add.
     noise_correlation_px : float
         1/e distance of the noise, pixels; 0 for white noise.
     holes, outliers : float
-        Fractions of pixels without a return, and far off.
+        Fractions of pixels without a return, and with a gross error.
     seed : int
     model : {"rubber", "linear"}, optional
-        By default the exact membrane where the sensor has a pre-stretch.
+        By default the exact membrane if the sensor has a pre-stretch.
     friction : float
-        Coulomb's μ between object and exact membrane, up to 5; each frame then follows from those
-        before. 0: it slides freely.
+        Coulomb's μ between object and exact membrane, up to 5; each frame then depends on the
+        previous ones. 0: frictionless.
     drag_m, twist_rad : float
-        The object comes from above to the one pose given, is dragged along x of the bubble frame,
-        m, and twisted about its own z axis, rad; 10 frames or more.
+        The object approaches a single pose from above, then is dragged along x of the bubble frame,
+        m, and twisted about its own z axis, rad; needs 10 frames or more.
     texture : bool
-        Print a speckle on the membrane, which `frame.colour` shows.
+        Print a speckle pattern on the membrane, visible in `frame.colour`.
 
     Returns
     -------
     Simulation
-        Frames with their truth; InputError and SolveError where a frame has no equilibrium.
+        Frames with ground truth; access raises SolveError if a frame has no equilibrium.
 
     Raises
     ------
     InputError
-        Something given does not exist or does not fit together.
+        An input does not exist or does not match the others.
 
     Examples
     --------
@@ -189,7 +189,7 @@ def simulate(
 
 
 def _truth_arrays(source: SyntheticSource, truths: list[Truth]) -> dict[str, np.ndarray]:
-    """Arrays of TRUTH.npz: the names of RESULT.npz, on the simulation's mesh, and T_B_O."""
+    """Arrays of TRUTH.npz, with the names of RESULT.npz, on the simulation's mesh, and T_B_O."""
     touched = [np.isfinite(t.center_of_pressure_m[0]) for t in truths]
     return {
         "frame": np.arange(len(truths)),

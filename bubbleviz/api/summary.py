@@ -1,4 +1,4 @@
-"""Base class of what an API function reports: text and JSON."""
+"""Base class of the results of API functions, with text and JSON output."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from bubbleviz.files import to_json
 
 
 class Summary(ABC):
-    """Facts of what was done; a frozen dataclass, unless `facts` is overridden.
+    """Results with text and JSON output; a frozen dataclass, unless `facts` is overridden.
 
-    One that can warn has a `warning`: what is missing or does not fit together, but was used all
-    the same.
+    Some have a `warning` about missing data and mismatches that did not stop the computation.
     """
 
     def facts(self) -> dict[str, Any]:
-        """What `to_json` has: SI units but for ms, None for numbers that are not known."""
+        """Content of `to_json`: SI units, run times in ms, None for unknown values."""
         return asdict(self)  # type: ignore[call-overload]
 
     def to_json(self) -> str:
@@ -30,5 +29,5 @@ class Summary(ABC):
 
 
 def counted(status: dict[str, int]) -> str:
-    """Numbers by name, in words: `3 ok, 1 no_contact`."""
+    """Counts by name as text: `3 ok, 1 no_contact`."""
     return ", ".join(f"{count} {name}" for name, count in status.items())

@@ -1,4 +1,4 @@
-"""Estimated force against that of a wrench sensor."""
+"""Validation of the estimated force with a wrench sensor."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ValidationSummary(SavedSummary):
     found : WrenchComparison
         estimate(t) = gain · R (measured(t − delay) − bias), with 95 % intervals.
     out : str or None
-        Where it was written.
+        File or folder written.
     """
 
     stem = "validation"
@@ -43,19 +43,19 @@ class ValidationSummary(SavedSummary):
     out: str | None = None
 
     def facts(self) -> dict[str, Any]:
-        """Numbers, SI units: each with half of its 95 % interval; None where not determined."""
-        found, told = self.found, {}
+        """Numbers, SI units, each with half of its 95 % interval; None if not determined."""
+        found, parameters = self.found, {}
         for name in ("bias_n", "gain", "rotation_rad", "delay_s", "hysteresis_n"):
             number = getattr(found, name)
-            told[name] = _plain(number.value)
-            told[f"{name}_half_width"] = _plain(number.half_width)
+            parameters[name] = _plain(number.value)
+            parameters[f"{name}_half_width"] = _plain(number.half_width)
         return {
             "recording": self.recording,
             "sensor": self.sensor,
             "out": self.out,
             "frames": len(found.time_s),
             "presses": found.presses,
-            **told,
+            **parameters,
             "rotation_about_force_known": found.spin_known,
             "rmse_n": found.rmse_n,
             "size_rmse_n": found.size_rmse_n,
@@ -70,8 +70,8 @@ class ValidationSummary(SavedSummary):
             _with_interval(Interval(*pair))
             for pair in zip(found.bias_n.value, found.bias_n.half_width, strict=True)
         )
-        turn = found.rotation_rad
-        sizes = np.linalg.norm([turn.value, turn.half_width], axis=1)
+        rotation = found.rotation_rad
+        sizes = np.linalg.norm([rotation.value, rotation.half_width], axis=1)
         angle = Interval(*np.degrees(sizes))
         spin = "" if found.spin_known else ", not determined about the force direction"
         lines = [
@@ -90,7 +90,7 @@ class ValidationSummary(SavedSummary):
         return "\n".join([*lines, *([f"wrote {self.out}"] if self.out else [])])
 
     def rows(self) -> list[dict[str, float]]:
-        """Force of each frame: estimated, measured less bias and delay, and fitted, N."""
+        """Force of each frame: estimated, measured (less bias and delay), and fitted, N."""
         found = self.found
         kinds = {
             "estimate": found.estimate_n, "measured": found.measured_n, "fitted": found.fitted_n
@@ -107,7 +107,7 @@ class ValidationSummary(SavedSummary):
 
     def plot(self) -> Figure:
         """Estimated over measured force, and both over time."""
-        from matplotlib.figure import Figure  # 0.4 s
+        from matplotlib.figure import Figure  # takes 0.4 s
 
         found, figure = self.found, Figure(figsize=(10.0, 4.5), layout="constrained")
         sizes = [np.linalg.norm(f, axis=1) for f in (found.measured_n, found.estimate_n)]
@@ -144,25 +144,26 @@ def validate(
     Parameters
     ----------
     frames : sequence of Frame or path
-        With wrenches, and with frames without contact; or a recording.
+        With wrenches, partly without contact; or a recording.
     sensor, solver, friction, zero_gas, progress
-        As of `estimate`.
+        As in `estimate`.
     wrench : str, optional
-        Topic of the wrenches in a recording that is given by its path; else the nearest by name.
+        Topic of the wrenches in a recording given by its path; by default that of the most similar
+        name.
     out : path, optional
-        As of `ValidationSummary.save`.
+        As in `ValidationSummary.save`.
     overwrite : bool
-        Replace what is there.
+        Replace existing files.
 
     Returns
     -------
     ValidationSummary
-        Nothing of it is applied to estimates.
+        For information: it does not change later estimates.
 
     Raises
     ------
     InputError
-        Sensor and frames do not fit together, or there are no wrenches or no contacts.
+        Sensor and frames do not match, or there are no wrenches or no contacts.
 
     Examples
     --------
@@ -180,20 +181,21 @@ def validate(
         raise InputError(
             f"wrench {wrench}: the recording is open already; give wrench_topic to bv.open instead"
         )
-    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
-    run = estimate(frames, sensor, progress=progress, **how)
+    options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    run = estimate(frames, sensor, progress=progress, **options)
     measured = np.array([row["wrench_n"] for row in run.rows()])
-    name = run.said["recording"]
+    name = run.context["recording"]
     if not np.isfinite(measured).any():
         raise InputError(f"{name}: no wrench was recorded; name its topic with --wrench")
     try:
         found = compare_with_wrench(run.times_s, run.force_n, measured)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    done = ValidationSummary(name, run.said["sensor"], found, None if out is None else str(out))
+    written = None if out is None else str(out)
+    summary = ValidationSummary(name, run.context["sensor"], found, written)
     if out is not None:
-        done.save(out, overwrite=overwrite)
-    return done
+        summary.save(out, overwrite=overwrite)
+    return summary
 
 
 def _largest(force_n: np.ndarray) -> float:
@@ -209,5 +211,5 @@ def _with_interval(number: Interval, factor: float = 1.0, unit: str = "") -> str
 
 
 def _plain(value: np.ndarray) -> Any:
-    """Numbers for JSON; None where they are not known."""
+    """Numbers for JSON; None if unknown."""
     return np.asarray(value).tolist() if np.isfinite(value).all() else None

@@ -1,4 +1,4 @@
-"""Estimate live sources: frame by frame, or without a window until they end or ^C."""
+"""Estimation of live sources: frame by frame, or until they end or ^C."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from bubbleviz.api.connecting import sensor_of
 from bubbleviz.api.estimator import Estimator, FrameSolver
-from bubbleviz.api.recording import room_for, stopped_by_signals, zenoh_place
+from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.diagnostics import ShearSummary, shear_line
@@ -39,14 +39,14 @@ from bubbleviz.sensor import Sensor, with_colour_delay
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
 
-_LOOK_S = 0.1  # s between looks at the stream; chosen
-_DIAGNOSTICS_S = 1.0  # s between diagnostics, ROS's usual 1 Hz
+_POLL_S = 0.1  # polling period of the stream; chosen
+_DIAGNOSTICS_S = 1.0  # period of diagnostics messages, as usual in ROS
 
 
 class Watcher:
-    """Solves the newest frame of a started stream, over and over.
+    """Repeatedly solves the newest frame of a started stream.
 
-    A `first` frame was taken from the stream already, and is solved where no newer one has come.
+    A `first` frame was taken from the stream already; it is solved unless a newer one has arrived.
     """
 
     def __init__(self, stream: LiveStream, solver: FrameSolver, first: Frame | None = None) -> None:
@@ -61,14 +61,14 @@ class Watcher:
         sensor: Sensor,
         *,
         stop: threading.Event | None = None,
-        **how: Any,
+        **options: Any,
     ) -> Watcher:
-        """Watcher of a started stream, once the first frame tells the camera.
+        """Watcher of a started stream; waits for the first frame and its intrinsics.
 
-        `how` as of `Estimator`; `stop` ends the waiting. InputError where no depth image came, or
-        not of the sensor's camera, or shear was asked for without the exact membrane.
+        `options` as in `Estimator`; `stop` ends the wait. Raises InputError: no depth image, images
+        of another camera, or shear without the exact membrane.
         """
-        if how.get("shear"):
+        if options.get("shear"):
             stream.follow_colour()
 
         def waiting() -> None:
@@ -76,10 +76,10 @@ class Watcher:
                 raise stream.nothing_arrived()
 
         first = stream.first_frame(waiting=waiting)
-        return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **how).solver, first)
+        return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **options).solver, first)
 
     def step(self, timeout_s: float) -> Result | None:
-        """Solve the newest frame; None when none came in time."""
+        """Solve the newest frame; None if none arrived in time."""
         frame = self.stream.take(0.0 if self._first else timeout_s) or self._first
         self._first = None
         if frame is None:
@@ -89,25 +89,25 @@ class Watcher:
         return self.last
 
     def results(self, timeout_s: float | None) -> Iterator[FrameResult]:
-        """What was found in the newest frame, over and over, until the source ends."""
+        """Results of the newest frames until the source ends."""
         for result in self.stream.each(self.step, timeout_s):
             yield FrameResult(result, self.solver.pipeline.model)
 
 
 @dataclass(frozen=True)
 class WatchSummary(Summary):
-    """Summary of `watch`; None for what is not known, or not to be trusted."""
+    """Summary of `watch`; None for unknown values."""
 
     frames: int  # solved
-    status: dict[str, int]  # number of them by status
+    status: dict[str, int]  # number of frames by status
     rate_hz: float
-    max_force_n: float | None
-    latency_median_s: float | None  # stamp, or arrival by another clock, to result
+    max_force_n: float | None  # over trusted frames
+    latency_median_s: float | None  # from stamp (from arrival if clocks differ) to result
     latency_p95_s: float | None
-    pressure_offset_pa: float | None  # taken from the measured gas pressure
-    shear: ShearSummary | None  # where it was asked for
+    pressure_offset_pa: float | None  # subtracted from the measured gas pressure
+    shear: ShearSummary | None  # None: not requested
     counters: dict[str, Any]
-    warning: str | None  # what does not fit together, but was solved all the same
+    warning: str | None  # mismatches that did not prevent the estimation
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -147,12 +147,12 @@ def watch(
 ) -> WatchSummary:
     """Estimate a live source until the duration is over, it ends, or ^C.
 
-    To get the results in Python: `connect`, then `estimate` or `track`.
+    For results in Python use `connect`, then `estimate` or `track`.
 
     Parameters
     ----------
     source, sensor
-        As of `connect`.
+        As in `connect`.
     out : path, optional
         Recording of messages and results; `overwrite` replaces an existing one.
     listen, connect : str, optional
@@ -160,25 +160,25 @@ def watch(
     duration_s : float, optional
         From the first frame, s.
     object : str, path or RigidObject, optional
-        To track: a mesh file or preset.
+        Mesh file or preset of an object to track.
     solver, friction, zero_gas, shear, colour_delay_s
-        As of `estimate`; the gas pressure is zeroed, and shear measured, on the first contact-free
-        frames.
+        As in `estimate`; zero of the gas pressure and reference of shear come from the first
+        contact-free frames.
     **credentials
         `ca`, `cert`, `key` and `login`, files of the Zenoh session.
 
     Raises
     ------
     InputError
-        The source, the file or the endpoint cannot be opened, or no depth image came.
+        The source, the file or the endpoint cannot be opened, or no depth image arrived.
     """
     place = None
     if listen is not None or connect is not None:
         place = zenoh_place(listen, connect, credentials)
     own = with_colour_delay(sensor_of(source, sensor), colour_delay_s)
     obj = None if object is None else load_object(object)
-    how: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
-    how |= {"object": obj, "shear": shear}
+    options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
+    options |= {"object": obj, "shear": shear}
     with ExitStack() as stack:
         stop = stack.enter_context(stopped_by_signals())
         stream = open_stream(source, own)
@@ -187,7 +187,7 @@ def watch(
             stream.follow_colour()
         publisher = None if place is None else stack.enter_context(ZenohPublisher(place))
         stack.enter_context(stream)
-        watcher = Watcher.on(stream, own, stop=stop, **how)
+        watcher = Watcher.on(stream, own, stop=stop, **options)
 
         def send(message: Message) -> None:
             if publisher is not None:
@@ -207,9 +207,9 @@ def _watch(
     stream, zero, texture = watcher.stream, watcher.solver.zero, watcher.solver.texture
     messages = ResultMessages(watcher.solver.pipeline.mesh, RESULTS)
     statuses: Counter[str] = Counter()
-    highest_n: float | None = None
+    max_force_n: float | None = None
     shear = None if texture is None else ShearSummary()
-    began = told = time.monotonic()
+    began = reported = time.monotonic()
     silent = False
     for message in messages.placed(stream):
         send(message)
@@ -218,15 +218,15 @@ def _watch(
             if result is not None:
                 statuses[result.solution[0].status] += 1
                 if (trusted := result.trusted_patch) is not None:
-                    highest_n = max(highest_n or 0.0, float(np.linalg.norm(trusted.force_n)))
+                    max_force_n = max(max_force_n or 0.0, float(np.linalg.norm(trusted.force_n)))
                 if shear is not None:
                     shear.add(result)
                 for message in messages.of(result):
                     send(message)
                 bar.update()
-            silent = _tell_silence(stream, silent)
-            if time.monotonic() - told >= _DIAGNOSTICS_S:
-                told, status = time.monotonic(), stream.status()
+            silent = _warn_of_silence(stream, silent)
+            if time.monotonic() - reported >= _DIAGNOSTICS_S:
+                reported, status = time.monotonic(), stream.status()
                 counters, newest = stream.counters, _newest(watcher.last, texture)
                 send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
                 bar.set_postfix_str(", ".join(filter(None, (*newest, status.text))))
@@ -240,7 +240,7 @@ def _watch(
         frames=statuses.total(),
         status=dict(statuses),
         rate_hz=statuses.total() / elapsed,
-        max_force_n=highest_n,
+        max_force_n=max_force_n,
         latency_median_s=None if latency is None else latency.median_s,
         latency_p95_s=None if latency is None else latency.p95_s,
         pressure_offset_pa=None if zero is None else zero.offset_pa,
@@ -253,32 +253,32 @@ def _watch(
 def _until_over(
     watcher: Watcher, stop: threading.Event, duration_s: float | None
 ) -> Iterator[Result | None]:
-    """Yield the result of each newest frame, or None when no frame arrived within `_LOOK_S`.
+    """Yield the result of each newest frame, or None when no frame arrived within `_POLL_S`.
 
     Ends with the source, by `stop`, or after `duration_s`.
     """
     began = time.monotonic()
     while not stop.is_set() and (duration_s is None or time.monotonic() - began < duration_s):
-        ended = watcher.stream.ended  # looked at first: a frame may come before the end is seen
-        result = watcher.step(_LOOK_S)
+        ended = watcher.stream.ended  # read before the step, as a last frame may precede the end
+        result = watcher.step(_POLL_S)
         if ended and result is None:
             return
         yield result
 
 
-def _tell_silence(stream: LiveStream, told: bool) -> bool:
-    """Say, once an outage, that no depth images come; whether they still do not."""
+def _warn_of_silence(stream: LiveStream, warned: bool) -> bool:
+    """Warn once per outage that no depth images arrive; returns whether the outage lasts."""
     silent_s = stream.status().silent_s or 0.0
     if silent_s < STOPPED_AFTER_S or stream.ended:
         return False
-    if not told:
-        said = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"
-        tqdm.write(f"{said}; waiting for the next image", file=sys.stderr)
+    if not warned:
+        warning = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"
+        tqdm.write(f"{warning}; waiting for the next image", file=sys.stderr)
     return True
 
 
 def _newest(result: Result | None, texture: PassingTexture | None) -> Iterator[str]:
-    """Force of the newest frame, or why there is none, and its shear, where that was asked for."""
+    """Force or status of the newest frame, and its shear if requested."""
     if result is None or result.estimate is None:
         return
     patch = result.trusted_patch
@@ -292,7 +292,7 @@ def _recorder(
 ) -> Recorder | None:
     if out is None:
         return None
-    stack.enter_context(room_for(out, overwrite=overwrite))
+    stack.enter_context(replacing(out, overwrite=overwrite))
     recorder = Recorder()
     recorder.start(out)
 

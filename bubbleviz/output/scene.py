@@ -8,7 +8,7 @@ import numpy as np
 
 from bubbleviz.membrane import level_line
 from bubbleviz.output.exporter import Shape
-from bubbleviz.output.series import COLOURS, HIGHEST_PRESSURE, NOT_KNOWN
+from bubbleviz.output.series import COLOURS, HIGHEST_PRESSURE, UNKNOWN_COLOUR
 from bubbleviz.result import Result
 from bubbleviz.sensor_model import SensorModel
 
@@ -27,7 +27,7 @@ def scene_of(model: SensorModel, result: Result) -> trimesh.Scene:
     share = shape.contact_pressure_pa / (
         HIGHEST_PRESSURE * model.sensor.pneumatics.gauge_pressure_pa
     )
-    colours = colormaps[COLOURS].with_extremes(bad=NOT_KNOWN)(share, bytes=True)
+    colours = colormaps[COLOURS].with_extremes(bad=UNKNOWN_COLOUR)(share, bytes=True)
     membrane = trimesh.Trimesh(shape.points_m, mesh.triangles, vertex_colors=colours, process=False)
     scene = trimesh.Scene({"membrane": membrane})
     patch = result.trusted_patch

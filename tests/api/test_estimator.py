@@ -118,12 +118,15 @@ def test_an_object_is_followed(frames, sensor):
 @pytest.mark.parametrize(
     ("depth", "says"),
     [
-        (np.zeros((56, 43)), r"depth: an array \(43, 56\) of floats in m or integers in mm .*"),
+        (
+            np.zeros((56, 43)),
+            r"depth: expected an array \(43, 56\) of floats in m or integers in mm",
+        ),
         (np.zeros((1, *SHAPE)), r"this is float64 \(1, 43, 56\)"),
         (np.zeros(SHAPE, bool), r"this is bool \(43, 56\)"),
         (np.full(SHAPE, 140.0), "depth: 140 m in the median, .* floats are m, integers mm"),
         (np.full(SHAPE, 1400, np.uint16), "depth: 1.4 m in the median"),
-        ([["far"]], "depth: an array"),
+        ([["far"]], "depth: expected an array"),
     ],
 )
 def test_depth_of_another_shape_type_or_unit_is_one_sentence(depth, says, estimator):
@@ -140,7 +143,7 @@ def test_a_damaged_image_of_a_unit_that_is_known_is_a_status(frames, estimator):
 
 @pytest.mark.parametrize("pressure", [2585.0, 103.9, 0.0, np.float32(-1.0)])
 def test_a_gas_pressure_that_is_not_absolute_or_not_in_pascals(pressure, frames, estimator):
-    with pytest.raises(bv.InputError, match=r"the absolute pressure in Pa is expected, near 1039"):
+    with pytest.raises(bv.InputError, match=r"expected the absolute pressure in Pa, near 1039"):
         estimator.update(frames[0].depth_m, gas_pressure_pa=pressure)
 
 
@@ -148,7 +151,7 @@ def test_other_arguments_that_do_not_fit(frames, estimator):
     for given in ({"gas_pressure_pa": float("nan")}, {"gas_pressure_pa": "1e5"}, {"time_s": "now"}):
         with pytest.raises(bv.InputError, match=f"{next(iter(given))}: expected a number or None"):
             estimator.update(frames[0].depth_m, **given)
-    with pytest.raises(bv.InputError, match=r"colour: an array \(43, 56, 3\) of uint8"):
+    with pytest.raises(bv.InputError, match=r"colour: expected an array \(43, 56, 3\) of uint8"):
         estimator.update(frames[0].depth_m, colour=np.zeros(SHAPE))
     with pytest.raises(bv.InputError, match="a Frame already contains gas pressure"):
         estimator.update(frames[0], gas_pressure_pa=103_900.0)

@@ -324,7 +324,7 @@ def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path):
         assert copy.read_bytes() == given.resolve(name).read_bytes()
     bv.save_sensor(saved, tmp_path / "second.toml")  # in the same folder
     (tmp_path / "second.npz").unlink()
-    with pytest.raises(bv.InputError, match=r"second\.npz: is missing"):
+    with pytest.raises(bv.InputError, match=r"second\.npz: missing"):
         bv.save_sensor(bv.load_sensor(tmp_path / "second.toml"), tmp_path / "third.toml")
     assert not list(tmp_path.glob("third*"))
 

@@ -17,9 +17,9 @@ from small_press import write_press
 
 import bubbleviz as bv
 from bubbleviz.api.batching import (
+    BatchRow,
     BatchSummary,
     Job,
-    Row,
     find_recordings,
     run_in_processes,
     run_job,
@@ -168,12 +168,12 @@ def test_the_frame_to_look_at_is_one_not_to_be_trusted():
         "kkt_residual": [0, nan, nan, 0],
     }
     rows = [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]
-    row = Row.of("r", rows, {"sensor": "s", "warning": None, "kappa": None})
+    row = BatchRow.of("r", rows, {"sensor": "s", "warning": None, "kappa": None})
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
     assert (row.max_force_n, row.mean_contact_force_n, row.median_ms) == (5.0, 5.0, 3.0)
     assert row.mean_contact_measured_force_n == 4.0
     said = BatchSummary("t", [row]).to_json()
-    again = Row.from_dict(json.loads(said)["rows"][0])
+    again = BatchRow.from_dict(json.loads(said)["rows"][0])
     assert BatchSummary("t", [again]).to_json() == said
 
 

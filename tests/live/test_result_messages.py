@@ -249,8 +249,8 @@ def test_a_recording_is_zeroed_unless_told_not_to(small_sensor, small_sensor_fil
         bv.estimate(bv.open(path), small_sensor_file, zero_gas=False)
     run = bv.estimate(bv.open(path, "18:"), small_sensor_file, out=tmp_path / "zeroed.npz")
     assert run.facts()["status"] == {"no_contact": 2, "ok": 10}
-    assert run.said["gas_zero"] == "gas pressure zero: -800 Pa from 15 contact-free frames"
-    assert run.said["gas_zero"] in run.to_text()
+    assert run.context["gas_zero"] == "gas pressure zero: -800 Pa from 15 contact-free frames"
+    assert run.context["gas_zero"] in run.to_text()
     with np.load(tmp_path / "zeroed.npz") as arrays:
         assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
 
@@ -273,7 +273,7 @@ def test_what_is_said_where_there_is_no_zero(small_sensor_file, small_sensor, tm
                 frame = source[k]
                 writer.write(frame if measured else replace(frame, gas_pressure_pa=None))
         run = bv.estimate(bv.open(path), small_sensor_file, out=tmp_path / f"{name}.npz")
-        zero = run.said["gas_zero"]
+        zero = run.context["gas_zero"]
         assert zero is None if says is None else says in zero
         with np.load(tmp_path / f"{name}.npz") as arrays:
             assert "gas_pressure_offset_pa" not in arrays
