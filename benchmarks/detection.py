@@ -20,7 +20,14 @@ from bubbleviz.membrane import refine
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import DepthNoise, RubberPresses, RubberTruth, TruthBank, made, noise_name
+from bubbleviz.simulation import (
+    DepthNoise,
+    RubberPresses,
+    RubberTruth,
+    TruthBank,
+    noise_name,
+    study_object,
+)
 from bubbleviz.study.accuracy import LINEAR, RUBBER, Grid, Setup, specimen
 from bubbleviz.study.harness import Case, Column, Report, Study, Table
 
@@ -133,7 +140,7 @@ class Ladder:
             middles = mesh.nodes[mesh.triangles].mean(axis=1)
             mesh = refine(mesh, np.linalg.norm(middles - self._at, axis=1) < share * radius)
         self._presses = replace(presses, mesh=mesh)
-        self._object = made(grid.object_name)
+        self._object = study_object(grid.object_name)
         self._truths: dict[int, RubberTruth] = {}
         self.bank = TruthBank(self._presses, grid.seed)
 
@@ -177,7 +184,7 @@ class Alarm:
         random = np.random.default_rng([bank.seed, first])
         measured = gas + GAS_NOISE * bank.rest_pressure_pa * random.standard_normal(count)
         frames = (
-            bank.seen(
+            bank.noisy_frame(
                 ranges,
                 self.noise,
                 first + k,

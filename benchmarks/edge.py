@@ -26,7 +26,7 @@ from bubbleviz.simulation import (
     SMOOTH_OBJECTS,
     TRUTH_NODES,
     DepthNoise,
-    Sighting,
+    SimulatedPress,
     TruthBank,
     noise_name,
     presses,
@@ -114,7 +114,7 @@ def edge_study(sensor: Sensor, grid: EdgeGrid) -> Study:
 
 def _rows(grid: EdgeGrid, membrane: accuracy.Specimen, bank: TruthBank, name: str) -> list[EdgeRow]:
     height, rows = float(bank.mesh.nodes[:, 2].max()), list[EdgeRow]()
-    own = [bank.sighting(p) for p in presses((name,), tuple(s * height for s in grid.depths))]
+    own = [bank.simulate(p) for p in presses((name,), tuple(s * height for s in grid.depths))]
     for noise in grid.noises:
         best = best_thresholds(bank, own, noise)
         for setup in SETUPS:
@@ -126,7 +126,11 @@ def _rows(grid: EdgeGrid, membrane: accuracy.Specimen, bank: TruthBank, name: st
 
 
 def _row(
-    pipeline: Pipeline, bank: TruthBank, sighting: Sighting, noise: DepthNoise, threshold: float
+    pipeline: Pipeline,
+    bank: TruthBank,
+    sighting: SimulatedPress,
+    noise: DepthNoise,
+    threshold: float,
 ) -> EdgeRow:
     pipeline.restart()
     for k in range(2):
@@ -158,7 +162,7 @@ def _row(
     )
 
 
-def iou_on_mesh(pipeline: Pipeline, sighting: Sighting) -> float:
+def iou_on_mesh(pipeline: Pipeline, sighting: SimulatedPress) -> float:
     """IoU of the true edge drawn by its signed distance from the nodes: what the mesh allows."""
     own, mesh, truth = pipeline.mesh, sighting.mesh, sighting.truth
     share = touching_share(mesh, truth.contact_pressure_pa) - 0.5
@@ -190,7 +194,7 @@ def iou_at_best_level(pipeline: Pipeline, estimate: Estimate, seen: np.ndarray) 
     return float(np.max(right / (np.count_nonzero(seen) + wrong), initial=0.0))
 
 
-def best_thresholds(bank: TruthBank, own: list[Sighting], noise: DepthNoise) -> np.ndarray:
+def best_thresholds(bank: TruthBank, own: list[SimulatedPress], noise: DepthNoise) -> np.ndarray:
     """IoU (k,) of presses with the threshold and the blur of 0 to 2 pixels best for their mean."""
     scores = np.concatenate(
         [[iou_by_threshold(bank, s, noise, blur, 0) for s in own] for blur in (0.0, 1.0, 2.0)],
@@ -201,7 +205,7 @@ def best_thresholds(bank: TruthBank, own: list[Sighting], noise: DepthNoise) -> 
 
 
 def iou_by_threshold(
-    bank: TruthBank, sighting: Sighting, noise: DepthNoise, blur_px: float, index: int
+    bank: TruthBank, sighting: SimulatedPress, noise: DepthNoise, blur_px: float, index: int
 ) -> np.ndarray:
     """IoU of the pixels whose range changed by more than each of the thresholds (t,)."""
     frame, patch = bank.frame(sighting, noise, index), sighting.truth.patch_mask

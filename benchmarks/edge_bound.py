@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.inverse import Estimator, touching_share
 from bubbleviz.membrane import MembraneMesh, TriangleScene, level_line
-from bubbleviz.simulation import Sighting
+from bubbleviz.simulation import SimulatedPress
 from bubbleviz.study.accuracy import at_nodes
 
 PLACE, SHAPE = 1, 3  # degrees of the fields
@@ -35,7 +35,7 @@ class EdgeBound:
 
 def edge_bound(
     estimator: Estimator,
-    sighting: Sighting,
+    sighting: SimulatedPress,
     degree: int,  # of the fields, `PLACE` or `SHAPE`
 ) -> EdgeBound:
     """Bound for one press under the noise that the estimator was told."""
@@ -89,7 +89,7 @@ def _spread(mesh: MembraneMesh, places: np.ndarray, load: np.ndarray) -> np.ndar
 
 
 def _ranges(
-    estimator: Estimator, sighting: Sighting, moved: np.ndarray, load: np.ndarray
+    estimator: Estimator, sighting: SimulatedPress, moved: np.ndarray, load: np.ndarray
 ) -> np.ndarray:
     """What changes of the nodal loads (n, m) do to the ranges in standard deviations, (k, m)."""
     mesh, own = estimator.mesh, sighting.mesh

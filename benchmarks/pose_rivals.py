@@ -31,8 +31,8 @@ from bubbleviz.simulation import (
     DepthNoise,
     Press,
     SyntheticSource,
-    made,
     simulation_mesh,
+    study_object,
 )
 from bubbleviz.study.harness import (
     Case,
@@ -115,7 +115,7 @@ def rivals_study(sensor: Sensor, grid: PoseGrid) -> Study:
     pipeline = Pipeline.of(sensor)
     cases = list[Case]()
     for name in grid.objects:
-        bench = _Bench(pipeline, made(name), grid)
+        bench = _Bench(pipeline, study_object(name), grid)
         for k, press in enumerate(grid.presses(name)):
             run = partial(bench.press, sensor, press, k)
             cases.append(Case(f"{name} {1e3 * press.depth_m:.1f} mm", run))

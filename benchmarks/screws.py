@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import DepthNoise, SyntheticSource, made
+from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
 from bubbleviz.study.harness import (
     Case,
     Column,
@@ -78,7 +78,7 @@ def screw_source(sensor: Sensor, nodes: int | None = None) -> SyntheticSource:
     height = float(build_mesh(sensor).nodes[:, 2].max())
     poses = screw_path(height, 0.013, FRAMES)
     noise = DepthNoise(relative=0.01)
-    return SyntheticSource(sensor, made("hex_nut"), poses, noise, nodes=nodes, sharp=True)
+    return SyntheticSource(sensor, study_object("hex_nut"), poses, noise, nodes=nodes, sharp=True)
 
 
 def screw_study(sensor: Sensor, seeds: Sequence[int] = SEEDS, nodes: int | None = None) -> Study:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
-    MOST_COLOUR_DELAY_S,
+    MAX_COLOUR_DELAY_S,
     checked,
     is_unit,
     named_file,
@@ -108,7 +108,7 @@ class Camera(_Section):
     position_m: Vector3
     quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
     noise_relative: float = Field(default=0.01, ge=LEAST_NOISE, lt=1.0)
-    colour_delay_s: float = Field(default=0.0, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S)
+    colour_delay_s: float = Field(default=0.0, ge=-MAX_COLOUR_DELAY_S, le=MAX_COLOUR_DELAY_S)
     """Stamp of a colour image minus that of the depth image of the same scene, s; negative if
     colour leads depth, as with depth cameras that filter in time."""
 

@@ -26,7 +26,7 @@ from bubbleviz.files import (
     cannot_write,
     file_hash,
     refuse_existing,
-    sweep,
+    remove_unfinished,
     table,
     to_json,
     whole_file,
@@ -439,7 +439,7 @@ def _lock(descriptor: int, out: Path) -> None:
 def _discard_unfinished(jobs: list[Job]) -> None:
     """Remove partial results of killed workers; the lock excludes other batches."""
     for out in {Path(job.out) for job in jobs}:
-        sweep(out, of_others=True)
+        remove_unfinished(out, of_others=True)
 
 
 def _processors() -> int:

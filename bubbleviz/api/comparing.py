@@ -194,7 +194,7 @@ def compare(
     check_out(out, overwrite=overwrite)
     sensors = sensor, sensor if other_sensor is None else other_sensor
     a, b = (_run(*each, progress) for each in zip((first, other), sensors, strict=True))
-    names = a.context["recording"], b.said["recording"]
+    names = a.context["recording"], b.context["recording"]
     shift_s = _first_contact_s(b) - _first_contact_s(a) if align == "contact" else 0.0
     at_s, areas = a.times_s + shift_s, [run.columns()["patch_area_m2"] for run in (a, b)]
     both = _interpolated(at_s, b.times_s, np.column_stack([b.force_n, areas[1]]))

@@ -25,7 +25,7 @@ from bubbleviz.calibration import (
     save,
 )
 from bubbleviz.errors import InputError
-from bubbleviz.files import parse_pose, set_aside
+from bubbleviz.files import parse_pose, restore_on_error
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource, KeptFrames
 from bubbleviz.rigid_object import load_object
@@ -114,7 +114,7 @@ class Identified(Summary):
         out, folder = Path(out), None if report is None else Path(report)
         args = self.found, self.source, self.started_from, out, folder
         files = output_files(out, folder, overwrite=overwrite)
-        with set_aside(*files) if overwrite else nullcontext():
+        with restore_on_error(*files) if overwrite else nullcontext():
             self.numbers = save(*args, progress, self.validation)
         self.out, self.report = out, folder
         return self.numbers

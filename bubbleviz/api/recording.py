@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.errors import InputError
-from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, set_aside
+from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, restore_on_error
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
 from bubbleviz.sensor import Sensor, load_sensor
@@ -299,7 +299,7 @@ def replacing(out: str | Path, *, overwrite: bool) -> Iterator[None]:
     """Move an existing recording aside while its replacement is written."""
     if overwrite:
         refuse_existing(out, overwrite=True)
-    with set_aside(*([Path(out)] if overwrite else [])):
+    with restore_on_error(*([Path(out)] if overwrite else [])):
         yield
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import damage, plain_numbers, read_npz
+from bubbleviz.files import as_input_error, plain_numbers, read_npz
 
 NOISES_M = 1e-9, 1.0  # σ of a pixel
 FARTHEST_OFF_M = 1.0  # bias of a pixel
@@ -103,7 +103,7 @@ class PixelModel:
 
         Raises InputError: the file is unreadable, incomplete or of another image size.
         """
-        with damage(path, "the pixels file", "calibrate again"):
+        with as_input_error(path, "the pixels file", "calibrate again"):
             data = read_npz(path)
             mask, bias, noise = (plain_numbers(data[key]) for key in ("mask", "bias_m", "noise_m"))
             correlated = float(plain_numbers(data["correlated_pixels"]))

@@ -1,1 +1,1 @@
-"""The command line: binds options to the functions of `api` and prints what they return."""
+"""The command line: binds options to the functions of `api` and prints their results."""

@@ -21,35 +21,35 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.wording import encodable, how_to_install
 
 WINDOW_GROUP = "bubbleviz.commands"
-"""Entry points of the commands that the window brings."""
+"""Entry points of the window's commands."""
 WINDOW_COMMANDS = ("open", "window")
 MOVED = {"bench": "python -m benchmarks.window"}
-"""Commands of version 0.2 that only a checkout has, and what replaces them there."""
-OTHER_NAMES = {"track": "pose"}
-"""Commands under the name that their function has in Python."""
+"""Commands of version 0.2 that are now only in a checkout, and their replacements there."""
+ALIASES = {"track": "pose"}
+"""Names of Python functions as aliases of commands."""
 WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
-INSTALL = f"is not installed; run {how_to_install('window')}"
+NOT_INSTALLED = f"is not installed; run {how_to_install('window')}"
 
-# The solver's matrices are small: BLAS threads that wait for each other cost more than they save.
+# The solver's matrices are small, so synchronising BLAS threads costs more than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# A command's own lines are all it writes: no news of Matplotlib's font cache and folders.
+# No messages about Matplotlib's font cache and folders.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 class OneLineErrors(click.Group):
     """A command group whose errors are one line on stderr.
 
-    Exit code 2 for wrong usage and bad input, 1 for a problem without an answer, 130 for ^C.
+    Exit code 2 for wrong usage and bad input, 1 for a problem without solution, 130 for ^C.
     """
 
     def main(  # type: ignore[override]
         self, args: Sequence[str] | None = None, standalone_mode: bool = True, **extra: Any
     ) -> Any:
-        """Run as `click.Group.main` does, with our own way of reporting errors."""
+        """As `click.Group.main`, with errors on one line."""
         if not standalone_mode:
             return super().main(args, standalone_mode=False, **extra)
         try:
-            with _cleaning_up_when_terminated():
+            with _clean_exit_on_sigterm():
                 code = super().main(args, standalone_mode=False, **extra)
         except InputError as error:
             _fail(str(error), 2)
@@ -59,10 +59,10 @@ class OneLineErrors(click.Group):
             library = (error.name or "").split(".")[0]
             if library not in WINDOW_LIBRARIES:
                 raise
-            _fail(f"{library}, which the window needs, {INSTALL}", 2)
+            _fail(f"{library}, which the window needs, {NOT_INSTALLED}", 2)
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else "bubbleviz"
-            _fail(f"{_in_one_line(error)}; see {command} --help", 2)
+            _fail(f"{_usage_problem(error)}; see {command} --help", 2)
         except click.ClickException as error:
             _fail(error.format_message(), error.exit_code)
         except click.Abort:
@@ -71,19 +71,19 @@ class OneLineErrors(click.Group):
             if "shared object file" not in str(error):
                 raise
             library = str(error).partition(":")[0]
-            _fail(f"{library} is not on this machine; run make setup, which names its package", 1)
+            _fail(f"{library} is not installed; run make setup, which names its package", 1)
         sys.exit(code if isinstance(code, int) else 0)
 
 
 @contextmanager
-def _cleaning_up_when_terminated() -> Iterator[None]:
-    """Have SIGTERM end a command as ^C does, so that it leaves no unfinished file."""
-    ended = False
+def _clean_exit_on_sigterm() -> Iterator[None]:
+    """Make SIGTERM raise SystemExit, as ^C does, so that unfinished files are removed."""
+    terminated = False
 
     def end(*_: object) -> NoReturn:
-        nonlocal ended
-        ended = True
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough, for `timeout` and systemd
+        nonlocal terminated
+        terminated = True
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # `timeout` and systemd may send it twice
         sys.exit(128 + signal.SIGTERM)
 
     if threading.current_thread() is not threading.main_thread():
@@ -93,7 +93,7 @@ def _cleaning_up_when_terminated() -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if ended:  # at once: a library that was half loaded may make another exit code of it
+        if terminated:  # exit at once: a half-loaded library may change the exit code
             sys.stdout.flush()
             os._exit(128 + signal.SIGTERM)
         raise
@@ -101,8 +101,8 @@ def _cleaning_up_when_terminated() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _in_one_line(error: click.UsageError) -> str:
-    """What was wrong; click's own text for a group without a command is its whole help."""
+def _usage_problem(error: click.UsageError) -> str:
+    """The problem; for a group without a command click would give its full help."""
     if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
         return "Missing command"
     return error.format_message().rstrip(".")
@@ -114,7 +114,7 @@ def _fail(message: str, code: int) -> NoReturn:
 
 
 class AllCommands(OneLineErrors):
-    """The backend's commands, and the window's, which are imported only when they are asked for."""
+    """The backend's commands, and those of the window, which are imported on use."""
 
     def list_commands(self, context: click.Context) -> list[str]:
         return sorted({*self.commands, *entry_points(group=WINDOW_GROUP).names})
@@ -122,10 +122,10 @@ class AllCommands(OneLineErrors):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Load a command; None if it does not exist.
 
-        Raises InputError: it is a command of the window, which is not installed, or one that is
-        elsewhere now.
+        Raises InputError: it is a command of the window, which is not installed, or one that was
+        moved to a checkout.
         """
-        name = OTHER_NAMES.get(name, name)
+        name = ALIASES.get(name, name)
         if name in self.commands:
             return self.commands[name]
         if name in MOVED:
@@ -136,7 +136,7 @@ class AllCommands(OneLineErrors):
             command: click.Command = entry.load()
             return command
         if name in WINDOW_COMMANDS:
-            raise InputError(f"the window {INSTALL}")
+            raise InputError(f"the window {NOT_INSTALLED}")
         return None
 
 

@@ -1,4 +1,4 @@
-"""Options, progress bar and report shared by several commands; imports inside functions."""
+"""Options, progress bar and output shared by several commands; imports inside functions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 import bubbleviz as bv
-from bubbleviz.files import MOST_COLOUR_DELAY_S
+from bubbleviz.files import MAX_COLOUR_DELAY_S
 from bubbleviz.wording import encodable
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)
-former = partial(click.option, hidden=True)
-"""A former name of an option, hidden: with parameter, type and default of the present one."""
+hidden_alias = partial(click.option, hidden=True)
+"""Hidden old name of an option; give parameter, type and default of the present one."""
 
 sensor_option = click.option(
     "--sensor",
@@ -61,9 +61,9 @@ colour_delay_option = click.option(
     "--colour-delay",
     "colour_delay_s",
     metavar="S",
-    type=click.FloatRange(-MOST_COLOUR_DELAY_S, MOST_COLOUR_DELAY_S),
-    help="Stamp of a colour image minus that of the depth image of the same moment, s; negative "
-    "where colour leads depth. By default that of the sensor file, else 0.",
+    type=click.FloatRange(-MAX_COLOUR_DELAY_S, MAX_COLOUR_DELAY_S),
+    help="Stamp of a colour image minus that of the depth image of the same scene, s; negative "
+    "if colour leads depth. By default that of the sensor file, else 0.",
 )
 source_option = click.option(
     "--source",
@@ -82,11 +82,11 @@ json_option = click.option(
 )
 
 
-def out_option(says: str, *, required: bool = True) -> Callable[[_F], _F]:
+def out_option(text: str, *, required: bool = True) -> Callable[[_F], _F]:
     """Options --out and --overwrite."""
 
     def both(function: _F) -> _F:
-        return click.option("--out", required=required, type=PATH, help=says)(
+        return click.option("--out", required=required, type=PATH, help=text)(
             overwrite_option(function)
         )
 
@@ -94,8 +94,8 @@ def out_option(says: str, *, required: bool = True) -> Callable[[_F], _F]:
 
 
 def publish_options(command: _F) -> _F:
-    """Options of publishing over Zenoh, with the files of its `Credentials`."""
-    for name, metavar, says in (
+    """Options for publishing over Zenoh, with the files of its `Credentials`."""
+    for name, metavar, text in (
         (
             "login",
             "FILE",
@@ -116,20 +116,20 @@ def publish_options(command: _F) -> _F:
             "Publish here for subscribers that connect, such as tcp/127.0.0.1:7448.",
         ),
     ):
-        command = click.option(f"--{name}", metavar=metavar, help=says)(command)
+        command = click.option(f"--{name}", metavar=metavar, help=text)(command)
     return command
 
 
 def run(verb: str, *arguments: Any, as_json: bool, **options: Any) -> Any:
-    """Call a function of the library with a progress bar, and report what it returned."""
+    """Call a function of the library with a progress bar, and print its result."""
     with Bar() as bar:
-        done = getattr(bv, verb)(*arguments, progress=bar, **options)
-    report(done, as_json=as_json)
-    return done
+        result = getattr(bv, verb)(*arguments, progress=bar, **options)
+    report(result, as_json=as_json)
+    return result
 
 
 def run_on_frames(verb: str, recording: Path, frames: str | None = None, **options: Any) -> None:
-    """The same with frames of a recording; outputs that exist are refused before it is opened."""
+    """Call a function with frames of a recording, after a check for existing outputs."""
     from bubbleviz.files import refuse_existing
 
     for path in filter(None, (options.get("out"), options.get("csv"))):
@@ -138,10 +138,10 @@ def run_on_frames(verb: str, recording: Path, frames: str | None = None, **optio
         run(verb, chosen, **options)
 
 
-def report(done: Summary, *, as_json: bool) -> None:
+def report(result: Summary, *, as_json: bool) -> None:
     """Print a summary, and its warning on standard error."""
-    click.echo(encodable(done.to_json() if as_json else done.to_text()))
-    warning = getattr(done, "warning", None)
+    click.echo(encodable(result.to_json() if as_json else result.to_text()))
+    warning = getattr(result, "warning", None)
     if warning:
         click.echo(f"bubbleviz: warning: {warning}", err=True)
 

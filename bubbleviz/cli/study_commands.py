@@ -18,16 +18,14 @@ if TYPE_CHECKING:
     from bubbleviz.study.harness import Study
 
 MOVED = {"identification": "coverage", "shear": "shear", "--edge": "edge", "--stages": "stages"}
-"""Studies of version 0.2 that a checkout has, and their names in `python -m benchmarks`."""
+"""Studies of version 0.2 that are now only in a checkout, by name in `python -m benchmarks`."""
 
 
 class Studies(click.Group):
-    """Studies; names of moved ones say where they are."""
-
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Command of a name.
 
-        Raises InputError: it is elsewhere now.
+        Raises InputError: it was moved to a checkout.
         """
         if name in MOVED:
             _moved(name)
@@ -35,18 +33,18 @@ class Studies(click.Group):
 
 
 def _moved(name: str) -> NoReturn:
-    where = f"python -m benchmarks {MOVED[name]}"
-    raise InputError(f"study {name} is not installed since version 0.3; in a checkout: {where}")
+    command = f"python -m benchmarks {MOVED[name]}"
+    raise InputError(f"study {name} is not installed since version 0.3; in a checkout: {command}")
 
 
-def _elsewhere(option: str) -> Callable[..., Any]:
-    """A hidden option for a study that was moved to `benchmarks`."""
+def _moved_option(option: str) -> Callable[..., Any]:
+    """Hidden option for a study that was moved to `benchmarks`."""
 
-    def say(_context: click.Context, _option: click.Parameter, given: bool) -> None:
+    def fail(_context: click.Context, _option: click.Parameter, given: bool) -> None:
         if given:
             _moved(option)
 
-    return click.option(option, is_flag=True, hidden=True, expose_value=False, callback=say)
+    return click.option(option, is_flag=True, hidden=True, expose_value=False, callback=fail)
 
 
 @click.group(cls=Studies)
@@ -72,7 +70,7 @@ def report_options(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def run(study: Study, out: Path | None, as_json: bool) -> None:
-    """Run a study, write its report where a folder is given, and print it."""
+    """Run a study, print its report, and write it if a folder is given."""
     report = study.run(out)
     click.echo(report.to_json() if as_json else report.to_text())
 
@@ -89,7 +87,7 @@ def run(study: Study, out: Path | None, as_json: bool) -> None:
     show_default=True,
     help="Membrane of the ground truth: exact, or the paper's linear one.",
 )
-@_elsewhere("--edge")
+@_moved_option("--edge")
 def accuracy(
     out: Path | None,
     as_json: bool,
@@ -101,8 +99,8 @@ def accuracy(
 ) -> None:
     """Measure the error of force, patch and shape.
 
-    Of the exact, the linear and the paper's estimator, over press depth, run time, noise and
-    membranes. With --out a stopped study continues.
+    For the exact, the linear and the paper's estimator, over press depth, run time, noise and
+    membranes. With --out an interrupted study is continued.
     """
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.accuracy import accuracy_study, full_grid, quick_grid
@@ -122,7 +120,7 @@ def accuracy(
     type=click.Path(exists=True, path_type=Path),
     help="Also time the exact and the linear membrane on this real press.",
 )
-@_elsewhere("--stages")
+@_moved_option("--stages")
 def speed(
     out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
 ) -> None:

@@ -18,9 +18,9 @@ from bubbleviz.cli.shared_options import (
     Bar,
     colour_delay_option,
     duration_option,
-    former,
     frames_option,
     friction_option,
+    hidden_alias,
     json_option,
     kappa_option,
     out_option,
@@ -56,7 +56,7 @@ def info(recording: Path, as_json: bool) -> None:
 @click.command()
 @json_option
 def presets(as_json: bool) -> None:
-    """List the sensors and objects that come with bubbleviz."""
+    """List the sensors and objects shipped with bubbleviz."""
     report(bv.presets(), as_json=as_json)
 
 
@@ -77,7 +77,7 @@ def doctor(as_json: bool) -> None:
     "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames per second."
 )
 @_number("--noise-sigma", "noise_sigma_m", help="σ of range, m.")
-@_number("--noise-relative", help="σ of range over range.")
+@_number("--noise-relative", help="σ of range relative to range.")
 @_number(
     "--noise-correlation",
     "noise_correlation_px",
@@ -112,14 +112,14 @@ def simulate(
     **options: Any,
 ) -> None:
     """Simulate a rigid object pressed into a sensor."""
-    where = path_file or pose
-    if where is None:
+    poses = path_file or pose
+    if poses is None:
         raise click.UsageError("give --pose, or --path for a pose in every frame")
     if options["noise_sigma_m"] and options["noise_relative"]:
         raise click.UsageError("give either --noise-sigma or --noise-relative")
     options["drag_m"] += 1e-3 * drag_mm
     options["twist_rad"] += radians(twist_deg)
-    press = bv.simulate(sensor, object, where, **options)
+    press = bv.simulate(sensor, object, poses, **options)
     with Bar() as bar:
         press.save(out, truth, overwrite=overwrite, progress=bar)
 
@@ -131,9 +131,9 @@ def simulate(
 @solver_option
 @frames_option
 @out_option("Results of all frames, RESULT.npz.")
-@option("--csv", type=PATH, help="Table with one row a frame, RESULT.csv.")
+@option("--csv", type=PATH, help="Table with one row per frame, RESULT.csv.")
 @zero_gas_option
-@former("--zero/--no-zero", "zero_gas", default=True)
+@hidden_alias("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
 @friction_option
 @colour_delay_option
@@ -149,9 +149,7 @@ def estimate(**options: Any) -> None:
 @sensor_option
 @option("--object", required=True, help="Mesh file or preset of the object.")
 @option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the mesh file.")
-@option(
-    "--init", help='Pose T_B_O in the first frame, "x y z qx qy qz qw"; searched for by default.'
-)
+@option("--init", help='Pose T_B_O in the first frame, "x y z qx qy qz qw"; searched by default.')
 @solver_option
 @friction_option
 @zero_gas_option
@@ -159,7 +157,7 @@ def estimate(**options: Any) -> None:
 @option(
     "--object-patch",
     is_flag=True,
-    help="Also find the patch area from the object at its pose.",
+    help="Also compute the patch area from the object at its pose.",
 )
 @out_option("Poses, POSES.csv.")
 @json_option
@@ -190,7 +188,7 @@ def pose(**options: Any) -> None:
 def export(**options: Any) -> None:
     """Write tables, plots, meshes, points or pictures of a recording.
 
-    Only what the chosen files need is computed.
+    Only products that the chosen files need are computed.
     """
     _check_shear(options)
     run_on_frames("export", **options)
@@ -213,7 +211,7 @@ def export(**options: Any) -> None:
     "names.",
 )
 @option("--gas-pressure", type=PATH, help="CSV of time in s, absolute gas pressure in Pa.")
-@former("--pressure", "gas_pressure", type=PATH)
+@hidden_alias("--pressure", "gas_pressure", type=PATH)
 @option("--wrench", type=PATH, help="CSV of time in s, forces x y z in N, torques in N·m.")
 @option(
     "--metres-per-unit",
@@ -234,8 +232,10 @@ def convert(**options: Any) -> None:
 
 @click.command()
 @_recording
-@option("--sensor", required=True, help="Sensor file or preset to start from.")
-@option("--contact-free", metavar="A:B", help="Frames A to B−1 without contact; found by default.")
+@option("--sensor", required=True, help="Initial sensor file or preset.")
+@option(
+    "--contact-free", metavar="A:B", help="Frames A to B−1 without contact; searched by default."
+)
 @out_option("Sensor file, SENSOR.toml.")
 @option("--report", type=PATH, help="New folder for the report, HTML and JSON.")
 @option(
@@ -255,7 +255,8 @@ def convert(**options: Any) -> None:
     "--level-sigma",
     type=click.FloatRange(min=0.0),
     metavar="PA",
-    help="σ of the gas pressure between levels, Pa; by default 1 % of the largest gauge pressure.",
+    help="σ of gas pressure differences between recordings, Pa; by default 1 % of the largest "
+    "gauge pressure.",
 )
 @option(
     "--vented",
@@ -265,9 +266,9 @@ def convert(**options: Any) -> None:
 @option(
     "--held-press/--no-held-press",
     default=True,
-    help="Without levels, find λ and gauge pressure from a press held still in REC (default).",
+    help="Without levels, determine λ and gauge pressure from a press held still in REC (default).",
 )
-@former("--press/--no-press", "held_press", default=True)
+@hidden_alias("--press/--no-press", "held_press", default=True)
 @option("--object", help="Known object pressed in REC, for validation: mesh file or preset.")
 @option("--pose", help='Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).')
 @option("--pressed", metavar="A:B", help="Frames A to B−1 in which the object is held still.")
@@ -275,9 +276,9 @@ def convert(**options: Any) -> None:
 def identify(**options: Any) -> None:
     """Make a sensor file from contact-free frames.
 
-    Finds the shape at rest, the tension γ0 and the error of each pixel. Inflation levels with gas
-    pressures also give the pre-stretch λ and the gauge pressure; so does, less precisely, a press
-    that is held in REC.
+    Determines the shape at rest, the tension γ0 and the error of each pixel. Inflation levels with
+    gas pressures also give the pre-stretch λ and the gauge pressure; so does, less precisely, a
+    press held still in REC.
     """
     run_on_frames("identify", **options)
 
@@ -285,13 +286,15 @@ def identify(**options: Any) -> None:
 @click.command()
 @_recording
 @sensor_option
-@option("--contact-free", metavar="A:B", help="Frames A to B−1 without contact; found by default.")
+@option(
+    "--contact-free", metavar="A:B", help="Frames A to B−1 without contact; searched by default."
+)
 @json_option
 def check(**options: Any) -> None:
     """Check whether the sensor file still fits.
 
-    Compares contact-free frames of REC with the sensor file. The answer is fits, drifted (by how
-    many mm and N), or another membrane or camera, with what to do.
+    Compares contact-free frames of REC with the sensor file. The verdict is fits, drifted (by how
+    many mm and N), or another membrane or camera, with the remedy.
     """
     run_on_frames("check", **options)
 
@@ -302,7 +305,7 @@ def check(**options: Any) -> None:
 @option(
     "--wrench",
     metavar="TOPIC",
-    help="Topic of the wrench sensor; by default the one nearest by name.",
+    help="Topic of the wrench sensor; by default the one of the most similar name.",
 )
 @solver_option
 @friction_option
@@ -314,7 +317,7 @@ def check(**options: Any) -> None:
 def validate(recording: Path, **options: Any) -> None:
     """Compare the estimated force with a wrench sensor.
 
-    Reports bias, gain, rotation, delay and hysteresis with 95 % intervals. None is applied.
+    Reports bias, gain, rotation, delay and hysteresis with 95 % intervals; corrects nothing.
     """
     run("validate", recording, **options)
 
@@ -365,10 +368,10 @@ def compare(first: Path, other: Path, **options: Any) -> None:
 @frames_option
 @json_option
 def batch(**options: Any) -> None:
-    """Estimate all recordings below a folder, in parallel.
+    """Estimate all recordings in a folder and its subfolders, in parallel.
 
-    OUT/summary.csv compares them. A recording that fails does not stop the others; the exit code
-    then is 2 (bad input) or 1.
+    OUT/summary.csv compares them. If a recording fails, the others continue; the exit code is then
+    2 (bad input) or 1.
     """
     run("batch", **options).raise_failures()
 
@@ -382,7 +385,7 @@ def batch(**options: Any) -> None:
 def record(as_json: bool, **options: Any) -> None:
     """Record every message of a live source.
 
-    ^C ends the recording. After a crash it opens up to the last second.
+    ^C ends the recording. After a crash the file can be opened up to the last second.
     """
     report(bv.record(**options), as_json=as_json)
 
@@ -391,14 +394,14 @@ def record(as_json: bool, **options: Any) -> None:
 @source_option
 @sensor_option
 @publish_options
-@former("--publish", "listen")
-@former("--publish-to", "connect")
+@hidden_alias("--publish", "listen")
+@hidden_alias("--publish-to", "connect")
 @out_option("Recording of messages and results.", required=False)
 @duration_option
 @solver_option
 @option("--object", help="Object to track: mesh file or preset.")
 @zero_gas_option
-@former("--zero/--no-zero", "zero_gas", default=True)
+@hidden_alias("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
 @friction_option
 @colour_delay_option
@@ -406,8 +409,7 @@ def record(as_json: bool, **options: Any) -> None:
 def watch(as_json: bool, **options: Any) -> None:
     """Estimate a live source without a window; publish or record.
 
-    With --shear touch nothing at the start: it is measured against the first colour images without
-    contact.
+    With --shear start without contact: the first colour images are the reference.
     """
     _check_shear(options)
     report(bv.watch(**options), as_json=as_json)

@@ -1,4 +1,4 @@
-"""File formats: TOML, meshes, poses, tables, presets; written whole or not at all."""
+"""File formats: TOML, meshes, poses, tables, presets; atomic output."""
 
 import lazy_loader
 

@@ -1,11 +1,11 @@
 from .meshes import SUFFIXES as SUFFIXES, read_triangles as read_triangles, write_ply as write_ply
 from .output_files import (
     cannot_write as cannot_write,
+    create_folder as create_folder,
     free_name as free_name,
-    out_folder as out_folder,
     refuse_existing as refuse_existing,
-    set_aside as set_aside,
-    sweep as sweep,
+    remove_unfinished as remove_unfinished,
+    restore_on_error as restore_on_error,
     sync as sync,
     table as table,
     to_json as to_json,
@@ -26,7 +26,7 @@ from .poses import (
     read_rows as read_rows,
 )
 from .preset_files import (
-    MOST_COLOUR_DELAY_S as MOST_COLOUR_DELAY_S,
+    MAX_COLOUR_DELAY_S as MAX_COLOUR_DELAY_S,
     SESSION_SUFFIX as SESSION_SUFFIX,
     SYNTHETIC_SENSOR as SYNTHETIC_SENSOR,
     TRUTH_SUFFIX as TRUTH_SUFFIX,
@@ -35,7 +35,7 @@ from .preset_files import (
     presets_folder as presets_folder,
 )
 from .reading import (
-    damage as damage,
+    as_input_error as as_input_error,
     exists as exists,
     file_hash as file_hash,
     plain_numbers as plain_numbers,

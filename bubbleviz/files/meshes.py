@@ -1,6 +1,6 @@
 """Triangle meshes from PLY, OBJ, STL and VTK files, without change of unit.
 
-VTK is imported only for the formats that need it: it comes with the window's extra.
+VTK is only imported for its own formats, as it is installed with the window alone.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.reading import damage, exists
+from bubbleviz.files.reading import as_input_error, exists
 
 # PLY files: any element and property order, ASCII or binary of either byte order.
 #
-# By hand because the readers at hand refuse files that are right: trimesh binary files that mix
-# triangles with other polygons, VTK faces before vertices, Open3D x, y, z in another order. And
-# trimesh takes an ASCII file that was cut off for a whole one, logs on stderr, and takes a quarter
-# of a second to import.
+# Other readers refuse valid files: trimesh binary files that mix triangles with other polygons, VTK
+# faces before vertices, Open3D x, y, z in another order. Trimesh also accepts truncated ASCII
+# files, logs on stderr, and takes a quarter of a second to import.
 
 
 _TYPES = {
@@ -40,10 +39,10 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _FACES = ("vertex_indices", "vertex_index")
 
 _Property = tuple[str, np.dtype, np.dtype | None]
-"""Name, type, and type of the length where it is a list."""
+"""Name, type, and for a list the type of its length."""
 _Element = tuple[str, int, list[_Property]]  # name, number of rows, properties
 _Columns = Mapping[str, np.ndarray | list[np.ndarray]]
-"""The values of each row by property: one, or as many as a list has."""
+"""Values of each row by property: one, or those of a list."""
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -86,7 +85,7 @@ def _split(data: bytes) -> tuple[list[list[str]], bytes]:
 
 
 def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
-    """Whether the file is ASCII, which is read as doubles throughout, and its elements."""
+    """Whether the file is ASCII (then all values are read as doubles), and its elements."""
     formats = [_ORDERS.get(words[1]) for words in lines if words[0:1] == ["format"] and words[1:]]
     if not formats or formats[0] is None:
         raise ValueError("no known format line")
@@ -107,7 +106,7 @@ def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
 def _read_element(
     properties: list[_Property], count: int, body: bytes, at: int
 ) -> tuple[_Columns, int]:
-    """Columns of an element and where it ends; all rows at once where they have one length."""
+    """Columns of an element and its end; all rows at once if they have equal lengths."""
     first, _ = _read_rows(properties, min(count, 1), body, at)
     if count < 1 or not properties:
         return first, at
@@ -131,16 +130,16 @@ def _read_element(
 def _read_rows(
     properties: list[_Property], count: int, body: bytes, at: int
 ) -> tuple[dict[str, list[np.ndarray]], int]:
-    """Rows one by one, whose lists may differ in length, and where they end."""
+    """Columns read row by row, for lists of different lengths, and the end of the element."""
     rows: dict[str, list[np.ndarray]] = {name: [] for name, _, _ in properties}
     for _ in range(count):
         for name, kind, length in properties:
             size = 1
             if length:
-                told = _values(body, length, 1, at)[0]
-                size = int(told)
-                if size != told:
-                    raise ValueError(f"a list of {told} values")
+                stored = _values(body, length, 1, at)[0]
+                size = int(stored)
+                if size != stored:
+                    raise ValueError(f"a list of {stored} values")
                 at += length.itemsize
             rows[name].append(_values(body, kind, size, at))
             at += size * kind.itemsize
@@ -153,8 +152,8 @@ def _values(body: bytes, kind: np.dtype, count: int, at: int) -> np.ndarray:
     return np.frombuffer(body, kind, count, at)
 
 
-FARTHEST = 1e9  # of a coordinate, in the file's own unit: its square is exact enough to compare
-_MOST_NEAR = 64  # average number of vertices within the merge distance; chosen
+_MAX_COORDINATE = 1e9  # in the file's unit, so that squared distances are accurate
+_MAX_DUPLICATES = 64  # average number of vertices within the merge distance; chosen
 _STL_HEAD = 84  # bytes before the first triangle
 _STL_FACET = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
 SUFFIXES = (".ply", ".obj", ".stl", ".vtk", ".vtp")
@@ -163,7 +162,7 @@ SUFFIXES = (".ply", ".obj", ".stl", ".vtk", ".vtp")
 def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) and triangles (m, 3) of a mesh file, in the file's own unit.
 
-    Polygons are cut into triangles and coinciding vertices (STL has three per triangle) merged.
+    Polygons are triangulated, and coinciding vertices (STL has three per triangle) merged.
 
     Raises InputError: no such file, another format, unreadable, without triangles, or with NaN
     coordinates.
@@ -173,16 +172,16 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{path}: no such mesh file; check the path")
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unsupported mesh format; give {', '.join(SUFFIXES)}")
-    with damage(path, "the mesh", "export it again"):
+    with as_input_error(path, "the mesh", "export it again"):
         vertices, triangles = _read(path)
         if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             raise ValueError("a triangle refers to a missing vertex")
     if not len(triangles):
         raise InputError(f"{path}: holds no triangles; export a surface mesh")
-    wrong = np.flatnonzero(~(np.abs(vertices) < FARTHEST).all(axis=1))
+    wrong = np.flatnonzero(~(np.abs(vertices) < _MAX_COORDINATE).all(axis=1))
     if len(wrong):
         raise InputError(f"{path}: vertex {wrong[0]} is not a finite number; repair the mesh")
-    with damage(path, "the mesh", "export it again"):
+    with as_input_error(path, "the mesh", "export it again"):
         return _merge(vertices, triangles)
 
 
@@ -227,7 +226,7 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
             vertices.append([float(word) for word in words[1:4]])
         elif words[:1] == ["f"]:
             named = [int(word.partition("/")[0]) for word in words[1:]]
-            # from 1 on, or back from the vertex that came last
+            # counted from 1, or backwards from the last vertex
             corners = [k - 1 if k > 0 else len(vertices) + k for k in named]
             triangles += [(corners[0], *pair) for pair in pairwise(corners[1:])]
     if any(len(vertex) < 3 for vertex in vertices):
@@ -236,19 +235,19 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """VTK's own formats through VTK, which is there where the window is."""
+    """VTK's formats by VTK, which is installed with the window."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkTriangleFilter
 
-    complaints: list[str] = []
+    errors: list[str] = []
     reader = _vtk_reader(path)
-    for speaker in (reader, reader.GetExecutive()):  # VTK prints errors without an observer
-        speaker.AddObserver("ErrorEvent", lambda *_: complaints.append("damaged"))
-        speaker.AddObserver("WarningEvent", lambda *_: None)
+    for emitter in (reader, reader.GetExecutive()):  # VTK prints errors without an observer
+        emitter.AddObserver("ErrorEvent", lambda *_: errors.append("damaged"))
+        emitter.AddObserver("WarningEvent", lambda *_: None)
     reader.SetFileName(str(path))
     reader.Update()
     surface = reader.GetOutput()
-    if complaints or not hasattr(surface, "GetPolys"):
+    if errors or not hasattr(surface, "GetPolys"):
         raise ValueError("damaged or of another format")
     split = vtkTriangleFilter()
     split.SetInputData(surface)
@@ -276,17 +275,17 @@ def _vtk_reader(path: Path) -> Any:
 
 
 def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices closer than 1e-7 of the mesh's size made one, unused ones dropped; order kept."""
+    """Merge vertices closer than 1e-7 of the mesh's size, and drop unused ones; keeps the order."""
     radius = 1e-7 * float(np.ptp(vertices, axis=0).max())
-    places, place = np.unique(vertices, axis=0, return_inverse=True)
-    tree = cKDTree(places)
-    if tree.count_neighbors(tree, radius) > _MOST_NEAR * len(places):  # counted without a list
+    points, point = np.unique(vertices, axis=0, return_inverse=True)
+    tree = cKDTree(points)
+    if tree.count_neighbors(tree, radius) > _MAX_DUPLICATES * len(points):  # before a list of pairs
         raise ValueError("many of its vertices nearly coincide")
     pairs = tree.query_pairs(radius, output_type="ndarray")
-    n = len(places)
+    n = len(points)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, part = connected_components(graph, directed=False)
-    label, n = part[place.ravel()], len(vertices)
+    label, n = part[point.ravel()], len(vertices)
     used = np.zeros(n, dtype=bool)
     used[triangles] = True
     first = np.full(n, n)
@@ -297,9 +296,6 @@ def _merge(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
     return vertices[kept], new[first[label[triangles]]]
 
 
-# Binary PLY files of points or triangles with any number of values a point.
-
-
 def write_ply(
     path: Path,
     points: np.ndarray,  # (k, 3)
@@ -308,7 +304,7 @@ def write_ply(
     triangles: np.ndarray | None = None,  # (m, 3) int
     comment: str = "",  # one line
 ) -> None:
-    """Little-endian PLY, double precision."""
+    """Write little-endian PLY in double precision."""
     names = ["x", "y", "z", *values]
     vertices = np.empty(len(points), dtype=[(name, "<f8") for name in names])
     for name, column in zip(names, [*points.T, *values.values()], strict=True):

@@ -1,4 +1,4 @@
-"""Output files that are written whole or not at all and never silently overwrite."""
+"""Atomic output files that never silently overwrite."""
 
 from __future__ import annotations
 
@@ -21,38 +21,37 @@ from typing import Any
 from bubbleviz.errors import InputError
 from bubbleviz.wording import encodable
 
-_OURS = {
+_WRITTEN_SUFFIXES = {
     *(".csv", ".parquet", ".npz", ".json", ".html", ".toml", ".ply", ".pvd", ".vtp", ".series"),
     *(".png", ".svg", ".pdf", ".mcap", ".yaml"),
 }
 """Suffixes of files that this program writes into folders."""
-_OUR_FOLDERS = {"meta", "data", "episodes", "chunk-000"}
-"""Names of the folders in them, of a LeRobot dataset."""
+_WRITTEN_FOLDERS = {"meta", "data", "episodes", "chunk-000"}
+"""Names of subfolders that it writes (LeRobot datasets)."""
 _CANNOT_WRITE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG}
 
 
-_MARK = re.compile(r"\..*\.(([0-9a-f]{8})-([1-9]\d*)-[0-9a-f]{8})(?:\.[^.]+)?")
-"""In the hidden name of an unfinished output: where it is written, and by which process."""
+_UNFINISHED = re.compile(r"\..*\.(([0-9a-f]{8})-([1-9]\d*)-[0-9a-f]{8})(?:\.[^.]+)?")
+"""Hidden name of an unfinished output, with computer and process id."""
 
 
 @contextmanager
 def whole_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Temporary path beside `path` that becomes `path` when the block ends without an error.
+    """Temporary path in the same folder, renamed to `path` if the block ends without an error.
 
-    Write a file or a folder at the temporary path, which does not exist yet and ends like
-    `path` (some writers choose the format by it). When the block raises, nothing remains of it,
-    and what `overwrite` would have replaced is as it was.
+    Write a file or a folder to the temporary path, which does not exist yet and has the same
+    suffix. If the block raises, it is removed, and an existing `path` is unchanged.
 
-    Raises InputError: `path` exists, its folder does not, or the disk refuses.
+    Raises InputError: `path` exists, its folder does not, or writing fails.
     """
     path = Path(path)
     refuse_existing(path, overwrite=overwrite)
-    sweep(path)
-    temporary = _beside(path, f"{_where()}-{os.getpid()}-{secrets.token_hex(4)}")
+    remove_unfinished(path)
+    temporary = _hidden(path, f"{_computer()}-{os.getpid()}-{secrets.token_hex(4)}")
     try:
         yield temporary
         _sync(temporary)
-        with set_aside(path) if overwrite and temporary.is_dir() else nullcontext():
+        with restore_on_error(path) if overwrite and temporary.is_dir() else nullcontext():
             _publish(temporary, path, overwrite=overwrite)
         sync(path.parent)
     except OSError as error:
@@ -64,30 +63,30 @@ def whole_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def set_aside(*paths: Path) -> Iterator[None]:
-    """Keep what is at some paths under hidden names; it is back there if the block raises.
+def restore_on_error(*paths: Path) -> Iterator[None]:
+    """Move existing files to hidden names; move them back if the block raises, else delete them.
 
-    For outputs that have to be written in place, or are several.
+    For outputs that are written in place, or of several files.
     """
-    kept = {path: _beside(path, secrets.token_hex(4)) for path in paths if os.path.lexists(path)}
-    for path, aside in kept.items():
-        path.rename(aside)
+    backups = {path: _hidden(path, secrets.token_hex(4)) for path in paths if os.path.lexists(path)}
+    for path, backup in backups.items():
+        path.rename(backup)
     try:
         yield
     except BaseException:
-        for path, aside in kept.items():
+        for path, backup in backups.items():
             _discard(path)
-            aside.rename(path)
+            backup.rename(path)
         raise
-    for aside in kept.values():
-        _discard(aside)
+    for backup in backups.values():
+        _discard(backup)
 
 
 def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
-    """Raise InputError unless a file can be made at `path`; ask before long work.
+    """Raise InputError unless `path` can be written; call it before long computations.
 
-    With `overwrite` a file may be there, or a folder that holds nothing but files of the kinds that
-    this program writes.
+    With `overwrite` it may exist, but not as a folder with files of kinds that this program does
+    not write.
     """
     path = Path(path)
     try:
@@ -98,7 +97,8 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
         raise _exists(path)
     if exists and path.is_dir():
         for each in path.rglob("*"):
-            known = each.name in _OUR_FOLDERS if each.is_dir() else each.suffix.lower() in _OURS
+            suffix = each.suffix.lower()
+            known = each.name in _WRITTEN_FOLDERS if each.is_dir() else suffix in _WRITTEN_SUFFIXES
             if not known:
                 raise InputError(
                     f"{path}: holds {each.relative_to(path)}, which bubbleviz did not write; "
@@ -111,47 +111,46 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
 
 
 def free_name(path: Path) -> Path:
-    """Path itself, or with the first number after its name that is not taken: `a-2.mcap`."""
+    """The path if it does not exist, else with the first unused number: `a-2.mcap`."""
     free, number = path, 2
     while os.path.lexists(free):
         free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
     return free
 
 
-def _beside(path: Path, mark: str) -> Path:
-    """Hidden name in the same folder that is not taken."""
-    # a name as long as the disk takes leaves no room for more, in bytes: é is two of them
+def _hidden(path: Path, mark: str) -> Path:
+    """Hidden name in the same folder, unique by `mark`."""
+    # cut in bytes, as file systems limit the bytes of a name
     beginning = os.fsencode(path.stem)[:50].decode(errors="ignore")
     return path.parent / f".{beginning}.{mark}{path.suffix}"
 
 
-def _where() -> str:
-    """Name of the computer, or container: others write to the same folder over a network."""
-    space = Path("/proc/self/ns/pid")  # in which processes are numbered
-    numbered_in = f"{space.readlink()}" if space.is_symlink() else ""
-    machine = Path("/etc/machine-id")  # robots of one image have one host name
-    same_name = machine.read_text() if os.access(machine, os.R_OK) else ""
-    return f"{zlib.crc32(f'{socket.gethostname()} {same_name} {numbered_in}'.encode()):08x}"
+def _computer() -> str:
+    """Hash that identifies the computer or container, as several may share a network folder."""
+    pid_namespace = Path("/proc/self/ns/pid")
+    namespace = f"{pid_namespace.readlink()}" if pid_namespace.is_symlink() else ""
+    machine_id = Path("/etc/machine-id")  # robots with one disk image have the same host name
+    machine = machine_id.read_text() if os.access(machine_id, os.R_OK) else ""
+    return f"{zlib.crc32(f'{socket.gethostname()} {machine} {namespace}'.encode()):08x}"
 
 
-def sweep(path: Path, *, of_others: bool = False) -> None:
-    """Remove what killed processes of this computer left unfinished in the folder of a path.
+def remove_unfinished(path: Path, *, of_others: bool = False) -> None:
+    """Remove unfinished outputs of killed processes of this computer in the folder of a path.
 
-    `of_others`: and what those of other computers left of the output at this path, which may still
-    run as far as this function knows.
+    `of_others`: also those of other computers for this path, even if their process may be running.
     """
     for each in path.parent.glob(".*"):
-        if (mark := _MARK.fullmatch(each.name)) is None:
+        if (match := _UNFINISHED.fullmatch(each.name)) is None:
             continue
-        this = each == _beside(path, mark[1])
-        if _is_dead(mark[2], mark[3]) or (of_others and this):
+        same_path = each == _hidden(path, match[1])
+        if _is_dead(match[2], match[3]) or (of_others and same_path):
             _discard(each)
 
 
-def _is_dead(where: str, pid: str) -> bool:
-    """Whether a process of this computer is no more."""
+def _is_dead(computer: str, pid: str) -> bool:
+    """Whether it is a process of this computer that has ended."""
     try:
-        if where == _where():
+        if computer == _computer():
             os.kill(int(pid), 0)
     except (ProcessLookupError, OverflowError):
         return True
@@ -161,18 +160,15 @@ def _is_dead(where: str, pid: str) -> bool:
 
 
 def _sync(path: Path) -> None:
-    """Have a file, or those in a folder, on the disk before their name is: a crash leaves no half.
-
-    Some file systems cannot.
-    """
+    """Flush a file, or all files of a folder, before the rename, so that a crash leaves no half."""
     for each in (*path.rglob("*"), path) if path.is_dir() else (path,):
         sync(each)
 
 
 def sync(path: Path) -> None:
-    """Have a file's content, or a folder's names, on the disk; some file systems cannot.
+    """Flush a file or folder to the disk, if the file system supports it.
 
-    A folder that may be written but not read is left to the disk: its files have their names.
+    Folders without read permission are skipped.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY)
@@ -190,7 +186,7 @@ def sync(path: Path) -> None:
 
 
 def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    """Move into place; a file that appeared at `path` meanwhile is refused, not replaced."""
+    """Rename to `path`; without `overwrite` a file that appeared there meanwhile is an error."""
     if overwrite and temporary.is_file() and not path.is_dir():
         temporary.replace(path)
         return
@@ -200,7 +196,7 @@ def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
         temporary.rename(path)
         return
     try:
-        os.link(temporary, path)  # atomic, and fails where the name is taken
+        os.link(temporary, path)  # atomic, and fails if the name exists
     except FileExistsError:
         raise _exists(path) from None
     except OSError as error:
@@ -223,24 +219,24 @@ def _exists(path: Path) -> InputError:
 
 
 def cannot_write(path: Path, error: Exception) -> InputError:
-    """The error to raise where the disk refuses `path`."""
+    """InputError for a failure to write `path`."""
     reason = getattr(error, "strerror", None) or error
     return InputError(f"{path}: cannot be written ({reason}); choose another place")
 
 
-# Tables: on the terminal, as CSV and as JSON, written whole or not at all.
+# Tables: on the terminal, as CSV and as JSON.
 
 
-def out_folder(path: Path) -> Path:
+def create_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be made a folder ({error}); choose another") from error
+        raise InputError(f"{path}: cannot create the folder ({error}); choose another") from error
     return path
 
 
 def write_json(path: Path, data: Any) -> None:
-    """JSON file; numbers that are not finite become null."""
+    """Write a JSON file; numbers that are not finite become null."""
     with whole_file(path) as temporary:
         temporary.write_text(to_json(data) + "\n", encoding="utf-8")
 
@@ -251,17 +247,17 @@ def to_json(data: Any) -> str:
 
 
 def write_csv(path: Path, rows: Sequence[Any]) -> None:
-    """CSV file of dataclass rows of one kind."""
+    """Write a CSV file of dataclass rows of one type."""
     with whole_file(path) as temporary:
         write_rows(temporary, [asdict(row) for row in rows])
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """CSV of rows by column, in UTF-8 with a header line; `nan` for NaN, empty for None.
+    """Write rows as CSV, in UTF-8 with a header line; `nan` for NaN, empty for None.
 
     Give the temporary path of `whole_file`.
     """
-    # names of files may be no UTF-8
+    # file names may not be UTF-8
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [])
         writer.writeheader()
@@ -269,7 +265,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _cell(value: Any) -> Any:
-    """A text that a spreadsheet would run as a formula, as one that it shows."""
+    """Escape text that a spreadsheet would execute as a formula."""
     formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@"))
     return f"'{value}" if formula else value
 

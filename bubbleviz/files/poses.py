@@ -1,4 +1,4 @@
-"""Poses as text: one on the command line, a path of them in a CSV file."""
+"""Poses as text: one on the command line, a sequence in a CSV file."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.reading import damage
+from bubbleviz.files.reading import as_input_error
 
 COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-FARTHEST_M = 2.0  # m; further away the numbers are millimetres
-LATEST_S = 2.0**31  # s since 1970 that a message's stamp can hold
+_MAX_DISTANCE_M = 2.0  # larger numbers are in millimetres
+_MAX_TIME_S = 2.0**31  # s since 1970, limited by stamps of messages
 
 
 def parse_pose(text: str) -> np.ndarray:
@@ -37,7 +37,7 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     position, quaternion = numbers[:3], numbers[3:]
     if not np.isfinite(numbers).all():
         raise InputError("not finite numbers; correct them")
-    if np.abs(position).max() > FARTHEST_M:
+    if np.abs(position).max() > _MAX_DISTANCE_M:
         raise InputError("more than 2 m from the bubble; is it in millimetres? use metres")
     if not is_unit(quaternion):
         raise InputError("the quaternion is not of unit length; give qx qy qz qw")
@@ -48,7 +48,7 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
 
 
 def is_unit(quaternion: Sequence[float] | np.ndarray) -> bool:
-    """Whether four numbers are of unit length, and not so large that their squares overflow."""
+    """Whether four numbers have unit length; safe from overflow."""
     return bool(np.abs(quaternion).max() < 2.0 and abs(np.linalg.norm(quaternion) - 1.0) <= 1e-3)
 
 
@@ -60,7 +60,7 @@ def pose_numbers(T: np.ndarray) -> tuple[float, float, float, float, float, floa
 
 
 def pose_of_angles(position_m: np.ndarray, angles_rad: np.ndarray) -> np.ndarray:
-    """4×4 transform from a position (3,) and turns (3,) about fixed x, then y, then z."""
+    """4×4 transform from a position (3,) and extrinsic xyz Euler angles (3,)."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", angles_rad).as_matrix()
     T[:3, 3] = position_m
@@ -68,17 +68,16 @@ def pose_of_angles(position_m: np.ndarray, angles_rad: np.ndarray) -> np.ndarray
 
 
 def angles_of_pose(T: np.ndarray) -> np.ndarray:
-    """Turns (3,) in rad about fixed x, then y, then z that make up the rotation of T (4, 4)."""
+    """Extrinsic xyz Euler angles (3,), rad, of a transform (4, 4)."""
     return Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
 
 
 def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Poses (F, 4, 4) and, where the file has them, times (F,) in s.
+    """Poses (F, 4, 4) and, if the file has them, times (F,) in s.
 
-    Reads the columns x_m, y_m, z_m, qx, qy, qz, qw and time_s; others, as POSES.csv has, are
-    left.
+    Reads the columns x_m, y_m, z_m, qx, qy, qz, qw and time_s; others are ignored.
 
-    Raises InputError: names the file and the line.
+    Raises InputError: a missing column or an invalid line.
     """
     path = Path(path)
     rows = read_rows(path)
@@ -102,7 +101,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     Raises InputError: it cannot be read as CSV.
     """
     with (
-        damage(path, "the CSV file", "check the path"),
+        as_input_error(path, "the CSV file", "check the path"),
         path.open(newline="", encoding="utf-8-sig") as file,
     ):
         return list(csv.DictReader(file))
@@ -115,7 +114,7 @@ def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
         times = np.array([float(row["time_s"] or "nan") for row in rows])
     except ValueError as error:
         raise InputError(f"{path}: time_s: {error}; give seconds") from None
-    if not (np.abs(times) < LATEST_S).all():
+    if not (np.abs(times) < _MAX_TIME_S).all():
         raise InputError(
             f"{path}: time_s: implausible times; give seconds since 1970 or since the start"
         )

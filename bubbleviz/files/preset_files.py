@@ -1,10 +1,10 @@
-"""Paths of the shipped presets and pages; imports little."""
+"""Paths of the shipped presets and pages, and shared defaults; imports nothing, to start fast."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-_HERE = Path(__file__).parents[1]
+_PACKAGE = Path(__file__).parents[1]
 
 
 def presets_folder(kind: str) -> Path:
@@ -22,15 +22,12 @@ def preset_names(kind: str) -> list[str]:
 
 def _shipped(name: str) -> Path:
     """Folder in the installed package, else in the checkout."""
-    installed = _HERE / name
-    return installed if installed.is_dir() else _HERE.parent / name
-
-
-# Defaults shared by the command line and the window; imports nothing, to start fast.
+    installed = _PACKAGE / name
+    return installed if installed.is_dir() else _PACKAGE.parent / name
 
 
 SYNTHETIC_SENSOR = "pico_flexx_75mm"  # preset of the built-in live sensor, and of studies
-TRUTH_SUFFIX = ".npz"  # of files that hold the truth behind a simulated recording
-SESSION_SUFFIX = ".bubbleviz"  # of files that hold a session of the window
-MOST_COLOUR_DELAY_S = 0.5
-"""Largest difference between stamps of colour and depth of one moment; chosen: 15 frames."""
+TRUTH_SUFFIX = ".npz"  # of files with the ground truth of a simulated recording
+SESSION_SUFFIX = ".bubbleviz"  # of files with a session of the window
+MAX_COLOUR_DELAY_S = 0.5
+"""Largest difference between stamps of colour and depth of one scene; chosen: 15 frames."""

@@ -1,4 +1,4 @@
-"""Reading untrusted files: damage becomes one InputError, sizes are bounded."""
+"""Reading untrusted files: all errors become InputError, sizes are bounded."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 
-MOST_BYTES = 1 << 30  # arrays of one file, decompressed: 870 images of 640×480 pixels
+MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 pixels
 
 
 @contextmanager
-def damage(path: str | Path, what: str, remedy: str = "record or copy it again") -> Iterator[None]:
-    """Turn whatever a damaged file makes a reader raise into one InputError."""
+def as_input_error(
+    path: str | Path, what: str, remedy: str = "record or copy it again"
+) -> Iterator[None]:
+    """Convert any exception that a damaged file causes in a reader to InputError."""
     try:
         yield
     except InputError:
         raise
     except ModuleNotFoundError:
-        raise  # the command line says what to install
+        raise  # the command line tells how to install it
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
-        if isinstance(error, MemoryError):  # libraries believe the sizes they read
+        if isinstance(error, MemoryError):  # libraries allocate whatever size they read
             reason = "a size in it is implausible"
         if isinstance(error, RecursionError):
             reason = "it is nested too deeply"
@@ -37,7 +39,7 @@ def damage(path: str | Path, what: str, remedy: str = "record or copy it again")
 
 
 def exists(path: Path) -> bool:
-    """Whether a file is there; no where its name is impossible."""
+    """Whether a file exists; False for invalid names."""
     try:
         return path.exists()
     except (OSError, ValueError):
@@ -47,7 +49,7 @@ def exists(path: Path) -> bool:
 def read_npy(file: IO[bytes], size: int) -> np.ndarray:
     """Array of a `.npy` file of so many bytes.
 
-    Raises ValueError: it claims more than it has, or holds anything but numbers and texts.
+    Raises ValueError: the array is larger than the file, or not of numbers or texts.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of headers written by Python 2
@@ -56,8 +58,8 @@ def read_npy(file: IO[bytes], size: int) -> np.ndarray:
             raise ValueError(f"version {version[0]}.{version[1]} of the format is not supported")
         header = "read_array_header_1_0" if version == (1, 0) else "read_array_header_2_0"
         shape, _, dtype = getattr(np.lib.format, header)(file)
-    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > min(size, MOST_BYTES):
-        raise ValueError(f"shape {shape} is more than it holds")
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > min(size, MAX_ARRAY_BYTES):
+        raise ValueError(f"shape {shape} exceeds the file size")
     if dtype.kind not in "biufUS":
         raise ValueError(f"values of {dtype} are not plain numbers")
     file.seek(0)
@@ -65,14 +67,14 @@ def read_npy(file: IO[bytes], size: int) -> np.ndarray:
 
 
 def read_npz(path: str | Path) -> dict[str, np.ndarray]:
-    """Arrays of an `.npz` file by name, none of which is decompressed if they are too large.
+    """Arrays of an `.npz` file by name; checks the size before decompression.
 
-    Raises ValueError, or what `zipfile` does: give it to `damage`.
+    Raises ValueError and exceptions of `zipfile`; use it in `as_input_error`.
     """
     with zipfile.ZipFile(path) as archive:
         members = [each for each in archive.infolist() if each.filename.endswith(".npy")]
-        if sum(each.file_size for each in members) > MOST_BYTES:
-            raise ValueError(f"its arrays are larger than {MOST_BYTES >> 20} MiB")
+        if sum(each.file_size for each in members) > MAX_ARRAY_BYTES:
+            raise ValueError(f"its arrays are larger than {MAX_ARRAY_BYTES >> 20} MiB")
         return {each.filename.removesuffix(".npy"): _member(archive, each) for each in members}
 
 
@@ -82,7 +84,7 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 def plain_numbers(array: Any) -> np.ndarray:
-    """An array of real numbers as float64, in this computer's byte order; ValueError of others."""
+    """An array of real numbers as float64 in native byte order. Raises ValueError: other types."""
     array = np.asarray(array)
     if array.dtype.kind not in "biuf":
         raise ValueError(f"values of {array.dtype} are not numbers")
@@ -90,7 +92,7 @@ def plain_numbers(array: Any) -> np.ndarray:
 
 
 def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, or of the files in a folder one after the other by name."""
+    """SHA-256 of a file, or of the concatenated files in a folder, sorted by name."""
     path = Path(path)
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     digest = hashlib.sha256()

@@ -1,4 +1,4 @@
-"""TOML files: found by name, read, and validated; errors name the key and what to do."""
+"""TOML files: found by name, read, and validated."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from bubbleviz.errors import InputError
-from bubbleviz.files.reading import damage, exists
+from bubbleviz.files.reading import as_input_error, exists
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 def named_file(name: str | Path, presets: Path, what: str) -> Path:
-    """The file of that name or, where there is none, the preset of its stem.
+    """The file of that name or, if there is none, the preset of its stem.
 
-    Raises InputError: there is neither; lists the presets.
+    Raises InputError: there is neither.
     """
     path = Path(name)
     if exists(path):
@@ -35,7 +35,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises InputError: it cannot be read, or is not TOML.
     """
-    with damage(path, "the TOML file", "correct it"):
+    with as_input_error(path, "the TOML file", "correct it"):
         return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
@@ -43,33 +43,33 @@ def checked(
     model: type[Model],
     data: Mapping[str, Any],
     path: Path,  # for the message
-    whole: str,  # what to call the file's content where no key is to blame
+    kind: str,  # name of the content in messages about no single key
 ) -> Model:
-    """What the tables of a file describe.
+    """Validated model of the tables of a file.
 
-    Raises InputError: it breaks the schema; names the first key that does and what to do.
+    Raises InputError: it violates the schema; names the first invalid key.
     """
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{path}: {_first_problem(error, whole)}") from error
+        raise InputError(f"{path}: {_first_problem(error, kind)}") from error
 
 
-def _first_problem(error: ValidationError, whole: str) -> str:
+def _first_problem(error: ValidationError, kind: str) -> str:
     problem = error.errors()[0]
-    where = ".".join(str(part) for part in problem["loc"]) or whole
+    key = ".".join(str(part) for part in problem["loc"]) or kind
     if problem["type"] == "extra_forbidden":
-        return f"{where}: unknown key; check its spelling"
+        return f"{key}: unknown key; check its spelling"
     if problem["type"] == "missing":
-        return f"{where}: missing; add it"
+        return f"{key}: missing; add it"
     message = problem["msg"].removeprefix("Value error, ")
-    if isinstance(problem["input"], dict):  # the section as a whole
-        return f"{where}: {message}"
-    return f"{where} = {problem['input']!r}: {message}{_unit_of(where)}"
+    if isinstance(problem["input"], dict):  # an entire section
+        return f"{key}: {message}"
+    return f"{key} = {problem['input']!r}: {message}{_unit_of(key)}"
 
 
 def _unit_of(key: str) -> str:
-    """Hint at the unit of a key, by how its name ends."""
+    """Hint at the unit of a key, by its suffix."""
     if key.endswith("_per_m"):
         return "; tensions are in newtons per metre"
     if key.endswith("_pa"):

@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import MOST_COLOUR_DELAY_S
+from bubbleviz.files import MAX_COLOUR_DELAY_S
 from bubbleviz.live.live_source import OfferedTopic
 from bubbleviz.live.topic_names import DEPTH_TYPES, TopicNames, decode
 from bubbleviz.recordings import (
@@ -42,7 +42,7 @@ from bubbleviz.recordings import (
     values_at,
 )
 
-KEPT_NS = round(1e9 * MOST_COLOUR_DELAY_S) + NEAREST_NS
+KEPT_NS = round(1e9 * MAX_COLOUR_DELAY_S) + NEAREST_NS
 """Colour images kept: those of the longest delay, and of a frame that is behind them."""
 
 

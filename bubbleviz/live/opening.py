@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import DepthCamera
 from bubbleviz.files import (
-    MOST_COLOUR_DELAY_S,
+    MAX_COLOUR_DELAY_S,
     SYNTHETIC_SENSOR,
     checked,
     is_unit,
@@ -178,7 +178,7 @@ class SensorPlace(_Strict):
     colour: str = Field(default="#4f8fd0", pattern="^#[0-9a-fA-F]{6}$")
     # in place of the sensor file's `camera.colour_delay_s`
     colour_delay_s: float | None = Field(
-        default=None, ge=-MOST_COLOUR_DELAY_S, le=MOST_COLOUR_DELAY_S
+        default=None, ge=-MAX_COLOUR_DELAY_S, le=MAX_COLOUR_DELAY_S
     )
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import damage, exists
+from bubbleviz.files import as_input_error, exists
 from bubbleviz.recordings.bag_storage import (
     McapStorage,
     Ros1Storage,
@@ -64,7 +64,7 @@ class Bag:
             raise InputError(f"{self.path}: no such recording; check the path")
         self.ros1 = self.path.suffix == ".bag"  # whether messages are serialised as in ROS 1
         try:
-            with damage(self.path, "the recording"):
+            with as_input_error(self.path, "the recording"):
                 self._open()
         except BaseException:
             self.close()
@@ -80,7 +80,7 @@ class Bag:
 
     def messages(self, topic: Topic) -> Messages:
         """Messages of a topic in the order of their log times."""
-        with damage(self.path, f"the index of {topic.name}"):
+        with as_input_error(self.path, f"the index of {topic.name}"):
             parts = [
                 (storage, storage.entries(connection.id))
                 for storage in self._storages
@@ -198,7 +198,7 @@ class Messages:
 
         The stamp is 0 when unset, `UNREADABLE` where the message is shorter than a header.
         """
-        with damage(self._bag.path, f"the header of message {k} of {self.topic.name}"):
+        with as_input_error(self._bag.path, f"the header of message {k} of {self.topic.name}"):
             begin, size = self._read(k, 16)
             if len(begin) < 12:
                 return UNREADABLE, size
@@ -220,7 +220,7 @@ class Messages:
 
     def message(self, k: int) -> Any:
         """Message `k`, decoded by rosbags."""
-        with damage(self._bag.path, f"message {k} of {self.topic.name}"):
+        with as_input_error(self._bag.path, f"message {k} of {self.topic.name}"):
             store = typestore(ros1=self._bag.ros1)
             read = store.deserialize_ros1 if self._bag.ros1 else store.deserialize_cdr
             return read(self.payload(k), self.topic.type)

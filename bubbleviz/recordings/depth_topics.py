@@ -8,7 +8,7 @@ from typing import Any
 
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import damage
+from bubbleviz.files import as_input_error
 from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.message_decoding import (
     COMPRESSED,
@@ -125,7 +125,7 @@ def find_intrinsics(
     found = nearest_info(infos, images.name, size)
     if not found:
         return "", None
-    with damage(bag.path, f"the camera info on {found}"):
+    with as_input_error(bag.path, f"the camera info on {found}"):
         return found, decode_intrinsics(infos[found])
 
 

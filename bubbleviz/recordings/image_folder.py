@@ -16,7 +16,7 @@ from pydantic import BaseModel, PositiveFloat, PositiveInt
 
 from bubbleviz.camera import MAX_SIDE, ColourImage, DistortionModel, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import checked, damage, read_npy, read_toml
+from bubbleviz.files import as_input_error, checked, read_npy, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame, usual_step
@@ -235,7 +235,7 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
-        with damage(path, "the JSON file", "correct it"):
+        with as_input_error(path, "the JSON file", "correct it"):
             table = json.loads(path.read_text(encoding="utf-8"))
     else:
         table = read_toml(path)
@@ -286,7 +286,7 @@ def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
 
 
 def _columns(path: str | Path, count: int) -> np.ndarray:
-    with damage(path, "the CSV of numbers", "correct it"):
+    with as_input_error(path, "the CSV of numbers", "correct it"):
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
         if rows and not _is_number(rows[0][0]):
@@ -319,7 +319,7 @@ def _size(shape: Sequence[int]) -> str:
 
 
 def _read(path: Path) -> np.ndarray:
-    with damage(path, "the image", "export it again"), path.open("rb") as file:
+    with as_input_error(path, "the image", "export it again"), path.open("rb") as file:
         if path.suffix.lower() == ".npy":
             return read_npy(file, path.stat().st_size)
         with warnings.catch_warnings():

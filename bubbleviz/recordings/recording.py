@@ -12,7 +12,7 @@ import numpy as np
 
 from bubbleviz.camera import ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import damage
+from bubbleviz.files import as_input_error
 from bubbleviz.plugins import plugin
 from bubbleviz.recordings.bag import UNREADABLE, Bag, Messages
 from bubbleviz.recordings.colour_topics import find_colour
@@ -108,7 +108,7 @@ class Recording:
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
         index = int(index)
-        with self._lock, damage(self.path, f"frame {index}"):
+        with self._lock, as_input_error(self.path, f"frame {index}"):
             k = int(self._order[index])
             depth = self._nothing if index in self._bad else self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
@@ -158,7 +158,7 @@ class Recording:
         """Every recorded gas pressure, shape (n,), absolute, Pa; empty where there is none."""
         if (series := self._series.get(PRESSURE)) is None:
             return np.empty(0)
-        with self._lock, damage(self.path, "the gas pressure"):
+        with self._lock, as_input_error(self.path, "the gas pressure"):
             pressures = np.array([series.item(k)[0] for k in range(len(series))])
         return pressures[np.isfinite(pressures)]
 
@@ -169,7 +169,7 @@ class Recording:
         ]
         if not found:
             return ()
-        with self._lock, damage(self.path, "the markers"):
+        with self._lock, as_input_error(self.path, "the markers"):
             messages = self.bag.messages(found[0])
             return tuple(
                 (
@@ -189,7 +189,7 @@ class Recording:
             return None
         time_s = float(self.times_s[index])
         find = ColourAround(self.colour.images, self._moment(index), time_s, self._half_period_ns)
-        with self._lock, damage(self.path, f"the colour image at {time_s + after_s:.3f} s"):
+        with self._lock, as_input_error(self.path, f"the colour image at {time_s + after_s:.3f} s"):
             return find(after_s)
 
     def _colour(self, name: str | None) -> RecordedColour | None:
@@ -200,10 +200,10 @@ class Recording:
         self._half_period_ns = NEAREST_NS if period is None else int(period) // 2
 
         def reading(read: Callable[[], EncodedImage]) -> EncodedImage:
-            with self._lock, damage(self.path, f"a colour image on {topic.name}"):
+            with self._lock, as_input_error(self.path, f"a colour image on {topic.name}"):
                 return read()
 
-        with damage(self.path, f"the colour images on {topic.name}"):
+        with as_input_error(self.path, f"the colour images on {topic.name}"):
             return RecordedColour(
                 self.bag, topic, self.depth_topic, reading, by_log=self._by_log, laps=self._laps
             )
@@ -223,7 +223,7 @@ class Recording:
     def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
         """Width and height of the images; those of a cloud without rows are its camera's."""
         if self.depth_topic.type == COMPRESSED_IMAGE:
-            with damage(self.path, f"the first image on {self.depth_topic.name}"):
+            with as_input_error(self.path, f"the first image on {self.depth_topic.name}"):
                 height, width = decode_depth(first).shape
             return width, height
         if self.depth_topic.type != POINT_CLOUD or first.height > 1:

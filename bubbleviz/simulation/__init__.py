@@ -1,4 +1,4 @@
-"""Simulated sensors: presses with their truth, depth noise, scenes for live streams."""
+"""Simulated sensors: presses with ground truth, depth noise, scenes for live streams."""
 
 import lazy_loader
 

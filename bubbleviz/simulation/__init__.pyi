@@ -24,9 +24,9 @@ from .presses import (
     HELD_OUT_OBJECTS as HELD_OUT_OBJECTS,
     SMOOTH_OBJECTS as SMOOTH_OBJECTS,
     Press as Press,
-    made as made,
     press_path as press_path,
     presses as presses,
+    study_object as study_object,
     touching_height as touching_height,
 )
 from .printed_speckle import (
@@ -45,8 +45,8 @@ from .rubber_truth import (
     rubber_sensor as rubber_sensor,
 )
 from .synthetic_source import (
-    FINER as FINER,
-    KnowsTruth as KnowsTruth,
+    NODE_RATIO as NODE_RATIO,
+    HasTruth as HasTruth,
     Model as Model,
     NoisyLoop as NoisyLoop,
     SyntheticSource as SyntheticSource,
@@ -54,17 +54,17 @@ from .synthetic_source import (
     default_path as default_path,
     default_press as default_press,
     dome_size as dome_size,
-    sharpened as sharpened,
+    refined_at_edges as refined_at_edges,
     simulation_mesh as simulation_mesh,
     truth_of as truth_of,
 )
 from .truth_bank import (
-    Sighting as Sighting,
+    SimulatedPress as SimulatedPress,
     TruthBank as TruthBank,
     noise_name as noise_name,
 )
 from .truth_file import (
-    KnownRecording as KnownRecording,
-    known_beside as known_beside,
+    RecordingWithTruth as RecordingWithTruth,
     read_truth as read_truth,
+    with_truth_file as with_truth_file,
 )

@@ -1,4 +1,4 @@
-"""Noise of a simulated depth camera, reproducible for a seed and frame in any order."""
+"""Noise of a simulated depth camera, which depends on seed and frame index alone."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from bubbleviz.errors import InputError
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
 
-_MEMORY = 32  # frames that a frame's correlated noise may reach back
+_MAX_LAG = 32  # frames over which noise may be correlated
 
 
 @dataclass(frozen=True)
 class DepthNoise:
     """Noise model of a depth camera."""
 
-    relative: float = 0.0  # σ of range over range
-    absolute_m: float = 0.0  # σ of range that does not grow with range, m; both add in squares
-    # distance in pixels at which the correlation of two pixels' noise is 1/e; 0 for white
+    relative: float = 0.0  # σ of range relative to range
+    absolute_m: float = 0.0  # σ of range independent of range, m; the squares of both add
+    # distance in pixels at which the correlation of two pixels' noise is 1/e; 0: white noise
     correlation_px: float = 0.0
-    # correlation of one pixel's noise from frame to frame, 0 to below 1
+    # correlation of one pixel's noise between consecutive frames, 0 to below 1
     correlation_frames: float = 0.0
-    holes: float = 0.0  # fraction of pixels without a return, in blobs as wide as the correlation
-    outliers: float = 0.0  # fraction of pixels whose range is off by up to `outlier_m`
+    holes: float = 0.0  # fraction of pixels without a return, in blobs of the correlation length
+    outliers: float = 0.0  # fraction of pixels with a range error of up to `outlier_m`
     outlier_m: float = 0.02  # largest error of an outlier, m
 
     def __post_init__(self) -> None:
@@ -57,14 +57,14 @@ class DepthNoise:
         return noisy
 
     def _unit_field(self, shape: tuple[int, ...], seed: int, index: int) -> np.ndarray:
-        """Normal noise of unit variance with the asked correlation in space and time."""
+        """Normal noise of unit variance with the model's correlation in space and time."""
         rho = self.correlation_frames
-        back = 1 if rho == 0.0 else min(_MEMORY, 1 + int(np.ceil(np.log(1e-3) / np.log(rho))))
+        back = 1 if rho == 0.0 else min(_MAX_LAG, 1 + int(np.ceil(np.log(1e-3) / np.log(rho))))
         weights = rho ** np.arange(back)
         weights /= np.linalg.norm(weights)
         field = np.zeros(shape)
         for lag, weight in enumerate(weights):
-            random = np.random.default_rng([seed, index + _MEMORY - lag, 0])
+            random = np.random.default_rng([seed, index + _MAX_LAG - lag, 0])
             field += weight * random.standard_normal(shape)
         return _smoothed(field, self.correlation_px)
 
@@ -81,7 +81,7 @@ def _smoothed(white: np.ndarray, correlation_px: float) -> np.ndarray:
     return smooth
 
 
-# Sensors that differ from another in one thing, for studies.
+# Variants of sensors, for studies.
 
 
 def dome(prestretch: float) -> Sensor:
@@ -103,15 +103,15 @@ def with_nodes(sensor: Sensor, nodes: int | None) -> Sensor:
 
 
 def strided(sensor: Sensor, stride: int) -> Sensor:
-    """Sensor whose camera has only every stride-th pixel of every stride-th row."""
+    """Sensor whose camera has every stride-th pixel of every stride-th row."""
     own = sensor.camera
     size = {name: -(-getattr(own, name) // stride) for name in ("width", "height")}
-    lens = {name: getattr(own, name) / stride for name in ("fx", "fy", "cx", "cy")}
-    return sensor.model_copy(update={"camera": own.model_copy(update={**size, **lens})})
+    intrinsics = {name: getattr(own, name) / stride for name in ("fx", "fy", "cx", "cy")}
+    return sensor.model_copy(update={"camera": own.model_copy(update={**size, **intrinsics})})
 
 
 def resized(sensor: Sensor, width: int, height: int) -> Sensor:
-    """Sensor whose camera sees the same with other pixels."""
+    """Sensor whose camera has the same view with another image size."""
     own = sensor.camera
     x, y = width / own.width, height / own.height
     size = {"width": width, "height": height, "fx": own.fx * x, "fy": own.fy * y}
@@ -120,7 +120,7 @@ def resized(sensor: Sensor, width: int, height: int) -> Sensor:
 
 
 def with_pixels(sensor: Sensor, pixels: int | None) -> Sensor:
-    """Sensor whose camera sees the same with about as many pixels as asked."""
+    """Sensor whose camera has the same view with about so many pixels."""
     if pixels is None:
         return sensor
     own = sensor.camera
@@ -129,7 +129,7 @@ def with_pixels(sensor: Sensor, pixels: int | None) -> Sensor:
 
 
 def with_noise(model: SensorModel, noise: DepthNoise) -> SensorModel:
-    """The sensor with the noise of its camera."""
+    """Sensor model that assumes the given noise."""
     distance = float(np.median(np.linalg.norm(model.mesh.nodes - model.camera.center, axis=1)))
     relative = max(float(np.hypot(noise.relative, noise.absolute_m / distance)), 1e-5)
     camera = model.sensor.camera.model_copy(update={"noise_relative": relative})

@@ -1,4 +1,4 @@
-"""Sensors of known rubber, recorded at inflation levels."""
+"""Simulated sensors of known rubber at several inflation levels."""
 
 from __future__ import annotations
 
@@ -22,24 +22,22 @@ from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 
-# Frames of an untouched sensor inflated to some pressure.
-
 
 class InflatedSensor:
-    """Source of frames of a membrane at rest.
+    """Frames of an untouched membrane under one gas pressure.
 
     Attributes
     ----------
     pressures_pa : (F,) array or None
-        Recorded with the frames, absolute, Pa.
+        Measured gas pressure of the frames, absolute, Pa.
     """
 
     def __init__(
         self,
         name: str,
         camera: DepthCamera,
-        membrane: MembraneMesh,  # as the pressure bulges it
-        gas_pressure_pa: float | None,  # absolute, as it is recorded
+        membrane: MembraneMesh,  # deformed by the gas pressure
+        gas_pressure_pa: float | None,  # absolute; None: not measured
         noise: DepthNoise,
         frames: int = 40,
         seed: int = 0,
@@ -50,8 +48,8 @@ class InflatedSensor:
         self._range_m = MembraneView(camera, membrane).rest_range
         self.pressures_pa: np.ndarray | None = None
         if gas_pressure_pa is not None:
-            shaken = np.random.default_rng([seed, 3]).standard_normal(frames)
-            self.pressures_pa = gas_pressure_pa + pressure_noise_pa * shaken
+            noise_pa = pressure_noise_pa * np.random.default_rng([seed, 3]).standard_normal(frames)
+            self.pressures_pa = gas_pressure_pa + noise_pa
 
     def __len__(self) -> int:
         """Count the frames."""
@@ -74,11 +72,11 @@ class InflatedSensor:
         """Nothing to close."""
 
 
-ATMOSPHERE_PA = 98_700.0  # some 225 m above the sea, where no sensor file assumes to be
+ATMOSPHERE_PA = 98_700.0  # at 225 m above sea level, unlike the default of sensor files
 CHAMBER_M3 = 3e-4
 _NODES = 3_000
 CAMERA_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0, correlation_frames=0.5)
-"""As a RealSense D405 over a soft bubble has: σ and correlation in space and time."""
+"""σ and correlation in space and time of a RealSense D405 in a soft bubble."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +87,13 @@ class InflatedRubber:
     rim_semi_axes_m: tuple[float, float]  # (ax, ay)
     gauge_pressure_pa: float  # G at rest
     mu_h_n_per_m: float
-    # γ0: the one tension that balances the gauge pressure over the surface at rest, as
-    # identification and sensor files have it. The mean tension differs by 2 % over an oval rim,
-    # where shape and pressure do not tell it.
+    # γ0: uniform tension that balances the gauge pressure over the surface at rest, as in
+    # identification and sensor files. The mean tension over an oval rim differs by 2 %, as shape
+    # and pressure do not determine it.
     tension_n_per_m: float
     shape: Callable[[float], MembraneMesh]  # membrane under a gauge pressure in Pa
-    # the same triangles stretched by λ over the rim, before there is any pressure
-    sheet: MembraneMesh
-    sheet_stretch: float  # that λ
+    sheet: MembraneMesh  # the same triangles, stretched over the rim without pressure
+    sheet_stretch: float  # λ of that
 
     @cached_property
     def rest(self) -> MembraneMesh:
@@ -105,7 +102,7 @@ class InflatedRubber:
 
     @property
     def pneumatics(self) -> Pneumatics:
-        """The true ones."""
+        """True values."""
         return Pneumatics(
             gauge_pressure_pa=self.gauge_pressure_pa,
             atmospheric_pressure_pa=ATMOSPHERE_PA,
@@ -126,7 +123,7 @@ class InflatedRubber:
         prestretch: float,
         gauge_pressure_pa: float,
     ) -> InflatedRubber:
-        """A sheet that was flat, stretched by λ over a rim and bulged, on a fine mesh."""
+        """A flat sheet, stretched by λ over a rim and inflated, on a fine mesh."""
         cap = mesh_cap(EllipsoidalCap.of(rim_semi_axes_m, 0.3 * min(rim_semi_axes_m)), _NODES)
         flat = replace(cap, nodes=cap.nodes * [1.0, 1.0, 0.0])
         stretched = flat, mu_h_n_per_m, prestretch, gauge_pressure_pa
@@ -141,7 +138,7 @@ class InflatedRubber:
         prestretch: float,
         gauge_pressure_pa: float,
     ) -> InflatedRubber:
-        """A dome stretched by λ from the same dome, then inflated to equilibrium."""
+        """A dome, uniformly stretched by λ and inflated to equilibrium."""
         cap = mesh_cap(EllipsoidalCap.of(rim_semi_axes_m, height_m), _NODES)
         stretched = cap, mu_h_n_per_m, prestretch, gauge_pressure_pa
         return cls._on_mesh("dome", rim_semi_axes_m, *stretched)
@@ -160,11 +157,10 @@ class InflatedRubber:
         rest = _inflated(rubber, None, gauge_pressure_pa)
         tension = balance_tension(rest, gauge_pressure_pa)
         shape = partial(_inflated, rubber, rest.nodes)
-        made = gauge_pressure_pa, mu_h_n_per_m, tension, shape, mesh, prestretch
-        return cls(name, rim, *made)
+        return cls(name, rim, gauge_pressure_pa, mu_h_n_per_m, tension, shape, mesh, prestretch)
 
     def sensor(self, width: int = 160) -> Sensor:
-        """What a drawing says of the sensor: an inexact height, and the sea's atmosphere."""
+        """Sensor file before identification: rounded height, standard atmospheric pressure."""
         height = float(self.rest.nodes[:, 2].max())
         focal, rows = 0.55 * width, 3 * width // 4
         return Sensor(
@@ -194,7 +190,7 @@ class InflatedRubber:
         frames: int = 30,
         width: int = 160,
     ) -> InflatedSensor:
-        """Frames at a share of the gauge pressure at rest."""
+        """Frames at the gauge pressure at rest times `level`."""
         gauge = level * self.gauge_pressure_pa
         camera = DepthCamera.of(self.sensor(width).camera)
         name, gas = f"{self.name} at {level:g}", ATMOSPHERE_PA + gauge

@@ -1,4 +1,4 @@
-"""What `synthetic:` streams: an object and its path, by name."""
+"""Scenes of `synthetic:` sources: an object and its path, by name."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.synthetic_source import SyntheticSource, default_path, dome_size, ease
 
-# The paper's dual-finger task (V-C, Fig. 1), simulated: one oversized nut between two bubbles.
+# The paper's dual-finger task (V-C, Fig. 1): an oversized nut between two bubbles.
 #
-# World W: the nut's axis is z, and its middle the origin; the fingers press its flats at ±y.
+# World W: z is the nut's axis, the origin its centre; the fingers press its flats at ±y.
 
 
 Side = Literal["left", "right"]
 
-OVERSIZE = 2.0  # times the preset's nut: 48 mm across flats, as wide as a third of the bubble
-PRESS = 0.2  # how deep the closed fingers press, over the height of the dome
-OPENING_M = 0.02  # of each finger before it closes, m; chosen
-TURN_RAD = np.radians(12.0)  # by how much the nut turns in the grip
+OVERSIZE = 2.0  # scale of the preset's nut: 48 mm across flats, a third of the bubble's width
+PRESS = 0.2  # depth of the press by closed fingers, over the height of the dome
+OPENING_M = 0.02  # of each finger before it closes; chosen
+TURN_RAD = np.radians(12.0)  # rotation of the nut between the fingers
 
 
 def oversized_nut() -> RigidObject:
-    """The nut, its middle at the origin."""
+    """The nut, with its centre at the origin."""
     nut = load_object("hex_nut")
     middle = 0.5 * (nut.vertices.min(axis=0) + nut.vertices.max(axis=0))
     return RigidObject(nut.name, OVERSIZE * (nut.vertices - middle), nut.triangles)
 
 
 def finger_pose(side: Side, height_m: float, opening_m: float = 0.0) -> np.ndarray:
-    """T_W_B (4, 4) of a finger, closed but for `opening_m`, whose dome is `height_m` high."""
+    """T_W_B (4, 4) of a finger that is open by `opening_m`, with a dome of height `height_m`."""
     out = -1.0 if side == "left" else 1.0
     half = 0.5 * float(np.ptp(oversized_nut().vertices[:, 1]))
     T = np.eye(4)
@@ -47,7 +47,7 @@ def finger_pose(side: Side, height_m: float, opening_m: float = 0.0) -> np.ndarr
 
 
 def grip_poses(side: Side, height_m: float, frames: int) -> np.ndarray:
-    """T_B_O (frames, 4, 4): the fingers close, the nut turns in them and back, they open."""
+    """T_B_O (frames, 4, 4): the fingers close, the nut turns there and back, the fingers open."""
     t = np.arange(frames) / frames
     closed = ease(t, 0.08, 0.3) - ease(t, 0.75, 0.95)
     turn = TURN_RAD * np.sin(2.0 * np.pi * ease(t, 0.35, 0.7))
@@ -60,8 +60,8 @@ def grip_poses(side: Side, height_m: float, frames: int) -> np.ndarray:
     return poses
 
 
-LIVE_FINER = 2
-"""Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
+LIVE_NODE_RATIO = 2
+"""Nodes of the live simulation's mesh per node of the estimator's, for 15 ms per frame."""
 
 DEFAULT_OBJECT = "two_legged_toy"
 
@@ -69,10 +69,10 @@ DEFAULT_OBJECT = "two_legged_toy"
 def simulation(
     place: str, sensor: Sensor, frames: int, noise: float, rate_hz: float, seed: int
 ) -> Callable[[], FrameSource]:
-    """Maker of the simulation that the place of a source names.
+    """Factory of the simulation given by the `place` of a source URI.
 
-    It is empty for the built-in press, an object's name or mesh file for the same press
-    with that, `nut-left` or `nut-right` for a finger of the dual-finger task.
+    `place` is empty for the built-in press, an object's name or mesh file for the same press with
+    that object, or `nut-left` or `nut-right` for a finger of the dual-finger task.
 
     Raises InputError: there is no such object.
     """
@@ -86,7 +86,7 @@ def simulation(
             DepthNoise(relative=noise),
             rate_hz,
             seed,
-            nodes=LIVE_FINER * sensor.membrane.nodes,
+            nodes=LIVE_NODE_RATIO * sensor.membrane.nodes,
         )
 
     return make

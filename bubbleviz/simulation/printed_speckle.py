@@ -1,4 +1,4 @@
-"""A speckle printed on the simulated membrane, as the camera inside sees it."""
+"""Colour images of a speckle pattern printed on the simulated membrane."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 
 _VOXELS, _VOXELS_PER_BLOT = 96, 4
-"""Side of the cube of noise that the speckle is cut from, again and again, and its fineness."""
+"""Side and resolution of the periodic cube of noise that the speckle is a section of."""
 _DARK, _BRIGHT, _EDGE = 60.0, 190.0, 3.0  # grey levels of ink and paper, steepness between them
-_BACKGROUND = 100.0  # grey level where no membrane is seen
-_BLOT_PX = 8.0  # by default, pixels at the middle of the membrane; chosen: as the real sensor's
-_NOISE_STREAM = 3  # of the seed; those of `DepthNoise` come before
+_BACKGROUND = 100.0  # grey level beside the membrane
+_BLOT_PX = 8.0  # default size of a blot at the centre of the membrane; as on the real sensor
+_NOISE_STREAM = 3  # random stream of the seed, after those of `DepthNoise`
 
 
 @dataclass(frozen=True)
 class Speckle:
     """Parameters of the printed speckle and of its images."""
 
-    blot_m: float | None = None  # size of a blot, m; by default 8 pixels wide in the image
+    blot_m: float | None = None  # size of a blot, m; None: 8 pixels in the image
     noise: float = 2.0  # σ of the grey levels (0 … 255)
-    shaded: bool = True  # brightest where the membrane faces the camera, with its light
-    seed: int = 0  # of print and noise
+    shaded: bool = True  # lit from the camera: brightest where the membrane faces it
+    seed: int = 0  # of pattern and noise
 
     def __post_init__(self) -> None:
         if self.blot_m is not None and not 0.0 < self.blot_m < 0.1:
@@ -42,7 +42,7 @@ class PrintedMembrane:
     def __init__(
         self,
         speckle: Speckle,
-        view: MembraneView,  # of the mesh at rest, which is printed on
+        view: MembraneView,  # of the printed mesh at rest
     ) -> None:
         self._speckle, self._view = speckle, view
         middle_m = np.linalg.norm(view.mesh.nodes.mean(axis=0) - view.camera.center)
@@ -53,15 +53,15 @@ class PrintedMembrane:
         displacement_m: np.ndarray,  # (n,) or (n, 3) array
         index: int,  # of the frame, for its noise
     ) -> np.ndarray:
-        """Grey image (H, W), uint8, of a displacement as of `MembraneMesh.deformed`."""
+        """Grey image (H, W), uint8, at a displacement as in `MembraneMesh.deformed`."""
         mesh = self._view.mesh
         hits = self._view.hits(displacement_m)
         corners = mesh.triangles[hits.triangle]
-        printed = np.einsum("kj,kjx->kx", hits.barycentric, mesh.nodes[corners])
-        grey = self.grey(printed)
+        at_rest = np.einsum("kj,kjx->kx", hits.barycentric, mesh.nodes[corners])
+        grey = self.grey(at_rest)
         if self._speckle.shaded:
-            now = MembraneMesh(mesh.deformed(displacement_m), mesh.triangles, mesh.rim)
-            normals = np.einsum("kj,kjx->kx", hits.barycentric, now.normals[corners])
+            deformed = MembraneMesh(mesh.deformed(displacement_m), mesh.triangles, mesh.rim)
+            normals = np.einsum("kj,kjx->kx", hits.barycentric, deformed.normals[corners])
             rays = self._view.camera.directions[hits.ray]
             facing = np.einsum("kx,kx->k", normals, rays) / np.linalg.norm(normals, axis=1)
             grey *= 0.5 + 0.5 * np.clip(facing, 0.0, 1.0)
@@ -72,14 +72,14 @@ class PrintedMembrane:
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
     def grey(self, points_m: np.ndarray) -> np.ndarray:
-        """Grey level (k,) of material at places (k, 3) of the mesh at rest, in B, m."""
-        places = points_m.T * (_VOXELS_PER_BLOT / self._blot_m)
-        ink = ndimage.map_coordinates(self._noise, places, order=1, mode="grid-wrap")
+        """Grey level (k,) of material points (k, 3), by their position at rest in B, m."""
+        voxels = points_m.T * (_VOXELS_PER_BLOT / self._blot_m)
+        ink = ndimage.map_coordinates(self._noise, voxels, order=1, mode="grid-wrap")
         return _DARK + (_BRIGHT - _DARK) * (0.5 + 0.5 * np.tanh(_EDGE * ink))
 
     @cached_property
     def _noise(self) -> np.ndarray:
-        """Smooth noise in a cube that continues itself, of unit variance, float32."""
+        """Smooth periodic noise in a cube, of unit variance, float32."""
         random = np.random.default_rng(self._speckle.seed)
         white = random.standard_normal((_VOXELS,) * 3).astype(np.float32)
         smooth = ndimage.gaussian_filter(white, 0.4 * _VOXELS_PER_BLOT, mode="wrap")

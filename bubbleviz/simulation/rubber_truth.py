@@ -1,4 +1,4 @@
-"""Presses into the exact membrane or the linear one, as the camera would see them."""
+"""Simulated presses into the exact or the linear membrane, with noise-free ranges."""
 
 from __future__ import annotations
 
@@ -30,36 +30,36 @@ from bubbleviz.sensor import Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 
-# Presses into the exact membrane on a mesh made finer where an object touches, most at its edges.
+# Presses into the exact membrane on a mesh that is refined in the contact, most at edges.
 #
-# The forward model holds nodes. Where an edge of the object lies between them it cuts into the
-# membrane, so that on an even mesh the contact is smaller than the object by half a triangle, and
-# nodes catch on the edge, which is then no longer without friction. Here edges have a radius, and
-# the mesh is fine enough to slide over them.
+# The forward model imposes contact at nodes. An edge of the object between nodes cuts into the
+# membrane. So on a uniform mesh the contact is too small by half a triangle, and nodes that catch
+# on the edge act like friction. Here edges have a radius, and the mesh is fine enough to slide over
+# them.
 
 
 EDGE_RADIUS_M = 5e-4
-"""Of objects' edges: those of printed and machined parts, about as thick as the rubber is."""
+"""Radius of objects' edges, typical of printed and machined parts; about the rubber's thickness."""
 
-_LEVELS = 4  # how often triangles are cut at most
+_MAX_LEVELS = 4  # of refinement
 
 
 class RefinedPress(NamedTuple):
-    """A press and the mesh it was found on."""
+    """A press and its refined mesh."""
 
     mesh: MembraneMesh
     contact: RubberContact
 
 
 def refined_press(
-    # the membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little
+    # membrane on a refinement of `mesh`, whose nodes it may move slightly
     rubber_on: Callable[[MembraneMesh], RubberMembrane],
-    gas_on: Callable[[MembraneMesh], Gas],  # the gas behind it
-    mesh: MembraneMesh,  # to begin with
+    gas_on: Callable[[MembraneMesh], Gas],
+    mesh: MembraneMesh,  # before refinement
     obj: RigidObject,
     T_B_O: np.ndarray,  # (4, 4)
 ) -> RefinedPress:
-    """Press an object; the contact may not have converged."""
+    """Press an object; check whether the contact has converged."""
 
     def forward_on(mesh: MembraneMesh) -> RubberForward:
         rubber = rubber_on(mesh)
@@ -68,49 +68,49 @@ def refined_press(
     surface = ObjectSurface(obj, EDGE_RADIUS_M)
     forward = forward_on(mesh)
     contact = forward.press(obj, T_B_O, quick=True)
-    for level in range(_LEVELS):
-        cut = _coarse(forward.mesh, contact, surface, T_B_O, everywhere=level == 0)
+    for level in range(_MAX_LEVELS):
+        cut = _to_refine(forward.mesh, contact, surface, T_B_O, everywhere=level == 0)
         if not cut.any():
             break
         finer = refinement(mesh, cut)
         mesh, forward = finer.mesh, forward_on(finer.mesh)
-        near = (finer.values(contact.displacement_3d_m), finer.values(contact.contact_pressure_pa))
-        contact = forward.press(obj, T_B_O, near, quick=True)
+        start = finer.values(contact.displacement_3d_m), finer.values(contact.contact_pressure_pa)
+        contact = forward.press(obj, T_B_O, start, quick=True)
     if not contact.converged:
         contact = forward.press(obj, T_B_O)
     return RefinedPress(forward.mesh, contact)
 
 
-def _coarse(
+def _to_refine(
     mesh: MembraneMesh,
     found: RubberContact,
     surface: ObjectSurface,
     T_B_O: np.ndarray,
     everywhere: bool,
 ) -> np.ndarray:
-    """Touching triangles (m,) bool that are too large for the edge they lie on, or all that touch.
+    """Triangles (m,) bool in contact (all, or those too large for an edge), and their neighbours.
 
-    With those beside them, for a contact grows as its edge is resolved.
+    Neighbours are included because the contact grows as its edge is resolved.
     """
     pressed = MembraneMesh(mesh.deformed(found.displacement_3d_m), mesh.triangles, mesh.rim)
     cut = (found.contact_pressure_pa > 0.0)[mesh.triangles].any(axis=1)
     if not everywhere:
         cut &= surface.turn_along(pressed, T_B_O, 2.0 * mesh.edge_length) > MOST_TURN_RAD
-    beside = np.zeros(len(mesh.nodes), bool)
-    beside[mesh.triangles[cut]] = True
-    chosen: np.ndarray = beside[mesh.triangles].any(axis=1)
+    near = np.zeros(len(mesh.nodes), bool)
+    near[mesh.triangles[cut]] = True
+    chosen: np.ndarray = near[mesh.triangles].any(axis=1)
     return chosen
 
 
-PRESTRETCH = 1.2  # λ of sensors whose file has none: that of the real one (`identify`)
+PRESTRETCH = 1.2  # λ for sensor files without one; identified on the real sensor
 
 TRUTH_NODES = 2_600
-"""Before it is refined: other nodes than the estimator's, and as coarse where nothing touches."""
-LINEAR_NODES = 12_500  # of the linear model, which costs little: about 15 times the estimator's 800
+"""Before refinement; nodes differ from the estimator's."""
+LINEAR_NODES = 12_500  # of the linear model, which is fast: about 15 times the estimator's 800
 
 
 class RubberTruth(NamedTuple):
-    """A press as the camera would see it without noise."""
+    """A press with its noise-free ranges."""
 
     T_B_O: np.ndarray  # (4, 4)
     mesh: MembraneMesh
@@ -122,9 +122,9 @@ class RubberTruth(NamedTuple):
 class Presses(ABC):
     """Presses objects into one membrane."""
 
-    camera: DepthCamera  # that sees it
+    camera: DepthCamera
     mesh: MembraneMesh  # reference surface
-    pneumatics: Pneumatics  # the gas behind it
+    pneumatics: Pneumatics
 
     def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
         """Press an object at a pose (4, 4).
@@ -139,19 +139,19 @@ class Presses(ABC):
 
     @abstractmethod
     def solved(self, obj: RigidObject, T_B_O: np.ndarray) -> tuple[MembraneMesh, Contact]:
-        """Contact at a pose, converged or not, and the mesh that it is on."""
+        """Contact at a pose, converged or not, and its mesh."""
 
 
 @dataclass(frozen=True)
 class RubberPresses(Presses):
-    """Presses objects into one exact membrane, on a mesh finer where they touch."""
+    """Presses objects into the exact membrane, on a mesh refined in the contact."""
 
-    # the membrane on a mesh whose nodes are on the facets of `mesh`, which it may move a little
+    # membrane on a refinement of `mesh`, whose nodes it may move slightly
     rubber: Callable[[MembraneMesh], RubberMembrane]
 
     @classmethod
     def of(cls, model: SensorModel, nodes: int = TRUTH_NODES) -> RubberPresses:
-        """Those of a sensor as its file describes it, on a mesh of about so many nodes."""
+        """Presses into a sensor's membrane, on a mesh of about so many nodes."""
         rubber = partial(_rubber_of, model.sensor, model.tension_n_per_m)
         mesh = simulation_mesh(model, nodes)
         return cls(model.camera, mesh, model.sensor.pneumatics, rubber)
@@ -168,7 +168,7 @@ class LinearPresses(Presses):
 
     @classmethod
     def of(cls, model: SensorModel, nodes: int = LINEAR_NODES) -> LinearPresses:
-        """Those of a sensor, on a mesh of about so many nodes."""
+        """Presses into a sensor's membrane, on a mesh of about so many nodes."""
         mesh = simulation_mesh(model, nodes)
         return cls(model.camera, mesh, model.sensor.pneumatics, model.tension_n_per_m)
 
@@ -185,7 +185,7 @@ def _rubber_of(sensor: Sensor, tension_n_per_m: float, mesh: MembraneMesh) -> Ru
 
 
 def rubber_sensor(sensor: Sensor) -> Sensor:
-    """The sensor, of rubber where its file does not say so."""
+    """The sensor with a pre-stretch, by default 1.2."""
     if sensor.membrane.prestretch is not None:
         return sensor
     membrane = sensor.membrane.model_copy(update={"prestretch": PRESTRETCH})

@@ -32,10 +32,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
 
-# What is true of a simulated frame.
-
-
-SLIP_M = 1e-6  # way over the object from one frame to the next beyond which a node slips
+SLIP_M = 1e-6  # motion over the object between two frames beyond which a node counts as slipping
 
 
 @dataclass(frozen=True)
@@ -45,26 +42,26 @@ class Truth:
     Attributes
     ----------
     displacement_m, contact_pressure_pa : (n,) array
-        On the nodes of the simulation's own mesh; the displacement along the rest normals.
+        On the nodes of the simulation's mesh; the displacement along the rest normals.
     displacement_3d_m : (n, 3) array
-        The whole displacement.
+        Full displacement vector.
     gas_pressure_change_pa : float
     force_n : (3,) array
         Resultant of the contact on the membrane in B.
     center_of_pressure_m : (3,) array
         In B; NaN without contact.
     patch_area_m2 : float
-        Where the linear interpolation of `touching_share` is at least one half.
+        Area where the linear interpolation of `touching_share` is at least one half.
     patch_mask : (H, W) bool array
-        Pixels that see such a place.
+        Pixels that see this area.
     traction_pa : (n, 3) array, optional
-        Of the object on the membrane, force over present area, Pa; None from a TRUTH.npz without.
+        Of the object on the membrane, force over deformed area, Pa; None if TRUTH.npz lacks it.
     torque_nm : (3,) array, optional
-        Of the same about the centre of pressure, N·m; 0 without contact.
+        Of the object on the membrane about the centre of pressure, N·m; 0 without contact.
     slip_m : (n,) array, optional
-        Way of each node over the object since the frame before, m; NaN without friction.
+        Motion of each node over the object since the previous frame, m; NaN without friction.
     slip_share : float, optional
-        Share of the touching area that slipped by more than 1 µm; NaN without friction or contact.
+        Share of the contact area that slipped by more than 1 µm; NaN without friction or contact.
     """
 
     displacement_m: np.ndarray
@@ -82,20 +79,20 @@ class Truth:
 
     @classmethod
     def of(cls, contact: Contact, view: MembraneView) -> Truth:
-        """What is true of a contact on the mesh of a view."""
+        """Ground truth of a contact on the mesh of a view."""
         touching = touching_share(view.mesh, contact.contact_pressure_pa)
         moved = contact.displacement_3d_m
         x = view.mesh.deformed(moved)
         areas = replace(view.mesh, nodes=x).areas
         load = np.linalg.norm(contact.nodal_force_n, axis=1)
         slip = getattr(contact, "slip_m", np.full(len(load), np.nan))
-        if not np.isnan(slip).any():  # of the force along the normals alone
+        if not np.isnan(slip).any():  # with friction, the normal force alone
             load = contact.contact_pressure_pa * areas
         center, torque = np.full(3, np.nan), np.zeros(3)
         if load.sum() > 0.0:
             center = load @ x / load.sum()
             torque = np.cross(x - center, contact.nodal_force_n).sum(axis=0)
-        half = 0.5 - 1e-9  # a place at exactly one half counts
+        half = 0.5 - 1e-9  # includes exactly one half
         return cls(
             displacement_m=contact.displacement_m,
             displacement_3d_m=moved,
@@ -112,51 +109,51 @@ class Truth:
         )
 
     def force_error(self, force_n: np.ndarray) -> float:
-        """Distance of a force (3,) from the true one over its length; NaN where that is 0."""
+        """Error of a force (3,) over the magnitude of the true one; NaN if that is 0."""
         size = float(np.linalg.norm(self.force_n))
         return float(np.linalg.norm(force_n - self.force_n)) / size if size > 0.0 else float("nan")
 
 
 def _slip_share(slip_m: np.ndarray, touching_m2: np.ndarray) -> float:
-    """Share of the touching area (n,) that slips; NaN where that is not known."""
+    """Share of the contact area (n,) that slips; NaN if unknown."""
     if not touching_m2.any() or np.isnan(slip_m).any():
         return float("nan")
     return float(touching_m2[slip_m > SLIP_M].sum() / touching_m2.sum())
 
 
 @runtime_checkable
-class KnowsTruth(Protocol):
-    """A source that may have ground truth."""
+class HasTruth(Protocol):
+    """A source with ground truth for some or all frames."""
 
     def truth(self, index: int) -> Truth | None:
-        """Ground truth of a frame; None when it is not known."""
+        """Ground truth of a frame; None if unknown."""
 
 
 def truth_of(source: object, index: int) -> Truth | None:
-    """Ground truth of a frame of any source; None for all but simulations."""
-    return source.truth(index) if isinstance(source, KnowsTruth) else None
+    """Ground truth of a frame of any source; None if it has none."""
+    return source.truth(index) if isinstance(source, HasTruth) else None
 
 
 Model = Literal["rubber", "linear"]  # the exact membrane, or the paper's linear one
 
-FINER = 4  # nodes of the simulation's mesh for every node of the estimator's
+NODE_RATIO = 4  # nodes of the simulation's mesh per node of the estimator's
 
-_LEVELS, _LOOKS = 3, 40
-"""How often that mesh is refined under edges, and the number of poses looked at for them."""
+_LEVELS, _MAX_POSES = 3, 40
+"""Refinements of that mesh under edges, and the largest number of poses considered for them."""
 
 
 class SyntheticSource:
-    """Frames of a rigid object moved against the membrane, made when asked for.
+    """Frames of a rigid object moved against the membrane, computed on access.
 
-    The membrane is solved on a mesh of its own, about four times finer than the estimator's, so
-    that estimating is not merely undoing. Frame k depends on the seed and k alone.
+    The membrane is solved on its own mesh, with about four times the estimator's nodes, so that the
+    estimator does not invert its own discretisation. Frame k depends on the seed and k alone.
 
     Attributes
     ----------
     name : str
     times_s : (F,) array
     mesh : MembraneMesh
-        The simulation's mesh, which `Truth` is on.
+        The simulation's mesh, to which `Truth` refers.
     """
 
     def __init__(
@@ -164,21 +161,18 @@ class SyntheticSource:
         sensor: Sensor,
         obj: RigidObject,
         poses: np.ndarray,  # (F, 4, 4), T_B_O of every frame
-        noise: DepthNoise | None = None,  # None by default
+        noise: DepthNoise | None = None,  # None: no noise
         rate_hz: float = 30.0,
         seed: int = 0,
         *,
-        times_s: np.ndarray | None = None,  # (F,), in place of `rate_hz`
+        times_s: np.ndarray | None = None,  # (F,), instead of `rate_hz`
         nodes: int | None = None,  # target number of nodes of the simulation's mesh
-        sharp: bool = False,  # refine that mesh where edges of the object press; see `sharpened`
-        # membrane to press into; the exact one where the sensor's pre-stretch is known, as it is
-        # estimated with
+        sharp: bool = False,  # refine that mesh under edges of the object; see `refined_at_edges`
+        # membrane model; None: the exact one if the sensor has a pre-stretch, as in estimation
         model: Model | None = None,
-        # Coulomb's μ between object and membrane, which must be the exact one. Frames then follow
-        # from those before.
+        # Coulomb's μ between object and exact membrane; frames then depend on earlier ones
         friction: float = 0.0,
-        # printed on the membrane; frames have its image, made when it is asked for
-        texture: Speckle | None = None,
+        texture: Speckle | None = None,  # printed on the membrane, for colour images
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
@@ -188,9 +182,9 @@ class SyntheticSource:
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
         own = SensorModel.of(sensor)
         mesh = simulation_mesh(own, nodes)
-        self.mesh = sharpened(mesh, obj, self.poses) if sharp else mesh
+        self.mesh = refined_at_edges(mesh, obj, self.poses) if sharp else mesh
         self.camera = own.camera
-        # γ0 of the sensor's own mesh: a refined polyhedron has its curvature in the old edges.
+        # γ0 of the sensor's mesh: a refined polyhedron has all curvature in the old edges.
         tension = own.tension_n_per_m
         gas = Gas.of(sensor.pneumatics, self.mesh)
         self._gas = gas
@@ -232,7 +226,7 @@ class SyntheticSource:
         )
 
     def close(self) -> None:
-        """Forget what was solved."""
+        """Clear the cached solutions."""
         self._solved.cache_clear()
         self._past, self._path = [], None
 
@@ -243,11 +237,11 @@ class SyntheticSource:
         return self._solved(index)
 
     def truth(self, index: int) -> Truth:
-        """What is true of frame `index`."""
+        """Ground truth of frame `index`."""
         return Truth.of(self.contact(index), self._view)
 
     def _find_colour(self, index: int, after_s: float) -> ColourImage | None:
-        """Image of the frame nearest to a time after another, within half a period."""
+        """Image of the frame nearest to `after_s` after another, within half a period."""
         wanted_s = self.times_s[index] + after_s
         nearest = int(np.abs(self.times_s - wanted_s).argmin())
         period_s = usual_step(np.diff(self.times_s)) or np.inf
@@ -290,22 +284,21 @@ class SyntheticSource:
 
 
 def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMesh:
-    """Mesh to simulate on: an analytic surface meshed finely, a mesh file's facets cut in four."""
+    """Mesh of a simulation: a fine mesh of an analytic surface, or a refined mesh file."""
     membrane = model.sensor.membrane
     if membrane.shape == "mesh":
         return refine(model.mesh)
-    return build_mesh(model.sensor, FINER * membrane.nodes if nodes is None else nodes)
+    return build_mesh(model.sensor, NODE_RATIO * membrane.nodes if nodes is None else nodes)
 
 
-def sharpened(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> MembraneMesh:
-    """The mesh, finer where edges of an object press at some of the poses (F, 4, 4).
+def refined_at_edges(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> MembraneMesh:
+    """The mesh, refined where edges of an object press at some of the poses (F, 4, 4).
 
-    Whole nodes touch or do not, so that on a coarse mesh the outline of a flat face catches on the
-    nodes as it turns, by some degrees. The membrane's shape is truer then, and so are poses; which
-    single node carries pressure is not, for the surface at rest still has its curvature in the
-    coarse edges: patches are better known on an even mesh.
+    On a coarse mesh the outline of a flat face catches on nodes as it turns, with errors of some
+    degrees. Refinement makes shape and poses more accurate. It does not improve patches, as the
+    surface at rest still has its curvature in the coarse edges: for those use a uniform mesh.
     """
-    some = poses[:: max(1, len(poses) // _LOOKS)]
+    some = poses[:: max(1, len(poses) // _MAX_POSES)]
     for _ in range(_LEVELS):
         finder, edge = GapFinder(mesh), mesh.edge_length
         cut = np.zeros(len(mesh.triangles), bool)
@@ -318,7 +311,7 @@ def sharpened(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> Membra
 
 def default_press(
     sensor: Sensor,
-    frames: int = 150,  # frames of one round, contact-free at both ends so that it loops
+    frames: int = 150,  # of one loop, contact-free at both ends
     rate_hz: float = 30.0,
 ) -> SyntheticSource:
     """Press of the built-in live sensor: approach, press, move and turn, withdraw."""
@@ -355,16 +348,13 @@ def dome_size(sensor: Sensor) -> tuple[float, float]:
 
 
 def ease(t: np.ndarray, start: float, end: float) -> np.ndarray:
-    """Rise from 0 to 1 between `start` and `end`, smooth at both."""
+    """Smooth rise from 0 to 1 between `start` and `end`."""
     s = np.clip((t - start) / (end - start), 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
-# A short source played in a loop, with new noise every round, as a camera would have.
-
-
 class NoisyLoop:
-    """Adds noise to frames without; it changes when reading begins again before where it was."""
+    """Adds noise to the frames of a short looped source; reading backwards starts a new round."""
 
     def __init__(
         self,
@@ -377,11 +367,11 @@ class NoisyLoop:
         self.name, self.times_s = source.name, source.times_s
 
     def __len__(self) -> int:
-        """Count the frames of a round."""
+        """Count the frames of a loop."""
         return len(self._source)
 
     def __getitem__(self, index: int) -> Frame:
-        """Frame number `index` of the present round."""
+        """Frame number `index` of the present loop."""
         frame = self._source[index]
         self._round += index < self._last
         self._last = index
@@ -392,7 +382,7 @@ class NoisyLoop:
         return replace(frame, depth_m=depth)
 
     def truth(self, index: int) -> Truth | None:
-        """Ground truth of a frame, the same in every round."""
+        """Ground truth of a frame, the same in every loop."""
         return truth_of(self._source, index)
 
     def close(self) -> None:

@@ -8,25 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import TRUTH_SUFFIX, damage, read_npz
+from bubbleviz.files import TRUTH_SUFFIX, as_input_error, read_npz
 from bubbleviz.recordings import Frame, FrameSource, Recording
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.wording import count_of
 
 KEYS = (*(f.name for f in fields(Truth) if f.default is MISSING), "time_s", "T_B_O")
-"""What a TRUTH.npz has; T_B_O tells it from a RESULT.npz."""
-MORE = tuple(f.name for f in fields(Truth) if f.default is not MISSING)
-"""What it may have besides: those of version 0.2.0 and before do not."""
-SAME_S = 1e-3
-"""Times of the same frame differ by no more: those of a recording are whole nanoseconds."""
+"""Required keys of a TRUTH.npz; a RESULT.npz has no T_B_O."""
+OPTIONAL_KEYS = tuple(f.name for f in fields(Truth) if f.default is not MISSING)
+"""Missing in files of version 0.2.0 and before."""
+_TIME_TOLERANCE_S = 1e-3
+"""Largest difference of times of the same frame; those of a recording are rounded to ns."""
 
 
 class OtherTruthError(InputError):
-    """A TRUTH.npz is of another recording."""
+    """A TRUTH.npz belongs to another recording."""
 
 
-class KnownRecording:
-    """A recording of a simulation with the truth about its frames.
+class RecordingWithTruth:
+    """A recording of a simulation with its ground truth.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class KnownRecording:
     Raises
     ------
     InputError
-        The truth cannot be read, or is of another recording.
+        The truth cannot be read, or belongs to another recording.
     """
 
     def __init__(
@@ -49,14 +49,14 @@ class KnownRecording:
         self.name, self.path, self.times_s = recording.name, recording.path, recording.times_s
         times, masks = self._truth["time_s"], self._truth["patch_mask"]
         same = len(times) == len(recording) and bool(
-            (np.abs(times - times[0] - recording.times_s) < SAME_S).all()
+            (np.abs(times - times[0] - recording.times_s) < _TIME_TOLERANCE_S).all()
         )
         if not same or masks.shape[1:] != recording.size[::-1]:
             raise OtherTruthError(
                 f"{truth_file}: belongs to another recording than {recording.path}, of "
                 f"{_described(len(times), masks.shape)} and not "
                 f"{_described(len(recording), (0, *recording.size[::-1]))}; choose the TRUTH.npz "
-                "that was written with it"
+                "written with it"
             )
 
     def __len__(self) -> int:
@@ -68,7 +68,7 @@ class KnownRecording:
         return self._recording[index]
 
     def truth(self, index: int) -> Truth:
-        """What is true of frame `index`."""
+        """Ground truth of frame `index`."""
         known = [field.name for field in fields(Truth) if field.name in self._truth]
         return Truth(**{name: self._truth[name][index] for name in known})
 
@@ -78,11 +78,11 @@ class KnownRecording:
 
 
 def read_truth(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of a TRUTH.npz by `KEYS` and as many of `MORE` as it has, each with a row a frame.
+    """Arrays of a TRUTH.npz by `KEYS` and `OPTIONAL_KEYS`, each with one row per frame.
 
-    Raises InputError: it cannot be read, or is no truth of a simulation.
+    Raises InputError: it cannot be read, or is not a TRUTH.npz.
     """
-    with damage(path, "the truth", "check it"):
+    with as_input_error(path, "the truth", "check it"):
         arrays = read_npz(path)
     missing = [key for key in KEYS if key not in arrays]
     if missing:
@@ -90,28 +90,28 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
             f"{path}: not a TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
             "choose another file"
         )
-    arrays = {key: arrays[key] for key in (*KEYS, *MORE) if key in arrays}
+    arrays = {key: arrays[key] for key in (*KEYS, *OPTIONAL_KEYS) if key in arrays}
     counts = {len(array) if array.ndim else 0 for array in arrays.values()}
     if len(counts) != 1 or 0 in counts or arrays["patch_mask"].ndim != 3:
         raise InputError(f"{path}: its arrays are inconsistent; simulate it again")
     return arrays
 
 
-def known_beside(recording: FrameSource) -> FrameSource:
-    """The recording with the truth of the TRUTH.npz beside it that is named after it.
+def with_truth_file(recording: FrameSource) -> FrameSource:
+    """The recording with the ground truth of the file of its name and suffix .npz, if any.
 
-    Where there is none, or a file of that name is something else, such as its RESULT.npz, it is
-    the recording as it was: nobody has said that it is a simulation. It remarks on a truth that is
-    not its own.
+    Returns the recording unchanged if there is none, or the file is not a TRUTH.npz, but for
+    example a RESULT.npz. A TRUTH.npz of another recording becomes a remark.
     """
     if not isinstance(recording, Recording):
         return recording
-    place = recording.path.absolute()
-    path = place.with_name(f"{place.name if place.is_dir() else place.stem}{TRUTH_SUFFIX}")
+    original = recording.path.absolute()
+    stem = original.name if original.is_dir() else original.stem
+    path = original.with_name(f"{stem}{TRUTH_SUFFIX}")
     if not path.is_file():
         return recording
     try:
-        return KnownRecording(recording, path)
+        return RecordingWithTruth(recording, path)
     except OtherTruthError as error:
         recording.remark = "; ".join(filter(None, (recording.remark, str(error))))
     except InputError:

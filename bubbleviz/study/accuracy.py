@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bubbleviz.files import out_folder
+from bubbleviz.files import create_folder
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh, TriangleScene
 from bubbleviz.output import iou
@@ -34,7 +34,7 @@ from bubbleviz.simulation import (
     Model,
     Presses,
     RubberPresses,
-    Sighting,
+    SimulatedPress,
     TruthBank,
     dome,
     noise_name,
@@ -224,11 +224,11 @@ class Bench:
     def __init__(self, own: Specimen, grid: Grid, parts: Path | None) -> None:
         folder = None
         if parts is not None:
-            folder = out_folder(parts / f"{own.name.replace(' ', '_')}_truth")
+            folder = create_folder(parts / f"{own.name.replace(' ', '_')}_truth")
         self._own, self._grid = own, grid
         self.bank = TruthBank(own.presses, grid.seed, folder, grid.limit_s)
         self.height_m = float(self.bank.mesh.nodes[:, 2].max())
-        self.sightings: list[Sighting] = []
+        self.sightings: list[SimulatedPress] = []
 
     def cases(self) -> list[Case]:
         """Every press, then every setup at every noise."""
@@ -245,14 +245,16 @@ class Bench:
     def _press(self, obj: str, share: float) -> list[Row]:
         """Find a truth, of which the cases after this make rows."""
         (press,) = presses((obj,), (share * self.height_m,))
-        self.sightings.append(self.bank.sighting(press))
+        self.sightings.append(self.bank.simulate(press))
         return []
 
     def _rows(self, setup: Setup, noise: DepthNoise) -> list[Row]:
         pipeline = setup.pipeline(self._own.told(noise))
         return [self._row(sighting, noise, setup, pipeline) for sighting in self.sightings]
 
-    def _row(self, sighting: Sighting, noise: DepthNoise, setup: Setup, pipeline: Pipeline) -> Row:
+    def _row(
+        self, sighting: SimulatedPress, noise: DepthNoise, setup: Setup, pipeline: Pipeline
+    ) -> Row:
         frames = (
             self.bank.frame(sighting, noise, k, setup.stride) for k in range(self._grid.repeats + 1)
         )
@@ -284,7 +286,9 @@ class Bench:
         )
 
 
-def errors_of(pipeline: Pipeline, result: Result, sighting: Sighting, stride: int = 1) -> Errors:
+def errors_of(
+    pipeline: Pipeline, result: Result, sighting: SimulatedPress, stride: int = 1
+) -> Errors:
     """Errors of a pipeline's result with an estimate, a patch and its pixels.
 
     The truth is on another mesh of the same surface; the pixels are every stride-th of its image.

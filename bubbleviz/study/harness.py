@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import (
-    out_folder,
+    create_folder,
     refuse_existing,
     table,
     to_json,
@@ -163,7 +163,7 @@ class Study:
         """
         for suffix in ("csv", "json", "png"):
             if out is not None:  # before the long work
-                refuse_existing(out_folder(out) / f"{self.name}.{suffix}")
+                refuse_existing(create_folder(out) / f"{self.name}.{suffix}")
         if self.parts is not None:
             check_same(self.parts, self.settings)
         rows, omitted = self._rows()
@@ -217,7 +217,7 @@ def _made(case: Case, worker: WorkerProcess) -> Sequence[Any]:
 
 def check_same(parts: Path, settings: Record) -> None:
     """Refuse, with an InputError, a folder whose parts are of other settings."""
-    path, own = out_folder(parts) / "settings.json", json.loads(to_json(settings))
+    path, own = create_folder(parts) / "settings.json", json.loads(to_json(settings))
     if not path.exists():
         write_json(path, own)
     elif json.loads(path.read_text(encoding="utf-8")) != own:

@@ -34,10 +34,10 @@ from bubbleviz.simulation import (
     DepthNoise,
     Press,
     RubberPresses,
-    Sighting,
+    SimulatedPress,
     TruthBank,
-    made,
     rubber_sensor,
+    study_object,
 )
 from bubbleviz.study.harness import (
     Case,
@@ -197,12 +197,12 @@ class _Bench:
 
     def __init__(self, pipeline: Pipeline, bank: TruthBank, name: str, grid: Grid) -> None:
         self._pipeline, self._bank, self._grid = pipeline, bank, grid
-        self._model = ObjectSurface(made(name))
+        self._model = ObjectSurface(study_object(name))
         self._judge = PoseJudge(self._model, precision_of(pipeline.estimator))
 
     def rows(self, press: Press, random: np.random.Generator) -> list[Row]:
         """Of one press, from every start."""
-        sighting, grid = self._bank.sighting(press), self._grid
+        sighting, grid = self._bank.simulate(press), self._grid
         self._pipeline.restart()
         truth, T_B_O = sighting.truth, self._bank.pose(press)
         touched = sighting.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
@@ -216,7 +216,7 @@ class _Bench:
             rows.append(self._row(sighting, true, seen, number))
         return rows
 
-    def _seen(self, sighting: Sighting, true: TrueContact) -> TrueContact:
+    def _seen(self, sighting: SimulatedPress, true: TrueContact) -> TrueContact:
         """The contact with the directions that an image of it determines."""
         depth = self._pipeline.camera.depth_image(sighting.range_m).astype(np.float32)
         result = self._pipeline.process(Frame(0, 0.0, depth), frozenset({"estimate", "patch"}))
@@ -233,7 +233,9 @@ class _Bench:
         sigma = self._grid.noise_relative * float(np.nanmedian(sighting.range_m))
         return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
 
-    def _row(self, sighting: Sighting, true: TrueContact, seen: TrueContact, number: int) -> Row:
+    def _row(
+        self, sighting: SimulatedPress, true: TrueContact, seen: TrueContact, number: int
+    ) -> Row:
         grid, camera = self._grid, self._pipeline.camera
         noise = DepthNoise(relative=grid.noise_relative)
         times = []

@@ -20,7 +20,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import (
-    FINER,
+    NODE_RATIO,
     DepthNoise,
     SyntheticSource,
     default_path,
@@ -161,7 +161,7 @@ def measure(sensor: Sensor, run: Run) -> list[Row]:
         scaled = rubber_sensor(scaled)
         ball, path = load_object("sphere"), default_path(*dome_size(scaled), ROUND)
         noise = DepthNoise(relative=scaled.camera.noise_relative)
-        source = SyntheticSource(scaled, ball, path, noise, nodes=FINER * SOURCE_NODES)
+        source = SyntheticSource(scaled, ball, path, noise, nodes=NODE_RATIO * SOURCE_NODES)
     else:
         source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
     order = _frames_of(run, len(source))

@@ -24,7 +24,14 @@ from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation import DepthNoise, Model, SyntheticSource, Truth, made, touching_height
+from bubbleviz.simulation import (
+    DepthNoise,
+    Model,
+    SyntheticSource,
+    Truth,
+    study_object,
+    touching_height,
+)
 from bubbleviz.study import harness, stability as shapes, stability as stability_cases
 from bubbleviz.study.harness import Band, Report, Study, forward_faults, inverse_faults
 
@@ -115,7 +122,7 @@ class Trial:
 
     def _source(self, sensor: Sensor) -> SyntheticSource:
         make = self.object_name
-        obj = made(make) if isinstance(make, str) else make()
+        obj = study_object(make) if isinstance(make, str) else make()
         depths = self.depths_m or (self.depth_m,) * self.repeats
         poses = np.tile(np.eye(4), (len(depths), 1, 1))
         poses[:, :2, 3], poses[:, 2, 3] = self.offset_m, 1.0
@@ -547,7 +554,7 @@ def _stack(name: str, sections: list[tuple[float, float, float]]) -> RigidObject
 
 
 def _ball(name: str, radius_m: float) -> RigidObject:
-    ball = made("sphere")
+    ball = study_object("sphere")
     return RigidObject(name, ball.vertices * (radius_m / 0.015), ball.triangles)
 
 

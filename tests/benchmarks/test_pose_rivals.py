@@ -12,7 +12,7 @@ from benchmarks.screws import report_of, run_screw, screw_path, screw_source
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pose import moved
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation import made, with_nodes
+from bubbleviz.simulation import study_object, with_nodes
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""
@@ -27,7 +27,7 @@ def sensor():
 
 
 def test_rivals_find_a_whole_surface_again():
-    model = ObjectSurface(made("frustum"))
+    model = ObjectSurface(study_object("frustum"))
     points, _ = model.sample(2_000, seed=8)
     T = np.eye(4)
     T[:3, 3] = [0.01, 0.0, 0.04]

@@ -8,7 +8,7 @@ import pytest
 
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.files import damage, read_npy, read_npz, read_toml, read_triangles
+from bubbleviz.files import as_input_error, read_npy, read_npz, read_toml, read_triangles
 from bubbleviz.recordings import ImageFolder, read_intrinsics
 from bubbleviz.sensor import load_sensor
 
@@ -33,12 +33,15 @@ def npy(array, shape=None):
     ],
 )
 def test_an_array_that_is_not_there_is_refused(data, tmp_path):
-    with pytest.raises(InputError, match="x: the array cannot be read"), damage("x", "the array"):
+    with (
+        pytest.raises(InputError, match="x: the array cannot be read"),
+        as_input_error("x", "the array"),
+    ):
         read_npy(io.BytesIO(data), len(data))
 
 
 def test_an_archive_that_unpacks_to_gigabytes_is_refused_before(tmp_path, monkeypatch):
-    monkeypatch.setattr("bubbleviz.files.reading.MOST_BYTES", 1 << 20)
+    monkeypatch.setattr("bubbleviz.files.reading.MAX_ARRAY_BYTES", 1 << 20)
     np.savez_compressed(tmp_path / "bomb.npz", mask=np.zeros(2 << 20, np.uint8))
     monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("unpacked"))
     with pytest.raises(ValueError, match="larger than 1 MiB"):

@@ -69,7 +69,7 @@ def test_on_simulated_rubber(name, obj, share, noise):
         told = SensorModel.of(told.sensor, nodes=400)
     depth_m = share * float(bank.mesh.nodes[:, 2].max())
     try:
-        sighting = bank.sighting(Press(obj, depth_m, False))
+        sighting = bank.simulate(Press(obj, depth_m, False))
     except SolveError as error:  # deep pucks; never the short case
         assert not short
         pytest.skip(str(error))

@@ -22,7 +22,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource
 from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first, press
 
-MESH, FINER = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)
+MESH, NODE_RATIO = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)
 
 
 def overlap(a, b):
@@ -114,9 +114,9 @@ def test_the_edge_does_not_move_outwards_on_a_mesh_finer_than_the_blur(radius, w
     The contour of a narrow one lies outside its edge.
     """
     resolution = 0.003
-    field = blurred(lambda r: 5.0 * GAUGE * (r < radius), resolution, FINER)
-    assert FINER.edge_length < 0.8 * resolution
-    patch = PatchFinder(FINER, GAUGE, resolution).find(made_up(field))
+    field = blurred(lambda r: 5.0 * GAUGE * (r < radius), resolution, NODE_RATIO)
+    assert NODE_RATIO.edge_length < 0.8 * resolution
+    patch = PatchFinder(NODE_RATIO, GAUGE, resolution).find(made_up(field))
     assert patch.area_m2 == pytest.approx(np.pi * radius**2, rel=within)
 
 

@@ -13,7 +13,7 @@ from bubbleviz.membrane import (
     rubber_forward,
 )
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation import made
+from bubbleviz.simulation import study_object
 from tests.oracles.rubber_oracle import AxialRubber
 
 
@@ -169,8 +169,8 @@ def test_a_plate_that_sticks_to_a_pressed_dome_twists_its_free_part():
 def test_without_friction_the_press_does_not_change():
     membrane, gas = dome(300)
     poses = [pose(0.003, 0.0, H - depth) for depth in (0.002, 0.004, 0.006)]
-    free = RubberForward(membrane, gas).press(made("puck"), poses[-1])
-    *_, slippery = RubberForward(membrane, gas).follow(made("puck"), poses, 1e-4)
+    free = RubberForward(membrane, gas).press(study_object("puck"), poses[-1])
+    *_, slippery = RubberForward(membrane, gas).follow(study_object("puck"), poses, 1e-4)
     assert_equilibrium(slippery)
     difference = slippery.displacement_3d_m - free.displacement_3d_m
     assert np.abs(difference).max() < 1e-6
@@ -200,7 +200,7 @@ def test_sticking_and_slipping_takes_few_factorisations():
     membrane, gas = dome(300)
     pressed, turned = pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0))
     poses = [pressed, turned, pose(3e-3, 0.0, H - 0.006, np.radians(9.0))]
-    contacts = list(RubberForward(membrane, gas).follow(made("puck"), poses, 0.5))
+    contacts = list(RubberForward(membrane, gas).follow(study_object("puck"), poses, 0.5))
     for contact in contacts:
         assert_equilibrium(contact)
     assert sum(contact.iterations for contact in contacts) < 90
@@ -211,7 +211,7 @@ def test_a_sticking_object_takes_the_membrane_along():
     membrane, gas = dome(300)
     model = RubberForward(membrane, gas)
     before, after = (pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0)))
-    pressed, moved = model.follow(made("puck"), [before, after], 5.0)
+    pressed, moved = model.follow(study_object("puck"), [before, after], 5.0)
     assert_equilibrium(moved)
     assert moved.dissipated_j < 0.05 * -force(pressed)[2] * 1e-3
     held = (pressed.contact_pressure_pa > 0.0) & (moved.contact_pressure_pa > 0.0)
@@ -236,7 +236,7 @@ def test_work_of_the_object_is_stored_or_lost_to_slip(friction, lost):
         *(pose(1e-4 * k, 0.0, z) for k in range(1, 26)),
         *(pose(2.5e-3, 0.0, z, np.radians(k)) for k in range(1, 13)),
     ]
-    contacts = list(model.follow(made("puck"), poses, friction))
+    contacts = list(model.follow(study_object("puck"), poses, friction))
     for contact in contacts:
         assert_equilibrium(contact)
     work = 0.0
@@ -260,7 +260,7 @@ def test_a_twisted_puck_slips_at_its_outer_ring_first():
     model = RubberForward(membrane, gas)
     depth = H - 0.004
     *_, contact = model.follow(
-        made("puck"), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))], 0.5
+        study_object("puck"), [pose(z=depth), pose(z=depth, twist=np.radians(3.0))], 0.5
     )
     assert_equilibrium(contact)
     radius = np.hypot(*model.mesh.deformed(contact.displacement_3d_m)[:, :2].T)

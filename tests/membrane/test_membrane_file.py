@@ -7,7 +7,7 @@ import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import load_membrane, membrane_from_triangles, mesh_cap, spherical_cap
-from bubbleviz.simulation import made
+from bubbleviz.simulation import study_object
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,10 @@ BROKEN = {
     "millimetres": (lambda n, t: (n * 1e3, t), "millimetres"),
     "upside down": (lambda n, t: (n * [1, 1, -1], t), "points to -z"),
     "on its side": (lambda n, t: (n[:, [2, 0, 1]], t), "tilted"),
-    "closed": (lambda *_: (made("sphere").vertices, made("sphere").triangles), "closed"),
+    "closed": (
+        lambda *_: (study_object("sphere").vertices, study_object("sphere").triangles),
+        "closed",
+    ),
 }
 
 

@@ -15,7 +15,7 @@ from bubbleviz.membrane import (
     RubberMembrane,
     refine,
 )
-from bubbleviz.simulation import made, press_path, touching_height
+from bubbleviz.simulation import press_path, study_object, touching_height
 from tests.oracles.stuck_press import ShearTruth
 
 
@@ -23,7 +23,7 @@ from tests.oracles.stuck_press import ShearTruth
 class DraggedPress:
     """One object pressed in on the axis or beside it, dragged along x, then twisted."""
 
-    object_name: str  # as of `presses.made`
+    object_name: str  # for `study_object`
     depth_m: float  # beyond first touch, along −z of B
     # drag_m, twist_rad: as of `press_path`
     drag_m: float = 0.0
@@ -34,7 +34,7 @@ class DraggedPress:
 
     def poses(self, mesh: MembraneMesh, frames: int) -> np.ndarray:
         """T_B_O (frames, 4, 4) against a membrane; InputError as of `press_path`."""
-        obj, pose = made(self.object_name), np.eye(4)
+        obj, pose = study_object(self.object_name), np.eye(4)
         pose[:2, 3] = self.beside_m
         pose[2, 3] = touching_height(obj, pose, mesh) - self.depth_m
         return press_path(obj, pose, mesh, frames, self.drag_m, self.twist_rad)
@@ -76,7 +76,7 @@ def dragged_truths(
     SolveError
         No equilibrium was found.
     """
-    obj, poses = made(press.object_name), press.poses(mesh, frames)
+    obj, poses = study_object(press.object_name), press.poses(mesh, frames)
     deepest = poses[np.argmin(poses[:, 2, 3])]
     for _ in range(levels):
         forward = RubberForward(rubber_on(mesh), gas_on(mesh))

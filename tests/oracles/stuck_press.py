@@ -26,7 +26,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import made, touching_height
+from bubbleviz.simulation import study_object, touching_height
 
 BESIDE_M = (0.005, -0.003)  # of the objects from the axis, m; chosen
 _LONGEST_M = 5e-4  # step of the object's motion at its patch's edge
@@ -206,7 +206,7 @@ def pressed(sensor: Sensor, name: str, depth_m: float, nodes: int) -> StuckPress
     mesh = build_mesh(sensor, nodes)
     rubber = build_rubber(sensor, mesh, SensorModel.of(sensor).tension_n_per_m)
     gas = Gas.of(sensor.pneumatics, mesh)
-    obj, T_B_O = made(name), np.eye(4)
+    obj, T_B_O = study_object(name), np.eye(4)
     T_B_O[:2, 3] = BESIDE_M
     T_B_O[2, 3] = touching_height(obj, T_B_O, mesh) - depth_m
     contact = RubberForward(rubber, gas).press(obj, T_B_O)

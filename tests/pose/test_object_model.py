@@ -16,11 +16,11 @@ from bubbleviz.pose import (
 )
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation import made
+from bubbleviz.simulation import study_object
 
 
 def test_closest_places_on_a_ball_are_radial():
-    model = ObjectSurface(made("sphere"))
+    model = ObjectSurface(study_object("sphere"))
     middle = np.array([0.0, 0.0, 0.015])
     away = np.random.default_rng(0).standard_normal((50, 3))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -33,14 +33,14 @@ def test_closest_places_on_a_ball_are_radial():
 
 
 def test_normals_do_not_smooth_over_an_edge():
-    model = ObjectSurface(made("frustum"))
+    model = ObjectSurface(study_object("frustum"))
     found = model.closest(np.array([[0.012, 0.0, -0.001], [0.04, 0.0, 0.02]]))
     side = np.array([0.040, 0.0, -0.0175]) / np.hypot(0.040, 0.0175)
     assert np.allclose(found.normal, [[0.0, 0.0, -1.0], side], atol=1e-4)
 
 
 def test_creases_of_a_nut_are_its_edges_and_not_those_of_its_mesh():
-    model = ObjectSurface(made("hex_nut"))
+    model = ObjectSurface(study_object("hex_nut"))
     points = np.asarray(model.creases.tree.data)
     radius = np.hypot(points[:, 0], points[:, 1])
     on_end = (points[:, 2] < 1e-6) | (points[:, 2] > 0.01 - 1e-6)
@@ -52,7 +52,7 @@ def test_creases_of_a_nut_are_its_edges_and_not_those_of_its_mesh():
 
 
 def test_samples_are_on_the_surface_and_spread():
-    model = ObjectSurface(made("bridge"))
+    model = ObjectSurface(study_object("bridge"))
     points, normals = contact_samples(model, 2e-3)
     assert np.linalg.norm(points - model.closest(points).place, axis=1).max() < 1e-6
     assert np.allclose(np.linalg.norm(normals, axis=2), 1.0)
@@ -70,7 +70,7 @@ def test_a_mesh_without_area_is_refused():
 
 def test_millimetres_taken_for_metres_are_refused():
     mesh = build_mesh(load_sensor("pico_flexx_75mm"))
-    obj = made("frustum")
+    obj = study_object("frustum")
     check_size(obj, mesh)
     with pytest.raises(InputError, match="if the file is in millimetres"):
         check_size(RigidObject("big", 1e3 * obj.vertices, obj.triangles), mesh)
@@ -83,7 +83,7 @@ GROUPS = {
 
 @pytest.mark.parametrize(("name", "count"), GROUPS.items())
 def test_symmetries(name, count):
-    model = ObjectSurface(made(name))
+    model = ObjectSurface(study_object(name))
     found = symmetries(model)
     assert len(found) == count
     assert np.allclose(found[0], np.eye(4))
@@ -124,7 +124,7 @@ def test_a_pyramid_has_the_turns_of_its_polygon_alone(sides):
 @pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])
 def test_distances_are_those_of_a_signed_distance_field(name):
     """Inside and outside, over faces and beside edges; the sign by counting what a ray meets."""
-    obj = made(name)
+    obj = study_object(name)
     rng = np.random.default_rng(0)
     low, high = obj.vertices.min(axis=0), obj.vertices.max(axis=0)
     points = rng.uniform(low - 4e-3, high + 4e-3, (1500, 3))
@@ -165,6 +165,6 @@ def test_a_roof_lies_on_both_slopes_unless_registration_turns_one_into_the_other
 
 
 def test_stable_faces_come_first():
-    chosen = touching_directions(ObjectSurface(made("hex_nut")))
+    chosen = touching_directions(ObjectSurface(study_object("hex_nut")))
     assert np.allclose(np.abs(chosen[:2, 2]), 1.0, atol=1e-2)
     assert len(chosen) >= 8  # its two ends and six sides

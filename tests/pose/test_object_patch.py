@@ -11,7 +11,7 @@ from bubbleviz.pose import ObjectPatchFinder
 from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, SyntheticSource, made
+from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
 
 RADIUS_M = 0.012  # of the cylinder's flat face
 
@@ -33,7 +33,7 @@ def model():
 def source(model):
     noise = DepthNoise(relative=0.005)
     poses = np.repeat(upright()[None], 3, axis=0)
-    return SyntheticSource(model.sensor, made("cylinder"), poses, noise, model="linear")
+    return SyntheticSource(model.sensor, study_object("cylinder"), poses, noise, model="linear")
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def seen(model, source):
 
 def outline(model, seen, T):
     """The patch by a cylinder at a pose, the middle (2,) of its outline, and radii about T."""
-    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
+    finder = ObjectPatchFinder(model, ObjectSurface(study_object("cylinder")))
     found = finder.find(seen.estimate, seen.patch, Pose("ok", T))
     nodes = model.mesh.deformed(seen.estimate.motion_m)
     pieces = level_line(nodes, model.mesh.corners, found.level)[:, :, :2]
@@ -60,7 +60,7 @@ def test_the_patch_of_a_flat_face_ends_at_the_edge_of_the_face(model, seen):
 
 
 def test_a_face_ends_at_its_edge_where_the_sides_lean_outward_too(model, seen):
-    finder = ObjectPatchFinder(model, ObjectSurface(made("frustum")))
+    finder = ObjectPatchFinder(model, ObjectSurface(study_object("frustum")))
     found = finder.find(seen.estimate, seen.patch, Pose("ok", upright(z=0.044)))
     assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
 
@@ -73,7 +73,7 @@ def test_the_outline_moves_with_the_object_though_the_depth_image_stays(model, s
 
 @pytest.mark.parametrize("status", ["lost", "no_contact", "few_points", "no_data"])
 def test_without_a_pose_of_the_frame_there_is_none(model, seen, status):
-    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
+    finder = ObjectPatchFinder(model, ObjectSurface(study_object("cylinder")))
     assert finder.find(seen.estimate, seen.patch, Pose(status, upright())) is None
 
 
@@ -97,7 +97,7 @@ def test_a_lost_frame_has_none_and_the_next_object_its_own(model, source):
     gone = replace(source[1], depth_m=np.full_like(source[1].depth_m, np.nan))
     lost = pipeline.process(gone, OBJECT_PRODUCTS)
     assert lost.pose.status == "lost" and lost.object_patch is None
-    pipeline.track(made("sphere"), upright())
+    pipeline.track(study_object("sphere"), upright())
     ball = pipeline.process(source[2], OBJECT_PRODUCTS)
     if ball.object_patch is not None:
         assert ball.object_patch.area_m2 < 0.8 * cylinder.object_patch.area_m2

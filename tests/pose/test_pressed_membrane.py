@@ -20,7 +20,7 @@ from bubbleviz.pose import (
 )
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import SyntheticSource, made
+from bubbleviz.simulation import SyntheticSource, study_object
 
 PRECISE = PressOptions(settled_m=1e-6, newton_steps=60)
 
@@ -47,20 +47,22 @@ def pose(x=0.003, z=0.040, turn=0.0):
 @pytest.fixture(scope="module")
 def contact(pipeline):
     """Of a cylinder at `pose()`, as the linear model would show it."""
-    source = SyntheticSource(pipeline.model.sensor, made("cylinder"), pose()[None], model="linear")
+    source = SyntheticSource(
+        pipeline.model.sensor, study_object("cylinder"), pose()[None], model="linear"
+    )
     result = pipeline.process(source[0], frozenset({"estimate", "patch"}))
     return contact_points(pipeline.mesh, result.estimate, result.patch)
 
 
 def pressed(pipeline, rubber, name, options=PRECISE):
     gas = pipeline.estimator.bubble.gas
-    return PressedMembrane(rubber, gas, ObjectSurface(made(name)), options)
+    return PressedMembrane(rubber, gas, ObjectSurface(study_object(name)), options)
 
 
 def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
     found = pressed(pipeline, rubber, "sphere").press(pose(), contact)
     gas = pipeline.estimator.bubble.gas
-    expected = RubberForward(rubber, gas).press(made("sphere"), pose())
+    expected = RubberForward(rubber, gas).press(study_object("sphere"), pose())
     assert expected.converged
     displacement = found.nodes - found.part.mesh.nodes
     there = expected.displacement_3d_m[found.part.ends[:, 0]]
@@ -106,12 +108,14 @@ def test_rounder_edges_let_the_membrane_out(pipeline, rubber, contact):
 def test_edges_move_onto_the_rounded_object(pipeline, rubber, contact, radius_m):
     press = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     options = PressOptions()
-    sharp = ObjectContact(ObjectSurface(made("cylinder")), 1e-3, 1e3, 50.0, options)
+    sharp = ObjectContact(ObjectSurface(study_object("cylinder")), 1e-3, 1e3, 50.0, options)
     touching = sharp.touching(press.nodes, press.part.mesh.triangles, pose())
     assert touching.edge.sum() > 20
     points, normals = touching.points[touching.edge], touching.normals[touching.edge]
     points = points + radius_m * touching.rounding[touching.edge]
-    rounded = ObjectSurface(made("cylinder"), radius_m).planes(points, -normals, pose(), 5e-3)
+    rounded = ObjectSurface(study_object("cylinder"), radius_m).planes(
+        points, -normals, pose(), 5e-3
+    )
     assert np.abs(rounded.gap).max() < 0.02 * radius_m  # facets of its side
     assert np.einsum("ij,ij->i", rounded.normal, normals).min() > 0.99
     assert np.abs(touching.rounding[~touching.edge]).max() < 1e-12

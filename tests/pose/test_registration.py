@@ -21,7 +21,7 @@ from bubbleviz.pose import (
     open_axes,
     rows,
 )
-from bubbleviz.simulation import made
+from bubbleviz.simulation import study_object
 from tests.membrane.domes import plate
 
 PRECISION = Precision(1e12, 3e-3)
@@ -64,7 +64,7 @@ def on_surface(model, T, count=240, keep=None):
 
 @pytest.fixture(scope="module")
 def frustum():
-    return ObjectSurface(made("frustum"))
+    return ObjectSurface(study_object("frustum"))
 
 
 def test_points_on_the_surface_give_the_pose_back(frustum):

@@ -14,7 +14,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
-from bubbleviz.simulation import DepthNoise, SyntheticSource, made
+from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
 
 PRODUCTS = frozenset({"pose"})
 FRAMES = 6
@@ -39,7 +39,12 @@ def sensor():
 @pytest.fixture(scope="module")
 def source(sensor):
     return SyntheticSource(
-        sensor, made("two_legged_toy"), path(), DepthNoise(relative=0.005), seed=4, nodes=4_000
+        sensor,
+        study_object("two_legged_toy"),
+        path(),
+        DepthNoise(relative=0.005),
+        seed=4,
+        nodes=4_000,
     )
 
 
@@ -80,7 +85,7 @@ def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
     here, far = np.eye(4), np.eye(4)
     here[:3, 3], far[:3, 3] = [0.018, 0.0, 0.036], [-0.018, 0.0, 0.036]
     path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
-    jumping = SyntheticSource(sensor, made("frustum"), path, DepthNoise(0.005), nodes=4_000)
+    jumping = SyntheticSource(sensor, study_object("frustum"), path, DepthNoise(0.005), nodes=4_000)
     pipeline.track(jumping.obj, here)
     poses = [pipeline.process(jumping[k], PRODUCTS).pose for k in range(8)]
     assert close(poses[0], here)
@@ -122,7 +127,7 @@ def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
 
 
 def test_objects_that_cannot_be_are_refused(pipeline):
-    obj = made("frustum")
+    obj = study_object("frustum")
     with pytest.raises(InputError, match="millimetres"):
         pipeline.track(RigidObject("big", 1e3 * obj.vertices, obj.triangles))
     with pytest.raises(InputError, match="no area"):
@@ -160,7 +165,7 @@ def test_rectified_ranges_slide_flat_faces_as_true_ones_do(sensor, tmp_path):
     """A camera that shows changes of range too large on one side and too small on the other."""
     truth = np.eye(4)
     truth[:3, 3] = [0.003, -0.004, 0.038]
-    source = SyntheticSource(sensor, made("cross"), truth[None], sharp=True)
+    source = SyntheticSource(sensor, study_object("cross"), truth[None], sharp=True)
     true, camera = source[0], source.camera
     mesh = build_mesh(sensor)
     rest = MembraneView(camera, mesh).range_image(np.zeros(len(mesh.nodes)))

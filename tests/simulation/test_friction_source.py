@@ -14,7 +14,7 @@ from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
 from bubbleviz.simulation import (
-    KnownRecording,
+    RecordingWithTruth,
     SyntheticSource,
     Truth,
     press_path,
@@ -109,7 +109,7 @@ def test_recording_and_truth_of_the_command(sensor, dragged, tmp_path):
     words += ["--frames", FRAMES, "--friction", 0.5, "--drag", 3, "--twist", 15]
     done = CliRunner().invoke(main, [*map(str, words), "--out", str(rec), "--truth", str(truth)])
     assert done.exit_code == 0, done.output
-    known = KnownRecording(Recording(rec), truth)
+    known = RecordingWithTruth(Recording(rec), truth)
     assert len(known) == FRAMES
     for k in (0, 8, FRAMES - 1):
         for field in fields(Truth):
@@ -128,7 +128,7 @@ def test_a_truth_of_before_friction_is_read_without_it(sensor, tmp_path):
     with np.load(whole) as file:
         np.savez(old, **{key: file[key] for key in file.files if key not in new})
     assert not set(new) & read_truth(old).keys()
-    known = KnownRecording(Recording(tmp_path / "rec.mcap"), old)
+    known = RecordingWithTruth(Recording(tmp_path / "rec.mcap"), old)
     assert known.truth(0).traction_pa is None and known.truth(0).force_n.shape == (3,)
     known.close()
 

@@ -15,8 +15,8 @@ from bubbleviz.simulation import (
     LinearPresses,
     Press,
     TruthBank,
-    made,
     presses,
+    study_object,
 )
 from tests.oracles.round_sheet import resting, round_sheet, rubber_on
 
@@ -40,7 +40,7 @@ def test_presses_are_as_deep_as_they_say_and_repeat(name, bank):
     pose = press.pose(bank.mesh, 3)
     assert np.array_equal(pose, press.pose(bank.mesh, 3))
     assert not np.allclose(pose, press.pose(bank.mesh, 4))
-    obj = made(name)
+    obj = study_object(name)
     assert np.linalg.norm(pose[:2, 3]) <= 0.008
     assert np.arccos(pose[2, 2]) <= 0.15
     # lifted by its depth it touches: no vertex is under the sphere, and one is within 0.4 mm
@@ -64,7 +64,7 @@ VOLUMES_MM3 = {
 
 @pytest.mark.parametrize("name", ["cross", *EDGE_OBJECTS])
 def test_objects_of_the_study_are_watertight_with_their_volume(name):
-    obj = made(name)
+    obj = study_object(name)
     name = obj.name
     a, b, c = (obj.vertices[obj.triangles[:, k]] for k in range(3))
     edges = np.sort(obj.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -82,7 +82,7 @@ def test_held_out_objects_are_marked():
 
 
 def test_noise_differs_from_frame_to_frame_and_repeats(bank):
-    sighting = bank.sighting(Press("sphere", 0.012, False))
+    sighting = bank.simulate(Press("sphere", 0.012, False))
     first, again, second = (bank.frame(sighting, ONE, k).depth_m for k in (0, 0, 1))
     assert np.array_equal(first, again, equal_nan=True)
     assert not np.array_equal(first, second, equal_nan=True)
@@ -92,9 +92,9 @@ def test_a_kept_truth_is_the_truth(sensor, tmp_path, bank):
     press = Press("sphere", DEPTH_M, False)
     model = SensorModel.of(sensor)
     first, kept = (
-        TruthBank(LinearPresses.of(model, 1_500), 7, tmp_path).sighting(press) for _ in range(2)
+        TruthBank(LinearPresses.of(model, 1_500), 7, tmp_path).simulate(press) for _ in range(2)
     )
-    fresh = bank.sighting(press)
+    fresh = bank.simulate(press)
     for one in (first, kept):
         assert np.array_equal(one.range_m, fresh.range_m, equal_nan=True)
         assert np.array_equal(one.truth.force_n, fresh.truth.force_n)

@@ -13,7 +13,7 @@ from bubbleviz.simulation import (
     DepthNoise,
     SyntheticSource,
     default_press,
-    sharpened,
+    refined_at_edges,
     simulation_mesh,
 )
 
@@ -154,11 +154,11 @@ def test_object_on_the_rim_is_refused(sensor):
 
 def test_the_mesh_is_finer_only_where_edges_press(sensor):
     mesh, T = simulation_mesh(SensorModel.of(sensor)), poses(0.012)
-    sharp = sharpened(mesh, load_object("cylinder"), T)
+    sharp = refined_at_edges(mesh, load_object("cylinder"), T)
     assert len(mesh.nodes) < len(sharp.nodes) < 3 * len(mesh.nodes)
     small = sharp.facet_areas < 0.1 * mesh.facet_areas.min()
     places = sharp.nodes[sharp.triangles[small]].mean(axis=1)
     reach = np.abs(load_object("cylinder").vertices[:, :2]).max() + 2.0 * mesh.edge_length
     assert np.abs(places[:, :2] - T[0, :2, 3]).max() < reach
-    far = sharpened(mesh, load_object("cylinder"), poses(-0.02))
+    far = refined_at_edges(mesh, load_object("cylinder"), poses(-0.02))
     assert len(far.nodes) == len(mesh.nodes)

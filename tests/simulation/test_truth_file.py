@@ -13,13 +13,13 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation import (
     DepthNoise,
-    KnownRecording,
-    KnowsTruth,
+    HasTruth,
+    RecordingWithTruth,
     SyntheticSource,
     Truth,
-    known_beside,
     read_truth,
     truth_of,
+    with_truth_file,
 )
 
 FRAMES = 3
@@ -48,8 +48,8 @@ def folder(source, tmp_path_factory):
 
 
 def test_the_truth_of_every_frame_is_read_back(folder, source):
-    known = KnownRecording(Recording(folder / "sim.mcap"), folder / "truth.npz")
-    assert isinstance(known, KnowsTruth) and len(known) == FRAMES
+    known = RecordingWithTruth(Recording(folder / "sim.mcap"), folder / "truth.npz")
+    assert isinstance(known, HasTruth) and len(known) == FRAMES
     for index in range(FRAMES):
         truth, expected = truth_of(known, index), source.truth(index)
         for field in fields(Truth):
@@ -65,18 +65,18 @@ def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(folder, tmp_path
     for name in ("sim.mcap", "truth.npz"):
         shutil.copy(folder / name, tmp_path)
     with Recording(tmp_path / "sim.mcap") as recording:
-        assert known_beside(recording) is recording
+        assert with_truth_file(recording) is recording
         arrays = dict(np.load(tmp_path / "truth.npz"))
         del arrays["T_B_O"]  # as RESULT.npz, which has most of the other names
         np.savez(tmp_path / "sim.npz", **arrays)
-        assert known_beside(recording) is recording
+        assert with_truth_file(recording) is recording
         (tmp_path / "sim.npz").write_bytes(b"no npz")
-        assert known_beside(recording) is recording
+        assert with_truth_file(recording) is recording
         shutil.copy(tmp_path / "truth.npz", tmp_path / "sim.npz")
-        assert isinstance(known_beside(recording), KnownRecording) and not recording.remark
+        assert isinstance(with_truth_file(recording), RecordingWithTruth) and not recording.remark
         of_another = {name: array[:-1] for name, array in np.load(tmp_path / "truth.npz").items()}
         np.savez(tmp_path / "sim.npz", **of_another)
-        assert known_beside(recording) is recording
+        assert with_truth_file(recording) is recording
         assert "sim.npz: belongs to another recording" in recording.remark
 
 
@@ -86,7 +86,7 @@ def test_what_is_no_truth_of_this_recording_is_one_sentence(folder, tmp_path):
 
     def problem():
         with Recording(folder / "sim.mcap") as recording, pytest.raises(InputError) as caught:
-            KnownRecording(recording, bad)
+            RecordingWithTruth(recording, bad)
         assert "bad.npz" in str(caught.value) and "\n" not in str(caught.value)
         return str(caught.value)
 

@@ -63,7 +63,7 @@ def study(sensor, written):
 
 def test_the_truth_itself_has_no_errors(sensor):
     bank = TruthBank(LinearPresses.of(SensorModel.of(sensor), 1_500), 7)
-    sighting = bank.sighting(Press("sphere", 0.012, False))
+    sighting = bank.simulate(Press("sphere", 0.012, False))
     pipeline = Pipeline.of(
         sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update={"nodes": 1_500})})
     )

@@ -21,13 +21,13 @@ from bubbleviz.recordings import (
     open_recording,
 )
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import KnownRecording, NoisyLoop, Truth, known_beside, truth_of
+from bubbleviz.simulation import NoisyLoop, RecordingWithTruth, Truth, truth_of, with_truth_file
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
 """As file dialogs offer them."""
-LIVE_FINER = 2
+LIVE_NODE_RATIO = 2
 """Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
 
 
@@ -64,8 +64,8 @@ def _recording(path: Path, truth: Path | None, sensor: Sensor) -> FrameSource:
     try:
         check_fits(opened, sensor, sensor.name)
         if truth is not None and isinstance(opened, Recording):
-            return KnownRecording(opened, truth)
-        return known_beside(opened)
+            return RecordingWithTruth(opened, truth)
+        return with_truth_file(opened)
     except InputError:
         opened.close()
         raise
@@ -88,7 +88,7 @@ def _synthetic(sensor: Sensor) -> FrameSource:
     # a recording is opened without the simulator
     from bubbleviz.simulation import SyntheticSource, default_press
 
-    press, nodes = default_press(sensor), LIVE_FINER * sensor.membrane.nodes
+    press, nodes = default_press(sensor), LIVE_NODE_RATIO * sensor.membrane.nodes
     source = CachedSource(
         SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
     )
