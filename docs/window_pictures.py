@@ -26,10 +26,10 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.importing.import_dialog import RATE, ImportDialog
-from bubbleviz_ui.model.choices import Choices, ImageName, Setting
 from bubbleviz_ui.model.registry import PANELS, PLOTS
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.panels.status_bar import CostsPopup
+from bubbleviz_ui.model.settings import ComparedSetting, ImageName, Settings
+from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
 from bubbleviz_ui.window_session import WindowSession, window_session
@@ -108,15 +108,15 @@ def pop_up(session: WindowSession, kind: type[QWidget], out: Path) -> None:
     in_few_colours(out)
 
 
-def open_panel(session: WindowSession, name: str, **choices: Any) -> None:
-    """Show a panel beside the press, where choices are as at first but for some."""
+def open_panel(session: WindowSession, name: str, **settings: Any) -> None:
+    """Show a panel beside the press, where settings are as at first but for some."""
     scene = load_scene("press")
     beside = ALWAYS if PANELS[name].side == "right" else ("kappa", *ALWAYS)
     measured: list[object] = []
     comparing = session.controller.compared.connect(lambda *found: measured.append(found))
     session.window.use_scene(scene.model_copy(update={"panels": (name, *beside)}))
     session.window.panels[name].raise_()
-    session.state.choose(**{"images": Choices().images, "plots": Choices().plots, **choices})
+    session.state.change(**{"images": Settings().images, "plots": Settings().plots, **settings})
     session.window.scene.reset_view()
     session.window.hover.leave()
     if name == "compare":
@@ -143,7 +143,7 @@ def panels(session: WindowSession, folder: Path, theme: str) -> None:
         picture(session, folder / f"{name}-{theme}.png", SMALL)
     window = session.window
     for show, kind, name in (
-        (window.show_costs, CostsPopup, "costs"),
+        (window.show_performance, PerformancePopup, "costs"),
         (window.show_export, ExportDialog, "export"),
         (window.show_import, ImportDialog, "import"),
         (window.show_palette, CommandPalette, "palette"),
@@ -156,16 +156,16 @@ def panels(session: WindowSession, folder: Path, theme: str) -> None:
 def workbench(session: WindowSession, folder: Path, theme: str) -> None:
     """What a recording is gone through with."""
     end = "" if theme == "dark" else f"-{theme}"
-    session.state.choose_range(LOOPED)
+    session.state.set_range(LOOPED)
     open_panel(session, "plots", plots=frozenset(PLOTS))
     picture(session, folder / f"review{end}.png", LARGE)
-    session.state.choose_range(None)
+    session.state.set_range(None)
     open_panel(session, "images", images=frozenset(get_args(ImageName)))
     picture(session, folder / f"images{end}.png", LARGE)
-    before = {name: getattr(session.state.choices, name) for name in SECTION}
+    before = {name: getattr(session.state.settings, name) for name in SECTION}
     open_panel(session, "tools", **SECTION)
     picture(session, folder / f"tools{end}.png", LARGE)
-    session.state.choose(**before)
+    session.state.change(**before)
 
 
 def import_images(session: WindowSession) -> None:
@@ -192,13 +192,13 @@ def sized(recording: Path, out: Path, width: int, height: int, scale: float) -> 
         screen_for_pictures(round(scale * width), round(scale * height)),
         opened(sensor, recording, FRAME, load_scene("press")) as session,
     ):
-        session.state.choose(theme="dark")
+        session.state.change(theme="dark")
         picture(session, out, (width, height))
 
 
 def gamma0(session: WindowSession, out: Path) -> None:
     """The calibration panel's γ0 of the frames without contact."""
-    panel = session.window.gamma0
+    panel = session.window.calibration
     session.window.use_scene(load_scene("calibrate"))
     for button in (panel.next, panel.all):
         button.click()
@@ -247,23 +247,25 @@ def main() -> None:
             import_images(session)
             session.state.toggle_marker(MARKED)
             for theme in ("dark", "light"):
-                session.state.choose(theme=theme)
+                session.state.change(theme=theme)
                 panels(session, docs / "panels", theme)
                 workbench(session, docs / "workbench", theme)
-            session.state.choose(theme="dark")
+            session.state.change(theme="dark")
             open_panel(session, "threshold", least_area_m2=20e-6)
             picture(session, docs / "workbench" / "threshold.png", LARGE)
         with opened(synthetic, None, SYNTHETIC_FRAME, load_scene("press")) as session:
-            session.state.choose(theme="dark", compared=(Setting(), Setting(nodes=400, kappa=8.0)))
+            session.state.change(
+                theme="dark", compared=(ComparedSetting(), ComparedSetting(nodes=400, kappa=8.0))
+            )
             open_panel(session, "compare")
             picture(session, docs / "workbench" / "compare.png", LARGE)
         with opened(sensor, recording, 0) as session:
-            session.state.choose(theme="dark")
+            session.state.change(theme="dark")
             gamma0(session, docs / "gamma0.png")
         with opened(
             synthetic, None, None, load_scene("dual_nut"), live=load_session("dual_nut")
         ) as session:
-            session.state.choose(theme="dark")
+            session.state.change(theme="dark")
             live_pair(session, docs / "live.png")
 
 

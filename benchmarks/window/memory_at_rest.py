@@ -32,7 +32,7 @@ class Rest:
         session: WindowSession,  # what it shows now is what it shows at rest
     ) -> None:
         self._session = session
-        self._choices, self._panels = session.state.choices, session.window.open_panels.names
+        self._choices, self._panels = session.state.settings, session.window.open_panels.names
 
     def tour(self) -> None:
         """Open every panel, look for an object and calibrate: all is loaded that will be."""
@@ -41,8 +41,8 @@ class Rest:
             if isinstance(panel, Dock):
                 panel.setVisible(True)
                 run_for(GLANCE_S)
-        state.choose(pose_object=OBJECT, pose_track=True, membrane_opacity=0.5)
-        calibration = window.gamma0.calibration
+        state.change(pose_object=OBJECT, pose_track=True, membrane_opacity=0.5)
+        calibration = window.calibration.calibration
         calibration.reach(Step.TENSION, "calibrate")
         for _ in range(round(CALIBRATION_S / GLANCE_S)):
             run_for(GLANCE_S)
@@ -52,11 +52,11 @@ class Rest:
     def memory_mib(self) -> float:
         """Put everything away, wait, and tell the resident memory of this process."""
         window, state = self._session.window, self._session.state
-        window.gamma0.calibration.cancel()
-        with window.settings.unrecorded():
+        window.calibration.calibration.cancel()
+        with window.undo_recorder.unrecorded():
             window.open_panels.show_only(self._panels)
-            state.choose(**{f.name: getattr(self._choices, f.name) for f in fields(self._choices)})
-        state.choose_range(None)
+            state.change(**{f.name: getattr(self._choices, f.name) for f in fields(self._choices)})
+        state.set_range(None)
         state.set_playing(False)
         run_for(REST_S)
         gc.collect()

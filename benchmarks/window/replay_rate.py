@@ -35,7 +35,7 @@ def replay_fps(
         between two beats of a watchdog in the GUI thread; `shown_frames`, `dropped_frames`.
     """
     with bench_window(sensor, recording) as session:
-        session.state.choose(layers=session.state.choices.layers | {"membrane", "cloud"})
+        session.state.change(layers=session.state.settings.layers | {"membrane", "cloud"})
         run_for(WARM_UP_S)
         measured = _count(session, seconds)
     load, cores = os.getloadavg()[0], os.cpu_count() or 1

@@ -58,7 +58,7 @@ def new_window(qtbot, qapp):
     while windows:
         window = windows.pop()
         if isValid(window):
-            window.end()
+            window.close_without_asking()
     theme.apply(qapp, theme.DARK)
 
 

@@ -52,7 +52,7 @@ def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
     panel.slider.setFocus()
     for _ in range(3):
         driver.bot.keyClick(panel.slider, Qt.Key.Key_PageUp)
-    kappa = driver.state.choices.kappa
+    kappa = driver.state.settings.kappa
     assert kappa == pytest.approx(panel.box.value())
     driver.wait(lambda: panel.area.text() != area)
     driver.wait(driver.thresholded)
@@ -63,7 +63,7 @@ def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
     panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
     panel.solver.setFocus()
     driver.bot.keyClicks(panel.solver, "fast")
-    assert driver.state.choices.solver == "fast"
+    assert driver.state.settings.solver == "fast"
     driver.wait(lambda: driver.pipeline.options.nodes == 400)
     driver.wait(lambda: driver.result is not None)
     assert driver.state.frame == CONTACT
@@ -106,7 +106,7 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
     driver.click(boxes["contour"])
     for shown in (False, True):
         driver.click(boxes["membrane"])
-        assert ("membrane" in driver.state.choices.layers) == shown
+        assert ("membrane" in driver.state.settings.layers) == shown
         driver.settle()
         assert (len(driver.warm_pixels()) > 200) == (len(driver.warm_pixels()) > 0) == shown
     # a hidden cloud is not computed
@@ -120,20 +120,20 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
     empty = driver.pixels()
     for name in ("wireframe", "cloud", "contour", "force", "frustum", "rim"):
         driver.click(boxes[name])
-        assert driver.state.choices.layers == {name}
+        assert driver.state.settings.layers == {name}
         driver.settle()
         assert np.any(driver.pixels() != empty), name
-        driver.state.choose(layers=frozenset())
+        driver.state.change(layers=frozenset())
     # points of the patch follow κ and have their own colour
-    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    driver.state.change(layers=frozenset({"membrane", "cloud"}))
     driver.seek(CONTACT)
-    driver.state.choose(cloud_colour="patch")
+    driver.state.change(cloud_colour="patch")
     result = lambda: driver.result  # noqa: E731
     driver.wait(lambda: result().patch.pixel_mask is not None)
     driver.settle()
     few = result().patch.pixel_mask.sum()
     solved = driver.pipeline.counts["estimate"]
-    driver.state.choose(kappa=0.2)
+    driver.state.change(kappa=0.2)
     driver.wait(lambda: result().patch.pixel_mask.sum() > few)
     assert driver.pipeline.counts["estimate"] == solved
     # in the picture, too
@@ -174,7 +174,7 @@ def test_keys_and_the_button_play_step_and_jump_and_about_says_what_runs(drive):
     window, state = driver.window, driver.state
     readout, label = window.playback.readout, window.status.labels["frame"]
     played, seen = list[int](), set[tuple[str, str]]()
-    state.choose(loop=False, speed=0.5)
+    state.change(loop=False, speed=0.5)
     state.frame_changed.connect(lambda index, _: played.append(index))
     driver.click(window.playback.play)
 
@@ -240,15 +240,15 @@ def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
     driver.bot.mouseMove(view, middle + QPoint(60, 25))
     driver.bot.mouseRelease(view, LEFT, pos=middle + QPoint(60, 25))
     moved = tuple(view.camera.position)
-    driver.state.choose(kappa=2.5, membrane_opacity=0.5)
+    driver.state.change(kappa=2.5, membrane_opacity=0.5)
     driver.seek(8)
     other = small_sensor("another", nodes=150)
     driver.opens("dent", DentSource, other, frame=7, playing=False)
     driver.wait(lambda: driver.state.facts.sensor_name == "another")
     driver.settle()
     assert tuple(view.camera.position) == pytest.approx(moved)
-    assert driver.state.choices.kappa == 2.5 and driver.thresholded()
-    assert driver.state.choices.membrane_opacity == 0.5
+    assert driver.state.settings.kappa == 2.5 and driver.thresholded()
+    assert driver.state.settings.membrane_opacity == 0.5
     assert first.closed
 
 

@@ -111,7 +111,7 @@ class Driver:
 
     def thresholded(self):
         """Whether the patch that is shown is that of the chosen κ."""
-        kappa, result = self.state.choices.kappa, self.window.controller.result
+        kappa, result = self.state.settings.kappa, self.window.controller.result
         if kappa is None or result is None or result.patch is None or result.estimate is None:
             return False
         mean = mean_pressure(self.pipeline.mesh, result.estimate.contact_pressure_pa)
@@ -178,9 +178,9 @@ class Driver:
 
     # -- what a person chooses and sees -------------------------------------------------------
 
-    def choose(self, **choices):
+    def choose(self, **settings):
         """Choose settings and wait for what they change in the picture."""
-        self.state.choose(**choices)
+        self.state.change(**settings)
         self.settle()
 
     def show(self, *panels):

@@ -1,1 +1,1 @@
-"""The window: draws what `bubbleviz` computed; no numerics of its own."""
+"""The window: shows results of `bubbleviz`; no numerics of its own."""

@@ -1,6 +1,6 @@
-"""Starting the window: with a person before it, off-screen for a while, or for one picture.
+"""Entry points: interactive window, off-screen run without a display, or one screenshot.
 
-Qt is imported with the first window: bad input is refused without it.
+Qt is imported with the first window, after the input was checked.
 """
 
 from __future__ import annotations
@@ -20,27 +20,25 @@ from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.shell.display import has_display, private_display
 from bubbleviz_ui.window_session import WindowSession, window_session
 
-OFFSCREEN_SECONDS = 4.0  # s; chosen: enough to see it live
-OFFSCREEN_PICTURES = 3  # saved in that time
+OFFSCREEN_SECONDS = 4.0
+OFFSCREEN_PICTURES = 3
 
 
 def run_window(
     sensor: Sensor,
-    # What to replay; None for the built-in synthetic press as a live sensor
-    recording: Path | None = None,
-    frame: int | None = None,  # Stay at this frame; None plays from the first
-    scene: ScenePreset | None = None,  # What is visible; None for the window's default
+    recording: Path | None = None,  # None: the built-in synthetic press as a live sensor
+    frame: int | None = None,  # Stay at this frame; None: play from the first
+    scene: ScenePreset | None = None,  # None: the window's default
     *,
-    # Leave the user's last session alone; else come back to it, and keep this one
-    fresh: bool = True,
-    live: SessionPreset | None = None,  # Live sensors in place of a recording
-    saved: Path | None = None,  # Session file to restore in place of a recording
-    truth: Path | None = None,  # TRUTH.npz of a recording that was simulated
+    fresh: bool = True,  # Neither restore the user's last session nor save this one
+    live: SessionPreset | None = None,  # Live sensors instead of a recording
+    saved: Path | None = None,  # Session file to restore instead of a recording
+    truth: Path | None = None,  # TRUTH.npz of a simulated recording
 ) -> int:
     """Show the window until it is closed.
 
-    Without a display the same session runs off-screen for a few seconds and its pictures are
-    written to a new folder, whose files are named on standard output.
+    Without a display the session runs off-screen for a few seconds and writes screenshots to a new
+    folder; their paths are printed.
 
     Returns int: Exit code.
 
@@ -55,7 +53,7 @@ def run_window(
             session.window.show()
             return session.run()
     with (
-        private_display(1300, 860),  # the window at first and its frame
+        private_display(1300, 860),  # initial window and its frame
         window_session(sensor, recording, frame, scene, None, live, saved, truth) as session,
     ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)
@@ -75,10 +73,10 @@ def screenshot(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a picture of the whole window at one frame.
+    """Write a screenshot of the window at one frame.
 
-    Raises InputError: There is nothing to draw on, the recording cannot be opened, has no such
-    frame, or the picture exists or cannot be written.
+    Raises InputError: There is no display, the recording cannot be opened or has no such frame, or
+    the picture exists or cannot be written.
     """
     refuse_existing(out, overwrite=overwrite)
     with (
@@ -110,7 +108,7 @@ def _offscreen(session: WindowSession) -> Iterator[Path]:
 
 @contextmanager
 def screen_for_pictures(width: int, height: int) -> Iterator[None]:
-    """A screen for a picture: a private one where there is Xvfb, so nothing flashes up."""
+    """Display for a screenshot: a private Xvfb if installed, so that no window flashes up."""
     if sys.platform.startswith("linux") and (shutil.which("Xvfb") or not has_display()):
         with private_display(width, height):
             yield

@@ -1,4 +1,4 @@
-"""The window: a 3-D view, panels around it, and the wiring between them and the model."""
+"""Main window: 3-D view, panels, and their connections to the model."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
 from bubbleviz.files import SESSION_SUFFIX, SUFFIXES, TRUTH_SUFFIX, pages_folder
 from bubbleviz.result import Result
-from bubbleviz_ui.calibration.calibration_panel import Gamma0Panel
+from bubbleviz_ui.calibration.calibration_panel import CalibrationPanel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
@@ -33,23 +33,23 @@ from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import LiveBar, PictureAge
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.sensor_pair import SensorPair
-from bubbleviz_ui.model.choices import PATCH_CHOICES, PLAYBACK_CHOICES
-from bubbleviz_ui.model.demand import Costs
+from bubbleviz_ui.model.demand import StageTimes
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.messages import OPENING, MessageKind, Messages, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import PATCH_SETTINGS, PLAYBACK_SETTINGS
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.model.undo import SettingsHistory
-from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.model.undo import UndoRecorder
+from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
 from bubbleviz_ui.panels.membrane_beside import MembraneBeside
 from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
-from bubbleviz_ui.panels.status_bar import CostsPopup, StatusBar
+from bubbleviz_ui.panels.status_bar import PerformancePopup, StatusBar
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
@@ -76,20 +76,20 @@ if TYPE_CHECKING:
 
 
 SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
-"""Pixels: of the window at first, and what a window manager puts around it at most."""
+"""Initial size of the window, and the largest frame of a window manager, px."""
 NARROW = 1000
-"""A window less wide than this, in pixels, has no room for the timeline beside the panels."""
-BESIDE_THE_VIEW = 1200
-"""A window less wide than this has no room for images on the view's other side."""
+"""Below this width, px, the timeline is placed below the panels."""
+IMAGES_BESIDE_VIEW = 1200
+"""Below this width, px, the images panel is a tab of the plots panel."""
 RATES_EVERY_MS = 500
-STEPS = 200
-"""That can be undone; some hold collected frames."""
+UNDO_STEPS = 200
+"""Limited because some steps hold collected frames."""
 NUMBERS_EVERY_MS = 100
-"""While playing: nobody reads faster, and every new text costs an upload of the window."""
-UNSEEN = PATCH_CHOICES | PLAYBACK_CHOICES
-"""Choices that draw nothing by themselves."""
-OPENED_HERE = (".mcap", ".toml", SESSION_SUFFIX)
-"""Written by the window, and opened by it."""
+"""Period of number updates during playback; each new text makes Qt redraw."""
+NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS
+"""Settings whose change does not redraw the 3-D view."""
+OPENED_BY_WINDOW = (".mcap", ".toml", SESSION_SUFFIX)
+"""Suffixes of written files that the window itself opens; others go to the desktop."""
 SIDES = {
     "right": Qt.DockWidgetArea.RightDockWidgetArea,
     "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
@@ -98,9 +98,9 @@ SIDES = {
 
 
 class MainWindow(QMainWindow):
-    """Shows one session.
+    """The main window.
 
-    `quality`: How the 3-D view is drawn.
+    `quality`: Render quality of the 3-D view.
     """
 
     def __init__(
@@ -112,15 +112,15 @@ class MainWindow(QMainWindow):
         self.setAcceptDrops(True)
         self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
         self.state = state
-        self.controller = controller  # The window closes it when it closes
+        self.controller = controller  # Closed with the window
         self.messages = Messages(self)
         self.message = MessageBar(self)
         self.notice = NoticeBar(self.menuBar())
         self.busy = BusyBar(self)
         self.hint = HintBar(self)
         self.view = View(self, quality)
-        state.thinned = quality.thinned
-        self.scene = Scene(self.view, state.units, state.choices)
+        state.cloud_decimation = quality.cloud_decimation
+        self.scene = Scene(self.view, state.units, state.settings)
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
@@ -133,25 +133,25 @@ class MainWindow(QMainWindow):
         self.tools = ViewTools(state, controller, self.view, self.scene)
         self.pointing = Pointing(state, self.view, self.scene, self.hover)
         self.undo_stack = QUndoStack(self)
-        self.undo_stack.setUndoLimit(STEPS)
-        self.settings = SettingsHistory(state, self.undo_stack)
+        self.undo_stack.setUndoLimit(UNDO_STEPS)
+        self.undo_recorder = UndoRecorder(state, self.undo_stack)
         self.sensor = SensorPanel(state, controller)
         self.session_saver = SessionSaver(self, self)
-        self.costs = Costs()
-        self.gamma0 = Gamma0Panel(
-            Calibration(controller, self.settings), state.units, self.playback.strip
+        self.stage_times = StageTimes()
+        self.calibration = CalibrationPanel(
+            Calibration(controller, self.undo_recorder), state.units, self.playback.strip
         )
-        self.pose = PosePanel(state, PoseSession(controller, self.settings))
+        self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
         self.shear = ShearPanel(state, controller)
         self.pair = SensorPair(controller, self.scene, self.view)
-        self.live_controller = LiveController(controller, self.pair, self.view, self.settings)
+        self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
         self.live = LiveBar(self.live_controller, state.units)
         self.picture_age = PictureAge(controller, self.view)
         self.beside = MembraneBeside(controller, self.scene, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
-        self._asks = True
+        self._confirms_close = True
         self._export: ExportDialog | None = None
         self.importing, self._reading = Worker("import"), Worker("information")
         self._import: ImportDialog | None = None
@@ -159,18 +159,18 @@ class MainWindow(QMainWindow):
         self._lay_out()
         self.menus = Menus(self.menuBar(), self, self.session_saver)
         self.shortcuts = Shortcuts(self.menuBar())
-        self._rates = QTimer(self, interval=RATES_EVERY_MS)
-        self._later = QTimer(self, singleShot=True, interval=NUMBERS_EVERY_MS)
+        self._rates_timer = QTimer(self, interval=RATES_EVERY_MS)
+        self._numbers_timer = QTimer(self, singleShot=True, interval=NUMBERS_EVERY_MS)
         self._connect()
 
     def open_file(self, path: Path) -> None:
-        """Open a sensor, an object's mesh, a session, a simulation's truth, or else a recording."""
+        """Open a sensor, object mesh, session, ground truth or recording."""
         if path.suffix.lower() == ".toml":
             self.controller.opening.sensor_file(path)
         elif path.suffix.lower() in SUFFIXES:
-            with self.settings.one_step("object"):
+            with self.undo_recorder.one_step("object"):
                 self.panels["pose"].show()
-                self.state.choose_layer("object", True)
+                self.state.set_layer_visible("object", True)
                 self.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.session_saver.open(path)
@@ -179,26 +179,26 @@ class MainWindow(QMainWindow):
         else:
             self.controller.opening.recording(path)
 
-    def show_costs(self) -> None:
-        """Show the time that each stage takes."""
-        popup = CostsPopup(self, self.state, self.controller, self.costs, self.view)
+    def show_performance(self) -> None:
+        """Show the run time of each stage."""
+        popup = PerformancePopup(self, self.state, self.controller, self.stage_times, self.view)
         popup.open_over(self.status)
 
     def show_messages(self) -> None:
         """Show all messages of this session."""
-        from bubbleviz_ui.shell.text_dialogs import MessagesDialog  # the window starts without
+        from bubbleviz_ui.shell.text_dialogs import MessagesDialog  # not at start
 
         MessagesDialog(self, self.messages).show()
 
     def show_information(self) -> None:
-        """Show what the recording that is open has in it."""
-        from bubbleviz_ui.shell.text_dialogs import InformationDialog  # the window starts without
+        """Show the contents of the open recording."""
+        from bubbleviz_ui.shell.text_dialogs import InformationDialog  # not at start
 
         InformationDialog(self, self.controller, self._reading).open()
 
     def show_pages(self) -> None:
         """Show the documentation."""
-        from bubbleviz_ui.shell.text_dialogs import PagesDialog  # the window starts without
+        from bubbleviz_ui.shell.text_dialogs import PagesDialog  # not at start
 
         PagesDialog(self, pages_folder()).show()
 
@@ -207,8 +207,8 @@ class MainWindow(QMainWindow):
         CommandPalette(self, self.shortcuts).open_over(self)
 
     def show_connect(self) -> None:
-        """Choose a live source."""
-        # every kind of source: the window starts without
+        """Open the dialog for live sources."""
+        # imports every kind of source: not at start
         from bubbleviz_ui.live.connect_dialog import ConnectDialog
 
         sensor = self.controller.sensor
@@ -217,7 +217,7 @@ class MainWindow(QMainWindow):
         ).open()
 
     def show_export(self) -> None:
-        """Export frames as files."""
+        """Open the export dialog."""
         if self._export is None:
             self._export = ExportDialog(self, self.state, self.exporting)
         self._export.show_all()
@@ -225,9 +225,9 @@ class MainWindow(QMainWindow):
         self._export.raise_()
 
     def show_import(self) -> None:
-        """Make a recording of images or of another kind of recording."""
+        """Open the dialog that converts images or other recordings."""
         if self._import is None:
-            # readers of every kind of recording: the window starts without
+            # imports readers of every kind of recording: not at start
             from bubbleviz_ui.importing.import_dialog import ImportDialog
 
             self._import = ImportDialog(
@@ -236,55 +236,55 @@ class MainWindow(QMainWindow):
                 self.controller.opening.recording,
                 lambda: self.live_controller.recording.folder,
             )
-            self._import.said.connect(self.messages.tell)
+            self._import.notified.connect(self.messages.add)
         self._import.show()
         self._import.raise_()
 
     def show_shortcuts(self) -> None:
-        """Show the keys of every action."""
+        """Show the keyboard shortcuts."""
         ShortcutsDialog(self, self.shortcuts).open()
 
     def use_scene(self, preset: ScenePreset) -> None:
-        """Show the layers and panels of a scene, from its point of view; the rest stays."""
-        with self.settings.one_step("scene"):
+        """Apply a scene preset: layers, panels, viewpoint."""
+        with self.undo_recorder.one_step("scene"):
             self.open_panels.show_only(frozenset(preset.panels))
-            self.state.choose(**preset.choices())
+            self.state.change(**preset.settings())
         self.scene.reset_view()
 
     def save_screenshot(self, path: Path) -> None:
-        """Write the picture of the whole window."""
+        """Write a screenshot of the window."""
         written = self.grab().save(str(path), picture_format(path))
-        self.messages.tell(picture_saved(path, written=written))
+        self.messages.add(picture_saved(path, written=written))
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:
         application = QApplication.instance()
         if isinstance(application, QApplication):
-            theme.apply(application, theme.chosen(self.state.choices.theme, scheme))
+            theme.apply(application, theme.chosen(self.state.settings.theme, scheme))
 
-    def end(self) -> None:
-        """Close without a question about what is not saved."""
-        self._asks = False
+    def close_without_asking(self) -> None:
+        """Close without asking about unsaved work."""
+        self._confirms_close = False
         self.close()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask about what is not saved, stop the timers and the solver, then let go of VTK."""
-        if self._asks and not self.gamma0.may_be_left():
+        """Ask about unsaved work, stop timers and solver, then release VTK."""
+        if self._confirms_close and not self.calibration.confirm_close():
             event.ignore()
             return
         self.session_saver.close()
         self.open_panels.close()
-        self._rates.stop()
-        self._later.stop()
-        self.state.blockSignals(True)  # nothing is left to tell
+        self._rates_timer.stop()
+        self._numbers_timer.stop()
+        self.state.blockSignals(True)  # receivers are being deleted
         for host in self.findChildren(PlotHost):
             host.let_go()
-        self.gamma0.close_all()
+        self.calibration.close_all()
         self.exporting.close()
         for worker in (self.importing, self._reading, self.pose.loading, self.compare.other.worker):
             worker.cancel()
             worker.close()
         self._memory.close()
-        self.undo_stack.clear()  # its steps would keep what they change alive
+        self.undo_stack.clear()  # steps keep references to what they change
         self.overlay.close()
         self.live_controller.close()
         self.controller.close()
@@ -292,7 +292,7 @@ class MainWindow(QMainWindow):
         super().closeEvent(event)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Fit what is beside each other."""
+        """Arrange docks for the new width."""
         super().resizeEvent(event)
         self._share_width()
 
@@ -322,7 +322,7 @@ class MainWindow(QMainWindow):
         self.open_panels = OpenPanels(self.panels, self.state, self)
 
     def _make_docks(self) -> dict[str, QWidget]:
-        """A dock for every panel but the status bar, each where it begins."""
+        """Create the docks of all panels except the status bar."""
         shown: dict[str, QWidget] = {
             "layers": scrolled(self.layers),
             "kappa": self.kappa,
@@ -332,7 +332,7 @@ class MainWindow(QMainWindow):
             "sensor": scrolled(self.sensor),
             "pose": scrolled(self.pose),
             "shear": scrolled(self.shear),
-            "calibration": self.gamma0,
+            "calibration": self.calibration,
             "plots": self.plots,
             "images": self.images,
             "playback": self.playback,
@@ -346,21 +346,23 @@ class MainWindow(QMainWindow):
             self.addDockWidget(SIDES[kind.side or "right"], dock)
             if kind.tab_of:
                 dock.tab_of(docks[kind.tab_of])
-            if not kind.at_first:
+            if not kind.by_default:
                 dock.hide()
-            if kind.choice:
-                dock.visibilityChanged.connect(partial(self.state.choose_panel, kind.choice))
+            if kind.settings_name:
+                dock.visibilityChanged.connect(
+                    partial(self.state.set_panel_open, kind.settings_name)
+                )
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
         docks["plots"].open_high()
         docks["images"].open_high()
         docks["calibration"].take_free_height()
-        docks["images"].tab_of(docks["plots"], narrower_than=BESIDE_THE_VIEW)
+        docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
         return {**docks, "status": self.status}
 
     def _share_width(self) -> None:
-        """Lay the timeline below the panels instead of beside them where both have no room."""
+        """Place the timeline below the panels if the window is too narrow for both."""
         below = "bottom" if self.width() < NARROW else "right"
         self.setCorner(Qt.Corner.BottomRightCorner, SIDES[below])
 
@@ -376,63 +378,63 @@ class MainWindow(QMainWindow):
         self.compare.other.membrane.connect(self.beside.take)
         self.view.dropped_files.connect(self._open_dropped)
         panels, keys = self.open_panels, self.shortcuts
-        watch = self.settings.watch
+        watch = self.undo_recorder.watch
         watch("open panels", panels.changed, lambda: panels.names, panels.show_only)
         watch("keys", keys.edited, lambda: keys.changed, keys.use)
-        for text, box in self.gamma0.boxes.items():
-            self.settings.watch_box(text, box)
+        for text, box in self.calibration.boxes.items():
+            self.undo_recorder.watch_box(text, box)
         self.playback.timeline.range_drawn.connect(self._play_range)
-        self.gamma0.painted.connect(self._paint)
-        self.status.asked.connect(self.show_costs)
-        self._rates.timeout.connect(self.show_rates)
-        self._rates.start()
-        self.view.follow_theme(lambda _: self.scene.apply(self.state.choices))
+        self.calibration.painted.connect(self._paint)
+        self.status.asked.connect(self.show_performance)
+        self._rates_timer.timeout.connect(self.show_rates)
+        self._rates_timer.start()
+        self.view.follow_theme(lambda _: self.scene.apply(self.state.settings))
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.source_changed.connect(self._on_source)
         self.state.frozen_changed.connect(self._show_title)
-        self.state.link_changed.connect(self._show_title)
-        self._later.timeout.connect(self._write_numbers)
+        self.state.connection_changed.connect(self._show_title)
+        self._numbers_timer.timeout.connect(self._write_numbers)
         self.state.playing_changed.connect(self._write_numbers)
         self.state.frozen_changed.connect(self._write_numbers)
-        self.state.choices_changed.connect(self._on_choices)
+        self.state.settings_changed.connect(self._on_settings)
 
     def _play_range(self, frames: tuple[int, int]) -> None:
-        """Play what was dragged on the timeline again and again."""
-        with self.settings.one_step("range"):
-            self.state.choose_range(frames)
-            self.state.choose(loop=True)
+        """Loop over a range dragged on the timeline."""
+        with self.undo_recorder.one_step("range"):
+            self.state.set_range(frames)
+            self.state.change(loop=True)
 
     def _connect_messages(self) -> None:
-        for said in (
-            self.controller.opening.said,
-            self.pose.said,
-            self.live_controller.said,
-            self.exporting.said,
-            self.tools.said,
-            self.gamma0.calibration.said,
-            self.sensor.said,
+        for notified in (
+            self.controller.opening.notified,
+            self.pose.notified,
+            self.live_controller.notified,
+            self.exporting.notified,
+            self.tools.notified,
+            self.calibration.calibration.notified,
+            self.sensor.notified,
         ):
-            said.connect(self.messages.tell)
-        self.messages.told.connect(self._say)
+            notified.connect(self.messages.add)
+        self.messages.added.connect(self._show_message)
         self.message.asked.connect(self.show_messages)
         self.notice.asked.connect(self._open_written)
 
-    def _say(self, message: UserMessage) -> None:
+    def _show_message(self, message: UserMessage) -> None:
         quiet = message.kind == "notice"
         if quiet and message.topic:
             self.message.drop_topic(message.topic)
-        (self.notice if quiet else self.message).say(message)
+        (self.notice if quiet else self.message).show_message(message)
 
     def _open_written(self, path: Path) -> None:
-        """Open here what the window opens, anything else with the desktop's program for it."""
-        if path.suffix.lower() in OPENED_HERE and path.exists():
+        """Open a written file in the window, or with the desktop's program for it."""
+        if path.suffix.lower() in OPENED_BY_WINDOW and path.exists():
             self.open_file(path)
         elif not (path.exists() and QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))):
-            why = "no program on this computer opens it" if path.exists() else "it is gone"
-            self.messages.tell(UserMessage("error", f"{path}: cannot be opened; {why}"))
+            why = "no program on this computer opens it" if path.exists() else "it no longer exists"
+            self.messages.add(UserMessage("error", f"{path}: cannot be opened; {why}"))
 
     def _open_dropped(self, paths: list[Path]) -> None:
-        """Open the first of the files; a recording, with its sensor file and truth."""
+        """Open the first file; a recording with a sensor file and ground truth dropped with it."""
         by_suffix = {path.suffix.lower(): path for path in reversed(paths)}
         others = {".toml", SESSION_SUFFIX, TRUTH_SUFFIX, *SUFFIXES}
         recordings = [path for path in paths if path.suffix.lower() not in others]
@@ -449,55 +451,55 @@ class MainWindow(QMainWindow):
     def _show_title(self) -> None:
         facts, badge = self.state.facts, self.state.badge
         if facts is not None:
-            standing = f" ({badge})" if badge else ""
+            status = f" ({badge})" if badge else ""
             sensor = self._sensor_title(facts)
-            self.setWindowTitle(f"{facts.title}{standing} – {sensor} – bubbleviz")
+            self.setWindowTitle(f"{facts.title}{status} – {sensor} – bubbleviz")
 
     def _sensor_title(self, facts: SourceFacts) -> str:
         sensor = self.controller.sensor
         return facts.sensor_name if sensor is None else title_text(sensor)
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if "theme" in names:
             self._use_theme(theme.system_scheme())
-        if names & SYSTEMS.keys():
+        if names & UNIT_CHOICES.keys():
             self._show_units()
-        if names - UNSEEN:
-            self.scene.apply(self.state.choices)
+        if names - NOT_DRAWN:
+            self.scene.apply(self.state.settings)
 
     def _show_units(self) -> None:
-        """Write every number anew, in the units that are chosen now."""
+        """Update all numbers after a change of units."""
         self.status.fit_units()
         self._write_numbers()
         self.show_rates()
-        self.gamma0.calibration.changed.emit()
+        self.calibration.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
-        if opened.request.source is not self._source:  # of the same, who is at a box stays
+        if opened.request.source is not self._source:  # reopening the same keeps the focus
             self._source = opened.request.source
             self.view.setFocus()
         self.message.drop_warnings()
         self.message.drop_topic(OPENING)
         if opened.facts.remark:
-            self.messages.tell(UserMessage("warning", opened.facts.remark))
+            self.messages.add(UserMessage("warning", opened.facts.remark))
         self.scene.depth_camera = opened.camera
-        self.costs.clear()
+        self.stage_times.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)
 
     def _on_shown(self, result: Result) -> None:
         if self.state.facts is None:
             return
-        self.costs.take(result)
+        self.stage_times.take(result)
         start = time.perf_counter()
-        self.scene.show(result, self.state.choices)
+        self.scene.show(result, self.state.settings)
         self.view.busy_s += time.perf_counter() - start
         if not self.state.playing or self.state.frozen:
             self._write_numbers()
-        elif not self._later.isActive():  # and once more for the last one before a pause
-            self._later.start()
+        elif not self._numbers_timer.isActive():  # also covers the last frame before a pause
+            self._numbers_timer.start()
 
     def _write_numbers(self) -> None:
-        """Write the numbers of the result that is shown into the panels."""
+        """Show the numbers of the current result in the panels."""
         result, facts = self.controller.result, self.state.facts
         if result is not None and facts is not None:
             self.playback.show_frame()
@@ -505,16 +507,16 @@ class MainWindow(QMainWindow):
             self.status.show_result(result, facts, self.state.history)
 
     def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
-        """Draw points with a length each in place of the measured ones, until the next frame."""
+        """Draw coloured points instead of the measured ones until the next frame is shown."""
         result = self.controller.result
         if result is None:
             return
         self.state.set_playing(False)
-        with self.settings.unrecorded():
-            layers = self.state.choices.layers | {"cloud"}
-            self.state.choose(layers=layers, cloud_colour="residual")
+        with self.undo_recorder.unrecorded():
+            layers = self.state.settings.layers | {"cloud"}
+            self.state.change(layers=layers, cloud_colour="residual")
         painted = replace(result, cloud_m=points_m, cloud_pixels=None, cloud_residual_m=values_m)
-        self.scene.show(painted, self.state.choices)
+        self.scene.show(painted, self.state.settings)
 
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, ""
@@ -523,10 +525,10 @@ class MainWindow(QMainWindow):
         elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
             self.state.set_playing(False)
         kind: MessageKind = "warning" if failed.warning else "error"
-        self.messages.tell(UserMessage(kind, message, failed.details, topic=topic))
+        self.messages.add(UserMessage(kind, message, failed.details, topic=topic))
 
     def show_rates(self) -> None:
-        """Write how fast the window is, now."""
+        """Show frame rates and latency in the status bar."""
         now = time.perf_counter()
         controller, view = self.controller, self.view
         self.status.show_rates(

@@ -1,4 +1,4 @@
-"""The commands that open the window: one thin function each, heavy imports inside."""
+"""Commands that open the window; heavy imports are inside the functions."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import click
 from bubbleviz.cli.shared_options import colour_delay_option, overwrite_option
 from bubbleviz.files import SESSION_SUFFIX, SYNTHETIC_SENSOR, preset_names
 
-_fresh = click.option("--fresh", is_flag=True, help="Open the window without its last session.")
+_fresh = click.option("--fresh", is_flag=True, help="Do not restore the last session.")
 
 
 @click.command(hidden=True)
 @_fresh
 def window(fresh: bool) -> int:
-    """Open the window as it was left, at first on a live synthetic sensor."""
+    """Open the window with the last session, the first time with a synthetic live sensor."""
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
 
@@ -96,7 +96,7 @@ def open_recording(
 
 
 def _open_saved(saved: Path, scene: str | None, *, fresh: bool) -> int:
-    """The window as it was when somebody saved a session."""
+    """Open the window with a saved session."""
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
     from bubbleviz_ui.model.scene_presets import load_scene
@@ -114,7 +114,7 @@ def _open_live(
     *,
     fresh: bool,
 ) -> int:
-    """The window on live sensors."""
+    """Open the window with live sensors."""
     from bubbleviz.live import load_session
     from bubbleviz.recordings import AUTO
     from bubbleviz.sensor import load_sensor
@@ -134,6 +134,6 @@ def _open_live(
     else:
         live = load_session(session or "")
     preset = None if scene is None else load_scene(scene)
-    name = live.sensors[0].sensor  # a file that is not there is refused without a window
+    name = live.sensors[0].sensor  # a missing file is reported before the window opens
     first = load_sensor(SYNTHETIC_SENSOR if name == AUTO else name)
     return run_window(first, None, None, preset, fresh=fresh, live=live)

@@ -1,4 +1,4 @@
-"""Protocol of the window for menus and session files, to avoid a circular import."""
+"""Protocol of the window for menus and session files, which avoids a circular import."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bubbleviz_ui.model.messages import Messages
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.model.session_state import SessionState
-    from bubbleviz_ui.model.undo import SettingsHistory
+    from bubbleviz_ui.model.undo import UndoRecorder
     from bubbleviz_ui.panels.status_bar import StatusBar
     from bubbleviz_ui.pose.pose_panel import PosePanel
     from bubbleviz_ui.shell.message_bars import HintBar
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 
 class WindowParts(Protocol):
-    """Parts of the window by name, and what it does when it is asked to; see `MainWindow`."""
+    """Parts and actions of `MainWindow` used by menus and session files."""
 
     state: SessionState
     controller: Controller
     live_controller: LiveController
-    settings: SettingsHistory
+    undo_recorder: UndoRecorder
     undo_stack: QUndoStack
     shortcuts: Shortcuts
     view: View
@@ -45,31 +45,31 @@ class WindowParts(Protocol):
     hint: HintBar
 
     def open_file(self, path: Path) -> None:
-        """Open a sensor, an object's mesh, a session, a truth, or else a recording."""
+        """Open a sensor, object mesh, session, ground truth or recording."""
 
     def use_scene(self, preset: ScenePreset) -> None:
-        """Show the layers and panels of a scene."""
+        """Apply a scene preset."""
 
     def save_screenshot(self, path: Path) -> None:
-        """Write the picture of the whole window."""
+        """Write a screenshot of the window."""
 
     def show_connect(self) -> None:
-        """Choose a live source."""
+        """Open the dialog for live sources."""
 
     def show_information(self) -> None:
-        """Show what the recording that is open has in it."""
+        """Show the contents of the open recording."""
 
     def show_pages(self) -> None:
         """Show the documentation."""
 
-    def show_costs(self) -> None:
-        """Show the time that each stage takes."""
+    def show_performance(self) -> None:
+        """Show the run time of each stage."""
 
     def show_export(self) -> None:
-        """Export frames as files."""
+        """Open the export dialog."""
 
     def show_import(self) -> None:
-        """Make a recording of images or of another kind of recording."""
+        """Open the dialog that converts images or other recordings."""
 
     def show_messages(self) -> None:
         """Show all messages of this session."""
@@ -78,4 +78,4 @@ class WindowParts(Protocol):
         """Show the command palette."""
 
     def show_shortcuts(self) -> None:
-        """Show the keys of every action."""
+        """Show the keyboard shortcuts."""

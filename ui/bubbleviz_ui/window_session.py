@@ -1,6 +1,6 @@
-"""One window with its application, and the loop that waits for it.
+"""One window with its Qt application and event loop.
 
-Qt and VTK are imported with the first window: bad input is refused without them.
+Qt and VTK are imported with the first window, after the input was checked.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from bubbleviz_ui.session_files.session_file import SavedSession
 
 
-PATIENCE_S = 300.0
-"""How long opening or a picture may take, on a busy machine too, before it is called broken."""
+TIMEOUT_S = 300.0
+"""Timeout of opening and drawing, generous for a busy machine."""
 CONNECT_S = 5.0
-"""How long a live source may take before the window is shown without it."""
+"""Time after which the window is shown while a live source is still connecting."""
 NO_OPENGL = frozenset({"offscreen", "minimal"})
-"""Platforms of Qt on which the 3-D view would wait for its first picture for ever."""
+"""Qt platforms without OpenGL, on which the 3-D view would never draw."""
 SWITCH_S = 5e-4
-"""How long the solver thread may keep Python to itself while the window waits; 5 ms by default."""
+"""Thread switch interval of Python while the solver runs; 5 ms by default."""
 
 
 class WindowSession:
@@ -54,8 +54,8 @@ class WindowSession:
         self.interrupt.end(self.application)
         self.state = state = SessionState()
         self.controller = Controller(state)
-        # The window first: VTK and Open3D share modules, and two threads that import them at the
-        # same time can lock each other out.
+        # before the solver thread: VTK and Open3D share modules, and importing them in two threads
+        # at the same time can deadlock
         self.window = MainWindow(state, self.controller, quality)
         self._answers: list[Opened | Failed] = []
 
@@ -70,7 +70,7 @@ class WindowSession:
         saved: tuple[Path, SavedSession] | None = None,
         truth: Path | None = None,
     ) -> None:
-        """Open what `window_session` was asked for."""
+        """Open the source given to `window_session`."""
         state = self.state
         self.controller.opened.connect(self._note)
         self.controller.failed.connect(self._note)
@@ -78,7 +78,7 @@ class WindowSession:
         restored = keep_in is not None and self._restore(keep_in, recording, known=known)
         if saved is not None:
             file, given = saved
-            restored = self._came_back(self.window.session_saver.restore(given, file))
+            restored = self._source_opened(self.window.session_saver.restore(given, file))
         if scene is not None:
             self.window.use_scene(scene)
         if live is not None:
@@ -118,11 +118,11 @@ class WindowSession:
             raise InputError(answer.message)
 
     def _connect(self, live: SessionPreset) -> None:
-        """Connect; a source that is not there yet is waited for in the window."""
+        """Connect to live sensors; after `CONNECT_S` the window goes on waiting for them."""
         from bubbleviz_ui.engine.worker import Failed
 
         live_controller, problems = self.window.live_controller, list[str]()
-        live_controller.said.connect(lambda said: problems.append(said.text))
+        live_controller.notified.connect(lambda said: problems.append(said.text))
         live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(
@@ -133,24 +133,24 @@ class WindowSession:
             raise InputError(problems[0])
 
     def _restore(self, file: Path, recording: Path | None, *, known: bool) -> bool:
-        """Come back to the user's last session; whether its source is open now.
+        """Restore the user's last session; returns whether its source is open now.
 
-        Where it is `known` what to open, that is opened in its place; what cannot be opened any
-        more is a message in the window.
+        If `known`, another source is opened instead. A source that cannot be opened any more gives
+        a message in the window.
         """
         session_saver = self.window.session_saver
         saved = session_saver.keep_in(file)
         session_saver.use(saved)
-        with self.window.settings.unrecorded():
+        with self.window.undo_recorder.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
         if recording is not None:
             session_saver.expect(saved, recording)
         if known:
             return False
-        return self._came_back(session_saver.open_source(saved))
+        return self._source_opened(session_saver.open_source(saved))
 
-    def _came_back(self, asked: bool) -> bool:
-        """Whether a session's source, where one was asked for, is open now."""
+    def _source_opened(self, asked: bool) -> bool:
+        """Wait for the source of a session if one was requested; whether it is open now."""
         from bubbleviz_ui.engine.solver import Opened
 
         if asked:
@@ -158,17 +158,17 @@ class WindowSession:
         return asked and isinstance(self._answers[0], Opened)
 
     def wait_for(self, done: Callable[[], bool], what: str) -> None:
-        """Run the event loop until something is done; KeyboardInterrupt after ^C."""
-        end = time.monotonic() + PATIENCE_S
+        """Run the event loop until `done()`; KeyboardInterrupt after ^C."""
+        end = time.monotonic() + TIMEOUT_S
         while not done():
             self.raise_if_interrupted()
             if time.monotonic() > end:
-                raise InputError(f"{what} took more than {PATIENCE_S:.0f} s; given up")
+                raise InputError(f"{what} took more than {TIMEOUT_S:.0f} s; given up")
             self.application.processEvents()
             time.sleep(0.002)
 
     def settle(self, pictures: int = 3) -> None:
-        """Run until the window is laid out and has drawn what it shows."""
+        """Run the event loop until layout and drawing are complete."""
         view = self.window.view
         for _ in range(pictures):
             count = view.render_count
@@ -178,7 +178,7 @@ class WindowSession:
         self.application.processEvents()
 
     def save(self, out: Path) -> None:
-        """Write the picture of the window whole or not at all."""
+        """Write a screenshot of the window atomically."""
         from PySide6.QtCore import QSaveFile
 
         file = QSaveFile(str(out))
@@ -187,7 +187,7 @@ class WindowSession:
             raise InputError(f"{out}: cannot be written ({file.errorString()})")
 
     def save_still(self, out: Path) -> None:
-        """Write the picture of one frame while a recording plays: view and panels agree on it."""
+        """Write a screenshot during playback, with view and panels at the same frame."""
         playing, failures = self.state.playing, list[object]()
         failed = self.controller.failed.connect(failures.append)
         self.state.set_playing(False)
@@ -203,22 +203,22 @@ class WindowSession:
         return result is not None and result.frame.index == self.state.frame
 
     def raise_if_interrupted(self) -> None:
-        """KeyboardInterrupt where ^C came; for loops of one's own."""
+        """Raise KeyboardInterrupt after ^C; for custom event loops."""
         if self.interrupt.came:
             raise KeyboardInterrupt
 
     def run(self) -> int:
-        """Run the event loop until the window is closed or ^C comes; exit code."""
+        """Run the event loop until the window is closed or ^C; returns the exit code."""
         return EXIT_CODE if self.interrupt.came else self.application.exec()
 
     def close(self) -> None:
-        """Close the window, whatever is not saved, and let go of it."""
+        """Close the window without asking about unsaved work, and delete it."""
         from PySide6.QtCore import QEvent
         from shiboken6 import isValid
 
         if isValid(self.window):
-            self.window.end()
-        self.controller.worker.close(PATIENCE_S)  # for a long step that closing did not wait for
+            self.window.close_without_asking()
+        self.controller.worker.close(TIMEOUT_S)  # closing did not wait for a long step
         self.application.sendPostedEvents(None, QEvent.Type.DeferredDelete)
         self.application.processEvents()
         self.interrupt.close()
@@ -235,15 +235,14 @@ def window_session(
     saved: Path | None = None,
     truth: Path | None = None,
 ) -> Iterator[WindowSession]:
-    """Session whose window is closed and gone at the end.
+    """Session whose window is closed and deleted at the end.
 
-    With `keep_in`, the user's last session is read from the file it returns, and this one kept in
-    it; with `saved`, the session of that file is restored. `truth` is what is true of the
-    recording, where it is of a simulation and no file of its name beside it says so.
+    With `keep_in`, the user's last session is read from the file it returns, and this one is saved
+    there; with `saved`, the session of that file is restored. `truth` is the TRUTH.npz of a
+    simulated recording, by default the file of its name next to it.
 
     Raises InputError: The session cannot be read, or the recording cannot be opened, does not fit
-    the sensor, or has no such frame; KeyboardInterrupt: ^C came before there was an event loop to
-    end.
+    the sensor, or has no such frame; KeyboardInterrupt: ^C before the event loop runs.
     """
     given = None if saved is None else (saved, _read(saved))  # before there is a window
     session = WindowSession()
@@ -263,7 +262,7 @@ def _read(saved: Path) -> SavedSession:
 
 
 def application() -> QApplication:
-    """The Qt application with the window's look; made once."""
+    """The Qt application with the window's style; created once."""
     from PySide6.QtWidgets import QApplication
 
     from bubbleviz_ui.engine.upkeep import GarbageCollector
@@ -278,7 +277,7 @@ def application() -> QApplication:
             os.environ.setdefault("QT_QPA_PLATFORM", "xcb")  # VTK draws through X
         linux = sys.platform.startswith("linux")
         if linux and os.environ.get("QT_QPA_PLATFORM") in NO_OPENGL:
-            os.environ["QT_QPA_PLATFORM"] = "xcb"  # there is an X server, or Xvfb was started
+            os.environ["QT_QPA_PLATFORM"] = "xcb"  # X server or Xvfb is running
         made = QApplication(["bubbleviz"])
     if made.findChild(GarbageCollector) is None:
         GarbageCollector(made)

@@ -52,7 +52,7 @@ def test_random_clicks_and_keys_raise_no_exception():
 def test_a_monkey_finds_an_exception_in_a_slot():
     broken = (
         "from bubbleviz_ui.model.session_state import SessionState\n"
-        "SessionState.choose_panel = lambda *a, **k: 1 / 0\n"
+        "SessionState.set_panel_open = lambda *a, **k: 1 / 0\n"
     )
     _, problems = monkey(2.0, seed=1, before=broken)
     assert any("ZeroDivisionError" in problem for problem in problems)

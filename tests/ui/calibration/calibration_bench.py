@@ -19,7 +19,7 @@ class Bench(Driver):
 
     @property
     def panel(self):
-        return self.window.gamma0
+        return self.window.calibration
 
     @property
     def answer(self):

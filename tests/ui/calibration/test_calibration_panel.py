@@ -18,7 +18,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.model.units import NOTHING
+from bubbleviz_ui.model.units import DASH
 
 
 def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
@@ -41,8 +41,8 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
         ("psi", f"{gauge / 6894.757:.4f} psi", "0.0145 psi more"),
         ("kPa", f"{gauge:.0f} Pa", "100 Pa more"),
     ):
-        with bench.window.settings.unrecorded():
-            bench.state.choose(pressure_unit=system)
+        with bench.window.undo_recorder.unrecorded():
+            bench.state.change(pressure_unit=system)
         assert f"at {text} gauge pressure" in panel.verdict.text()
         assert panel.tension.numbers.text("gauge pressure") == text
         assert panel.tension.numbers.text("γ0 per gauge pressure").endswith(more)
@@ -53,7 +53,7 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
         assert bench.draft.found is None and not panel.verdict.isVisible()
     assert not panel.strip.isVisible()
     panel.go_to(3)
-    assert panel.tension.numbers.text("95 % interval") == NOTHING
+    assert panel.tension.numbers.text("95 % interval") == DASH
     for _ in range(4):
         bench.redo()
     assert bench.answer.work == last.work
@@ -187,14 +187,14 @@ def test_another_recording_begins_without_numbers_and_marks(bench):
     panel = bench.panel
     for _ in range(2):
         bench.click(panel.next)
-    assert panel.pixels.numbers.text("used") != NOTHING
+    assert panel.pixels.numbers.text("used") != DASH
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
     assert panel.steps.button(0).toolTip().endswith("needs attention")
     bench.opens("dent", DentSource, small_sensor(), playing=False)
     bench.wait(lambda: bench.state.facts.title == "dent")
     assert panel.steps.button(0).toolTip().endswith("to do")
-    assert panel.pixels.numbers.text("used") == NOTHING
+    assert panel.pixels.numbers.text("used") == DASH
     panel.rectification.set_vented(Path("vented.mcap"))
     panel.go_to(4)
     assert panel.rectification.levels.text().endswith("Open chamber: vented.mcap")
@@ -273,7 +273,7 @@ def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_
 def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive):
     driver = drive(frame=3)
     window = driver.window
-    dock, panel = window.panels["calibration"], window.gamma0
+    dock, panel = window.panels["calibration"], window.calibration
     driver.act("View › Calibration")
     driver.wait(lambda: not panel.visibleRegion().isEmpty())
     assert dock in window.tabifiedDockWidgets(window.panels["layers"]) and window.height() <= 700
@@ -284,11 +284,11 @@ def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive):
     for scene in ("press", "review"):
         window.use_scene(load_scene(scene))
         driver.show("calibration")
-        window.gamma0.go_to(4)
+        window.calibration.go_to(4)
         driver.settle()
         heights = {name: window.panels[name].height() for name in ("calibration", "kappa")}
         assert heights["calibration"] > 2 * heights["kappa"]
-        levels = window.gamma0.rectification
+        levels = window.calibration.rectification
         for button in (levels.add, levels.vented):
             assert button.visibleRegion().boundingRect() == button.rect()
 

@@ -124,7 +124,7 @@ def test_collected_frames_outlive_close_and_connecting_again(drive):
     bench.click(box.button)
     bench.wait(lambda: len(box.collector.frames) >= 3)
     bench.key(Qt.Key.Key_W, CTRL)
-    bench.wait(lambda: bench.state.facts.nothing)
+    bench.wait(lambda: bench.state.facts.is_empty)
     bench.settle()
     begun = len(box.collector.frames)
     assert kept() and "Nothing is open" in box.said.text() and not box.button.isEnabled()

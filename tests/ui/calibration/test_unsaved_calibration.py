@@ -62,7 +62,7 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     bench.identify()
     window, panel, answer = bench.window, bench.panel, bench.answer
     bench.key(Qt.Key.Key_W, CTRL)
-    bench.wait(lambda: bench.state.facts.nothing)
+    bench.wait(lambda: bench.state.facts.is_empty)
     assert bench.answer is answer and panel.verdict.isVisible()
     assert not panel.strip.isVisible()  # there is no timeline that it is of
     window.open_file(folder / "rest.mcap")
@@ -93,22 +93,22 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
 
 def test_closing_asks_and_a_session_that_is_refused_changes_nothing(drive, folder):
     other = drive(Source.of_recording(folder / "other.mcap"))
-    other.state.choose(layers=frozenset({"rim"}))
+    other.state.change(layers=frozenset({"rim"}))
     other.window.session_saver.save_as(folder / "look.bubbleviz")
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     window, state = bench.window, bench.state
-    before = state.choices, window.open_panels.names, state.facts
+    before = state.settings, window.open_panels.names, state.facts
     look = partial(window.open_file, folder / "look.bubbleviz")
     assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
     bench.settle()
-    assert (state.choices, window.open_panels.names, state.facts) == before
+    assert (state.settings, window.open_panels.names, state.facts) == before
     close = partial(bench.act, "File › Quit")
     assert "rest.mcap is not saved" in answered(bench, close, "Cancel")
     assert window.isVisible() and bench.panel.calibration.unsaved
     answered(bench, look, "Discard")
     bench.wait(lambda: state.facts.title == "other.mcap")
-    assert state.choices.layers == {"rim"} and bench.draft.found is None
+    assert state.settings.layers == {"rim"} and bench.draft.found is None
     window.close()  # nothing to ask
     assert not window.isVisible()
 

@@ -47,7 +47,7 @@ def test_opened_sought_stepped_and_played_to_a_frame_has_the_same_area(drive):
     label = driver.window.status.labels["area"].text()
     assert label == f"patch {1e6 * stepped[1]:.0f} mm²"
     driver.seek(CONTACT - 3)
-    driver.state.choose(every_frame=True)
+    driver.state.change(every_frame=True)
     play_past(driver, CONTACT)
     paused = shown(driver)
     opened.state.seek(driver.state.frame)
@@ -68,7 +68,7 @@ def test_a_paused_frame_has_its_pose_found_once(drive):
     client.solved.connect(note)
     play_past(driver, CONTACT)
     settled_by_itself(driver)
-    assert client.demand.looks and not client.look_is_old
+    assert client.demand.diagnostics and not client.look_is_old
     assert driver.result.pose is not None
     assert found[driver.state.frame] == 1
 
@@ -76,7 +76,7 @@ def test_a_paused_frame_has_its_pose_found_once(drive):
 def test_a_frame_is_settled_with_what_was_chosen_since(drive):
     driver = drive(frame=CONTACT)
     controller, areas = driver.window.controller, list[float]()
-    driver.state.choose(least_area_m2=0.01)
+    driver.state.change(least_area_m2=0.01)
     driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
 
     def note(answer, newest):
@@ -120,7 +120,7 @@ class Waiting:
 
 
 PLAIN = Demand(frozenset({"estimate", "patch"}))
-LOOKING = PLAIN.looking(frozenset({"kappa_curve"}))
+WITH_DIAGNOSTICS = PLAIN.with_diagnostics(frozenset({"kappa_curve"}))
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def client(qtbot, sensor, state):
 
 def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
     client.ask_settled()
-    client.ask_frame(3, LOOKING)
+    client.ask_frame(3, WITH_DIAGNOSTICS)
     client.worker.run(-1)
     client.worker.run(-2)
     assert client.inspection.kappa_curve is not None and not client.settled
@@ -154,8 +154,8 @@ def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
 def test_a_diagnostic_that_did_not_arrive_is_requested_again(client, state):
     """Looks are left out of most frames while playing, but not because of one that never came."""
     state.open(client.facts, 3, playing=True, history=client.history)
-    client.ask_newest(LOOKING)
+    client.ask_newest(WITH_DIAGNOSTICS)
     client.worker.run(-1)  # there is none: the source does not grow
-    client.ask_frame(3, LOOKING)
+    client.ask_frame(3, WITH_DIAGNOSTICS)
     client.worker.run(-1)
     assert client.inspection.kappa_curve is not None

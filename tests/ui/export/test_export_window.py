@@ -61,8 +61,8 @@ def bench(drive, monkeypatch):
 
 def test_a_table_of_the_range_on_the_timeline_with_poses_that_were_found(bench, tmp_path):
     state = bench.state
-    state.choose_range((3, 8))
-    state.choose(kappa=2.0)
+    state.set_range((3, 8))
+    state.change(kappa=2.0)
     bench.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
     assert bench.dialog.step.text() == "every 2nd frame"
     out = tmp_path / "mine.csv"
@@ -111,7 +111,7 @@ SERIES = {
 
 def test_series_are_folders_plots_files_and_what_is_cancelled_nothing(bench, tmp_path):
     first, last = 3, 6
-    bench.state.choose_range((first, last))
+    bench.state.set_range((first, last))
     for title, suffix in SERIES.items():
         out = tmp_path / title
         bench.export(title, out)
@@ -130,7 +130,7 @@ def test_series_are_folders_plots_files_and_what_is_cancelled_nothing(bench, tmp
     # one that is cancelled leaves nothing
     dialog, cancelled = bench.dialog, tmp_path / "cancelled"
     cancelled.mkdir()
-    bench.state.choose(picture_size=(1600, 1200))
+    bench.state.change(picture_size=(1600, 1200))
     for title, out in (
         ("Video of the view", cancelled / "a.mp4"),
         ("Membrane series", cancelled / "b"),
@@ -152,8 +152,8 @@ def pictures(path):
 
 def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, monkeypatch):
     driver = bench
-    driver.state.choose(picture_size=(480, 360), speed=0.5)
-    driver.state.choose_range((2, 10))
+    driver.state.change(picture_size=(480, 360), speed=0.5)
+    driver.state.set_range((2, 10))
     driver.seek(6)
     out = tmp_path / "press.mp4"
     assert "9 frames" in bench.export("Video of the view", out)
@@ -173,8 +173,8 @@ def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, m
         return still(*args)
 
     monkeypatch.setattr(video_export, "still", watched)
-    driver.state.choose(picture_size=(320, 240))
-    driver.state.choose_range((2, 3))
+    driver.state.change(picture_size=(320, 240))
+    driver.state.set_range((2, 3))
     bench.export("Video of the view", tmp_path / "said.mp4")
     assert drawn == [["frame 2 · 0.067 s"], ["frame 3 · 0.100 s"]]
     assert not [text for text in texts(driver) if text.startswith("frame")]
@@ -199,8 +199,8 @@ def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tm
         return still(*args)
 
     monkeypatch.setattr(video_export, "still", watched)
-    driver.state.choose(picture_size=(320, 240))
-    driver.state.choose_range((73, 76))
+    driver.state.change(picture_size=(320, 240))
+    driver.state.set_range((73, 76))
     driver.state.set_playing(True)
     bench.export("Video of the view", tmp_path / "settled.mp4")
     source, pipeline = default_press(sensor), Pipeline.of(sensor)
@@ -214,7 +214,7 @@ def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tm
 
 def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(drive, monkeypatch, tmp_path):
     bench = Bench(drive(lambda sensor: DentSource(sensor, broken_from=3)), monkeypatch)
-    bench.state.choose(picture_size=(320, 240))
+    bench.state.change(picture_size=(320, 240))
     assert "frame 3 cannot be read" in bench.export("Table", tmp_path / "a.csv")
     bench.begin("Video of the view", tmp_path / "a.mp4")
     bench.wait(lambda: not bench.window.exporting.busy)
@@ -232,7 +232,7 @@ def test_a_live_source_is_recorded_first(open_bench, monkeypatch):
 def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     window, state = bench.window, bench.state
     (tmp_path / "there.csv").write_text("precious")
-    state.choose_range((3, 4))
+    state.set_range((3, 4))
     bench.dialog.step.setValue(2)
     assert bench.dialog.about.text().endswith(" 1 frame.")
     assert "exists already" in bench.export("Table", tmp_path / "there.csv")
@@ -244,18 +244,18 @@ def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     # a long message squeezes nothing
     dialog = bench.dialog
     long = "/a/folder/of/some/length/v.mp4: cannot be written; choose another place. " * 4
-    window.exporting.said.emit(UserMessage("error", long))
+    window.exporting.notified.emit(UserMessage("error", long))
     bench.wait(lambda: dialog.said.text() == long)
     controls = (dialog.kind, dialog.frames, dialog.step, dialog.captioned, dialog.export)
     bench.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
     labels = (dialog.about, dialog.said)
     bench.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))
     # nothing is exported while nothing is open
-    bench.state.choose_range((3, 8))
+    bench.state.set_range((3, 8))
     assert not clipped(dialog)
     box = dialog.frames
     assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
     bench.key(Qt.Key.Key_W, CTRL)
-    bench.wait(lambda: bench.state.facts.nothing)
+    bench.wait(lambda: bench.state.facts.is_empty)
     assert "Nothing is open" in dialog.about.text() and not dialog.export.isEnabled()
     assert dialog.frames.currentText() == "all 0 frames"

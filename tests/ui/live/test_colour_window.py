@@ -30,7 +30,7 @@ def colours(heard):
 
 
 def show_images(live, *names):
-    live.state.choose(images=frozenset(names))
+    live.state.change(images=frozenset(names))
     live.show("images")
     live.wait(lambda: live.window.images.cells.keys() >= set(names))
 
@@ -52,7 +52,7 @@ def test_colour_is_sent_while_it_is_looked_at(open_bench):
     live.wait(lambda: image() is not None and image().rgb is not None)
     assert image().rgb.shape == (60, 80, 3) and colours(heard) > 0
     live.window.panels["images"].hide()
-    live.wait(lambda: "images" not in live.state.choices.panels)
+    live.wait(lambda: "images" not in live.state.settings.panels)
     live.follow()
     heard.clear()
     live.messages_come(40)

@@ -41,8 +41,8 @@ def test_what_cannot_be_connected_or_ends_is_a_sentence_and_the_rest_goes_on(ope
     live.wait(lambda: "ended" in live.window.live.state.text())
     live.state.seek(1)
     live.wait(lambda: live.shown == 1)
-    layers = live.state.choices.layers | {"wireframe", "cloud"}
-    live.state.choose(layers=layers)
+    layers = live.state.settings.layers | {"wireframe", "cloud"}
+    live.state.change(layers=layers)
     live.wait(lambda: live.window.controller.result.cloud_m is not None)
     live.window.live.leave.click()
     assert control.run is None

@@ -39,7 +39,7 @@ def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_who
     chosen = str(live.folder)
     monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
     live.act("Live › Recording folder")
-    assert live.state.choices.record_folder == chosen
+    assert live.state.settings.record_folder == chosen
     live.act("File › Open recording")
     assert begun == [str(own), chosen]
     # it has all, with markers and notes
@@ -102,7 +102,7 @@ def test_a_full_disk_is_reported_and_results_are_published_only_on_request(open_
 
     live.live_controller.publishing.endpoint = f"tcp/127.0.0.1:{port}"
     assert not live.live_controller.publishing.on and not listens()
-    live.state.choose(layers=frozenset(), panels=frozenset())  # nobody looks at the patch
+    live.state.change(layers=frozenset(), panels=frozenset())  # nobody looks at the patch
     results = {"/bubbleviz/contact_patch", "/bubbleviz/contact_wrench"}
     names = TopicNames(depth="/bubbleviz/contact_patch", wrench="/bubbleviz/contact_wrench")
     place, topics = SessionOptions("test", f"tcp/127.0.0.1:{port}"), set[str]()

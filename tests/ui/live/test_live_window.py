@@ -43,7 +43,7 @@ def test_frames_are_followed_frozen_and_followed_again(open_bench):
     live.follow(2)
     assert not live.state.frozen and live.shown > back + 5 and not live.ticked(frozen)
     live.show("calibration")
-    box = live.window.gamma0.frames.collect
+    box = live.window.calibration.frames.collect
     live.wait(box.button.isEnabled)
     live.key(Qt.Key.Key_L, CTRL | SHIFT)  # after disconnecting no frames can be collected
     live.wait(lambda: not box.button.isEnabled())
@@ -82,7 +82,7 @@ def test_one_word_says_what_one_looks_at(open_bench):
         assert "live" not in word.text()
         bench.window.playback.now.click()
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text())
-        changed = bench.state.link_changed
+        changed = bench.state.connection_changed
         noted = changed.connect(lambda: seen.append((title(), word.text())))
     bench.wait(lambda: " (stale) " in title() or " (reconnecting) " in title())
     changed.disconnect(noted)
@@ -112,7 +112,7 @@ def test_all_of_the_window_stays_on_a_small_screen(open_bench):
     window.live.record.begin_note()
     window.shortcuts.actions["Help › First steps"].trigger()
     long = "/home/robot/recordings/monday/press_of_the_ball.mcap: is no recording; "
-    window.messages.tell(UserMessage("error", long, "details"))
+    window.messages.add(UserMessage("error", long, "details"))
     window.busy.wait_for(long)
     live.wait(window.busy.isVisible)
     live.follow(1)

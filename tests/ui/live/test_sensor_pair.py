@@ -30,7 +30,7 @@ def connect_played(bench, frames):
     """Connect two sensors, of which the other plays these frames; the membranes alone are drawn."""
     preset, played = two(bench.folder), record(bench.folder / "other.mcap", frames)
     second = preset.sensors[1].model_copy(update={"source": f"replay:{played}?loop=true"})
-    bench.state.choose(layers=frozenset({"membrane"}))
+    bench.state.change(layers=frozenset({"membrane"}))
     bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], second)}))
 
 
@@ -70,7 +70,7 @@ def test_both_are_solved_drawn_where_they_are_and_whole_in_a_low_view(open_bench
     bench = paired(open_bench)
     bench.window.resize(1400, 640)
     bench.window.use_scene(load_scene("review"))
-    bench.state.choose(layers=frozenset({"rim", "membrane"}))
+    bench.state.change(layers=frozenset({"rim", "membrane"}))
     bench.follow(2)
     bench.painted_anew()
     view = bench.window.view
@@ -88,11 +88,11 @@ def test_both_are_solved_drawn_where_they_are_and_whole_in_a_low_view(open_bench
     # The other's dome points at ours from 120 mm away, along our own z. Its rim is the same in
     # every frame; the force arrow, for one, is longer or shorter.
     dome = robot_sensor().membrane
-    bench.state.choose(layers=frozenset({"rim"}))
+    bench.state.change(layers=frozenset({"rim"}))
     radius = dome.rim_radius_m
     expected = [[-radius, radius], [-radius, radius], [0.12, 0.12]]
     np.testing.assert_allclose(drawn(bench), expected, atol=3e-3)
-    bench.state.choose(layers=frozenset({"rim", "membrane"}))
+    bench.state.change(layers=frozenset({"rim", "membrane"}))
     bench.wait(lambda: drawn(bench)[2, 0] < 0.12 - 0.5 * dome.height_m)
     bench.painted_anew()
     assert of_the_other(bench) > 50

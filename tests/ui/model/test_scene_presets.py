@@ -7,9 +7,9 @@ from fakes import DentSource
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.files import preset_names
-from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.model.demand import products
+from bubbleviz_ui.model.demand import needed_products
 from bubbleviz_ui.model.scene_presets import load_scene, read_scene
+from bubbleviz_ui.model.settings import Settings
 
 RUNS = {
     "calibrate": {"estimate", "fine_contact", "patch", "cloud", "residual"},
@@ -43,7 +43,7 @@ def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive):
         checked = {layer for layer, box in boxes.items() if box.isChecked()}
         assert checked == set(preset.layers), name
         assert driver.window.layers.cloud_points.currentIndex() >= 0, name
-        assert preset.cloud.points in Choices.about("cloud_points").titles, name
+        assert preset.cloud.points in Settings.info("cloud_points").titles, name
         driver.seek(7)
         before = driver.pipeline.counts.copy()
         driver.seek(8)
@@ -52,8 +52,8 @@ def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive):
     before = tuple(driver.window.view.camera.position)
     driver.window.use_scene(load_scene("cloud"))
     assert tuple(driver.window.view.camera.position) != pytest.approx(before)
-    assert not {"kappa", "speed", "loop"} & set(load_scene("press").choices())
-    assert products(Choices(**load_scene("cloud").choices())) == {"cloud"}
+    assert not {"kappa", "speed", "loop"} & set(load_scene("press").settings())
+    assert needed_products(Settings(**load_scene("cloud").settings())) == {"cloud"}
 
 
 def test_an_unknown_scene_is_refused_by_name():
@@ -68,7 +68,7 @@ def test_an_unknown_scene_is_refused_by_name():
         ('title = "x"\nlayers = ["membran"]', r"layers\.0"),
         ('title = "x"\nlayers = []\npannels = []', "pannels"),
         ('title = "x"\nlayers = []\n[membrane]\nopacity = 2.0', r"membrane\.opacity"),
-        ('title = "x"\nlayers = []\n[view]\nfrom = [0.0, 0.0, 1.0]', "lean it a little"),
+        ('title = "x"\nlayers = []\n[view]\nfrom = [0.0, 0.0, 1.0]', "tilt it slightly"),
         ('title = "x"\nlayers = []\n[view]\nzoom = nan', r"view\.zoom"),
     ],
 )

@@ -15,7 +15,7 @@ def heard(state):
     state.source_changed.connect(lambda facts: told.append(("source", facts)))
     state.frame_changed.connect(lambda *frame: told.append(("frame", *frame)))
     state.playing_changed.connect(lambda playing: told.append(("playing", playing)))
-    state.choices_changed.connect(lambda names: told.append(("choices", *sorted(names))))
+    state.settings_changed.connect(lambda names: told.append(("settings", *sorted(names))))
     return told
 
 
@@ -33,7 +33,7 @@ def test_the_cursor_stays_inside_and_stepping_pauses():
     state.set_playing(True)
     state.step(2)
     assert events[2:] == [("playing", True), ("playing", False), ("frame", 2, False)]
-    state.choose(loop=False)
+    state.change(loop=False)
     state.seek(9)
     state.set_playing(True)  # begins anew
     assert state.frame == 0
@@ -42,13 +42,13 @@ def test_the_cursor_stays_inside_and_stepping_pauses():
 def test_only_choices_that_differ_are_told_and_they_outlive_a_source():
     state = SessionState()
     events = heard(state)
-    state.choose(speed=2.0, loop=True)
-    state.choose(speed=2.0)
-    state.choose_layer("cloud", False)
-    assert events == [("choices", "speed"), ("choices", "layers")]
+    state.change(speed=2.0, loop=True)
+    state.change(speed=2.0)
+    state.set_layer_visible("cloud", False)
+    assert events == [("settings", "speed"), ("settings", "layers")]
     facts = SourceFacts("other", "dome", np.arange(3) / 20.0)
     state.open(facts, frame=7, playing=True)
-    assert state.choices.speed == 2.0 and state.frame == 2
+    assert state.settings.speed == 2.0 and state.frame == 2
     assert events[2:] == [("source", facts), ("playing", True)]
 
 

@@ -13,10 +13,10 @@ from window_driver import idle
 from bubbleviz.files import presets_folder
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz_ui.model import undo as undo_module
-from bubbleviz_ui.model.choices import Choices, Setting
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.settings import ComparedSetting, Settings
 from bubbleviz_ui.model.undo import LAYOUT
-from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.shell.theme import GAP
 
 CHANGES = {
@@ -49,7 +49,7 @@ CHANGES = {
     "pose_stage": 1,
     "flow_preset": "fine",
     "friction": 0.8,
-    "compared": (Setting(nodes=300), Setting(solver="osqp")),
+    "compared": (ComparedSetting(nodes=300), ComparedSetting(solver="osqp")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,
     "record_folder": "/somewhere",
@@ -62,20 +62,20 @@ CHANGES = {
 
 
 def test_every_choice_is_undone_and_done_again(drive):
-    assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Choices)}
+    assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Settings)}
     driver = drive(frame=3)
-    seen = [driver.state.choices]
+    seen = [driver.state.settings]
     for name, value in CHANGES.items():
-        driver.state.choose(**{name: value})
-        seen.append(driver.state.choices)
+        driver.state.change(**{name: value})
+        seen.append(driver.state.settings)
     assert driver.window.undo_stack.index() == len(CHANGES)
     for before in reversed(seen[:-1]):
         driver.undo()
-        assert driver.state.choices == before
+        assert driver.state.settings == before
     for after in seen[1:]:
         driver.redo()
-        assert driver.state.choices == after
-    driver.state.choose(theme="system")
+        assert driver.state.settings == after
+    driver.state.change(theme="system")
 
 
 def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
@@ -88,7 +88,7 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     assert layers.boxes["rim"].isChecked() and layers.boxes["wireframe"].isChecked()
     driver.undo()
     assert not layers.boxes["wireframe"].isChecked()
-    assert driver.state.choices.layers == Choices().layers
+    assert driver.state.settings.layers == Settings().layers
 
     slider = driver.window.layers.opacity
     option = QStyleOptionSlider()
@@ -96,21 +96,21 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     control, part = QStyle.ComplexControl.CC_Slider, QStyle.SubControl.SC_SliderHandle
     place = slider.style().subControlRect(control, option, part, slider).center()
     driver.drag(slider, *(place - QPoint(8 * step, 0) for step in range(8)))
-    assert driver.state.choices.membrane_opacity < 0.8
+    assert driver.state.settings.membrane_opacity < 0.8
     assert driver.window.undo_stack.index() == 1
     driver.undo()
-    assert driver.state.choices.membrane_opacity == 1.0 and slider.value() == 100
+    assert driver.state.settings.membrane_opacity == 1.0 and slider.value() == 100
 
     box = driver.window.kappa.box  # the keys go to the window from within a number box
     driver.window.kappa.automatic.setChecked(False)
     driver.type(box, "2.5")
-    assert driver.state.choices.kappa == 2.5
+    assert driver.state.settings.kappa == 2.5
     driver.undo(box)
-    assert driver.state.choices.kappa != 2.5
+    assert driver.state.settings.kappa != 2.5
     # so are boxes of the calibration, keys, a range and markers
     driver.window.undo_stack.clear()
-    window, frames = driver.window, driver.window.gamma0.frames.collect
-    picture, stack = window.gamma0.pixels.picture, window.undo_stack
+    window, frames = driver.window, driver.window.calibration.frames.collect
+    picture, stack = window.calibration.pixels.picture, window.undo_stack
     before = (picture.currentText(), frames.count.value(), frames.untouched.isChecked())
     picture.setCurrentIndex(1)
     for count in (101, 150):  # typed, one digit after the other
@@ -136,7 +136,7 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     assert shortcuts.keys("View › Reset view") == "Ctrl+J"
 
     driver.state.toggle_marker(3)
-    driver.state.choose_range((2, 9))
+    driver.state.set_range((2, 9))
     driver.undo()
     assert driver.state.play_range is None and driver.state.markers == (3,)
     driver.undo()
@@ -158,19 +158,19 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
     window = driver.window
     names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
              "Plots", "Images", "Playback", "Status bar"]  # fmt: skip
-    at_first = opened(driver)
-    assert at_first == {"Layers", "Contact patch", "Playback", "Status bar"}
-    seen = [at_first]
+    by_default = opened(driver)
+    assert by_default == {"Layers", "Contact patch", "Playback", "Status bar"}
+    seen = [by_default]
     for name in names:
         window.shortcuts.actions[f"View › {name}"].trigger()
         seen.append(opened(driver))
         assert seen[-1] ^ seen[-2] == {name}
     assert window.undo_stack.index() == len(names)
-    assert "status" not in driver.state.choices.panels
+    assert "status" not in driver.state.settings.panels
     for before in reversed(seen[:-1]):
         driver.undo()
         assert opened(driver) == before
-    assert "status" in driver.state.choices.panels and window.status.isVisible()
+    assert "status" in driver.state.settings.panels and window.status.isVisible()
     for after in seen[1:]:
         driver.redo()
         assert opened(driver) == after
@@ -181,7 +181,7 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
     stack = window.undo_stack
     stack.clear()
     window.use_scene(load_scene("residual"))
-    assert driver.state.choices.layers != Choices().layers and stack.index() == 1
+    assert driver.state.settings.layers != Settings().layers and stack.index() == 1
     assert window.panels["threshold"].isHidden() and window.panels["layers"].isVisible()
     for _ in range(2):  # again nothing changes: no step
         window.use_scene(load_scene("review"))
@@ -189,12 +189,12 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
     driver.undo()
     assert window.panels["plots"].isHidden()
     driver.undo()
-    assert driver.state.choices.layers == Choices().layers
-    assert driver.state.choices.view_from == Choices().view_from
+    assert driver.state.settings.layers == Settings().layers
+    assert driver.state.settings.view_from == Settings().view_from
 
     driver.act("View › Threshold")
     window.panels["kappa"].raise_()
-    driver.wait(lambda: "threshold" not in driver.state.choices.panels)
+    driver.wait(lambda: "threshold" not in driver.state.settings.panels)
     assert stack.index() == 1 and stack.undoText() == "open panels"
     driver.click(window.panels["layers"].findChild(QAbstractButton, "qt_dockwidget_closebutton"))
     assert window.panels["layers"].isHidden() and stack.index() == 2
@@ -238,10 +238,10 @@ def test_every_control_shows_what_undo_brings_back(drive):
         return shown()
 
     elsewhere = {"panels", "pre_roll_s", "record_folder", "publish_at", "view_from", "zoom",
-                 "theme"} | SYSTEMS.keys()  # fmt: skip
+                 "theme"} | UNIT_CHOICES.keys()  # fmt: skip
     before = settled()
     for name in sorted(CHANGES.keys() - elsewhere):
-        state.choose(**{name: CHANGES[name]})
+        state.change(**{name: CHANGES[name]})
         changed = settled()
         assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
         driver.undo()

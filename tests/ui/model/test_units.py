@@ -7,7 +7,7 @@ import pytest
 from PySide6.QtWidgets import QApplication, QMenu
 from window_driver import CONTACT, clipped, texts
 
-from bubbleviz_ui.model.units import SYSTEMS, Units
+from bubbleviz_ui.model.units import UNIT_CHOICES, Units
 
 
 @pytest.mark.parametrize(
@@ -50,10 +50,10 @@ def test_text(text, expected):
 )
 def test_other_units(quantity, symbol, si, text):
     units = Units()
-    kind = next(k for k, s in SYSTEMS.items() if symbol in s and quantity in s[symbol])
+    kind = next(k for k, s in UNIT_CHOICES.items() if symbol in s and quantity in s[symbol])
     units.use({kind: symbol})
     unit = getattr(units, quantity)
-    assert unit.text(si) == text and unit.to_si(unit.of(si)) == pytest.approx(si)
+    assert unit.text(si) == text and unit.to_si(unit.from_si(si)) == pytest.approx(si)
 
 
 def choose(driver, *symbols):
@@ -68,7 +68,7 @@ def test_every_label_follows_the_units(drive):
     window = driver.window
     window.resize(1280, 800)
     plots, images = frozenset({"force", "center"}), frozenset({"depth"})
-    driver.state.choose(plots=plots, images=images, kappa=3.0)
+    driver.state.change(plots=plots, images=images, kappa=3.0)
     driver.show("images", "plots")
     driver.wait(lambda: "depth" in window.controller.inspection.images)
     window.hover.at_pixel(24, 44)
@@ -111,11 +111,11 @@ def test_every_label_follows_the_units(drive):
     # a range that the user gave stays, and none is given by 0
     box = window.layers.pressure_max
     box.setValue(5.0)
-    assert driver.state.choices.pressure_max_pa == pytest.approx(5000.0)
+    assert driver.state.settings.pressure_max_pa == pytest.approx(5000.0)
     choose(driver, "psi")
-    assert driver.state.choices.pressure_max_pa == pytest.approx(5000.0)
+    assert driver.state.settings.pressure_max_pa == pytest.approx(5000.0)
     assert box.value() == pytest.approx(5000.0 / 6894.757, abs=1e-3)
     choose(driver, "kPa")
     assert box.value() == 5.0
     box.setValue(0.0)
-    assert driver.state.choices.pressure_max_pa is None
+    assert driver.state.settings.pressure_max_pa is None

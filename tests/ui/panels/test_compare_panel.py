@@ -7,7 +7,7 @@ from live_bench import connected
 from window_driver import CONTACT, texts
 
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz_ui.model.choices import Setting
+from bubbleviz_ui.model.settings import ComparedSetting
 from bubbleviz_ui.model.source_facts import force_text
 from bubbleviz_ui.shell import theme
 
@@ -40,7 +40,7 @@ def wait_until_as_shown(driver):
 def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_everywhere(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
-    a, b = Setting(solver="linear", kappa=1.0), Setting(solver="linear", kappa=20.0)
+    a, b = ComparedSetting(solver="linear", kappa=1.0), ComparedSetting(solver="linear", kappa=20.0)
     driver.choose(layers=frozenset({"membrane", "compared"}), compared=(a, b))
     assert outlines(driver) == [0, 0]
     dock.show()
@@ -72,7 +72,7 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     assert not any(stale)
     driver.seek(9)
     driver.settle()
-    driver.state.choose(compared=(a, Setting(solver="no such")))
+    driver.state.change(compared=(a, ComparedSetting(solver="no such")))
     assert outlines(driver) == [0, 0]
     driver.wait(lambda: text(driver, "status", of_b=True) == "impossible")
     assert outlines(driver)[0] > 20 and outlines(driver)[1] == 0
@@ -86,11 +86,13 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     # a setting is used everywhere, and that is undone
     window, panel, state = driver.window, driver.window.compare, driver.state
     dock.show()
-    state.choose(compared=(Setting(), Setting(solver="linear", nodes=300, kappa=2.5)))
+    state.change(
+        compared=(ComparedSetting(), ComparedSetting(solver="linear", nodes=300, kappa=2.5))
+    )
     driver.click(panel.b.used)
     driver.wait(lambda: driver.pipeline.options.nodes == 300)
     driver.settle()
-    assert driver.pipeline.options.solver == "linear" and state.choices.kappa == 2.5
+    assert driver.pipeline.options.solver == "linear" and state.settings.kappa == 2.5
     assert window.kappa.solver.currentText() == "setting B of Compare"
     panel.b.controls["block"].setValue(2)  # of what is in use
     driver.wait(lambda: driver.pipeline.options.block == 2)
@@ -100,28 +102,28 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     assert driver.solver.session is session
     driver.type(panel.b.controls["kappa"], "4.5")
     driver.wait(driver.thresholded)
-    assert state.choices.kappa == window.kappa.box.value() == 4.5
+    assert state.settings.kappa == window.kappa.box.value() == 4.5
     panel.a.controls["kappa"].setValue(7.0)
-    assert state.choices.kappa == 4.5
+    assert state.settings.kappa == 4.5
     for _ in range(2):
         window.undo_stack.undo()
-    assert state.choices.kappa == panel.b.controls["kappa"].value() == 2.5
+    assert state.settings.kappa == panel.b.controls["kappa"].value() == 2.5
     for _ in range(3):
         window.undo_stack.undo()
     driver.wait(lambda: driver.pipeline.options.solver is None)
     driver.settle()
-    assert state.choices.kappa is None and state.choices.solver is None
+    assert state.settings.kappa is None and state.settings.solver is None
 
 
 def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
     driver = drive(frame=CONTACT)
     driver.show("compare")
-    driver.state.choose(compared=(Setting(), Setting(solver="linear", nodes=100)))
+    driver.state.change(compared=(ComparedSetting(), ComparedSetting(solver="linear", nodes=100)))
     wait_until_as_shown(driver)
     for frame in (CONTACT - 15, CONTACT):  # from elsewhere, with another warm start
         driver.seek(frame)
         wait_until_as_shown(driver)
-    driver.state.choose(least_area_m2=1.0)
+    driver.state.change(least_area_m2=1.0)
     driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
     driver.wait(lambda: text(driver, "area").startswith("0 "))
     # numbers say which frame they are of

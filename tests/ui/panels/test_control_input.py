@@ -24,7 +24,7 @@ def in_sight(panel):
 
 def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
     driver = drive(frame=5)
-    driver.state.choose(kappa=3.0)
+    driver.state.change(kappa=3.0)
     for name in ("layers", "kappa", "pose", "compare"):
         dock = driver.window.panels[name]
         dock.show()
@@ -35,9 +35,9 @@ def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
         assert controls
         for notches in (-1, 1):  # one of them would move what is at its end
             for widget in controls:
-                before, chosen = value(widget), driver.state.choices
+                before, chosen = value(widget), driver.state.settings
                 turn_wheel(widget, notches)
-                assert (value(widget), driver.state.choices) == (before, chosen), widget.toolTip()
+                assert (value(widget), driver.state.settings) == (before, chosen), widget.toolTip()
                 assert not widget.hasFocus()
     driver.window.resize(1024, 500)
     driver.settle()
@@ -52,9 +52,9 @@ def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
     box = driver.window.kappa.box
     driver.window.kappa.automatic.setChecked(False)
     driver.settle()
-    before = driver.state.choices.kappa
+    before = driver.state.settings.kappa
     driver.activate()
     box.setFocus()
     assert box.hasFocus()
     turn_wheel(box, 1)
-    assert driver.state.choices.kappa > before
+    assert driver.state.settings.kappa > before

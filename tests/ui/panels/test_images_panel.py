@@ -18,7 +18,7 @@ AWAY = QPoint(3, 3)
 
 def opened(driver, *images):
     driver.window.resize(1280, 800)
-    driver.state.choose(images=frozenset(images))
+    driver.state.change(images=frozenset(images))
     driver.show("images")
     driver.wait(lambda: bool(driver.window.images.cells))
     of_depth = set(images) - {"patch", "colour", "flow"}
@@ -55,7 +55,7 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     result, nodes, pipeline = driver.result, driver.nodes(), driver.pipeline
     pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
     node = int(pressure.argmax())
-    assert "images" not in driver.state.choices.panels
+    assert "images" not in driver.state.settings.panels
     pointed_at(driver, in_view(driver, nodes[node]))
     found = driver.window.hover.place
     assert np.linalg.norm(found.node_m - nodes[node]) < pipeline.mesh.edge_length
@@ -155,10 +155,10 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     assert not any(name.startswith("look") for name in counts)
     panel = opened(driver, "depth")
     panel.boxes["depth"].trigger()  # all may be hidden
-    assert driver.state.choices.images == frozenset()
+    assert driver.state.settings.images == frozenset()
     panel.boxes["depth"].trigger()
     driver.settle()
-    assert driver.state.choices.images == {"depth"}
+    assert driver.state.settings.images == {"depth"}
     panel.boxes["change"].trigger()
     driver.wait(lambda: counts["diagnose change"] > 0)
     assert counts["diagnose residual"] == 0 and counts["pixel_mask"] == 0
@@ -166,7 +166,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     panel.boxes["patch"].trigger()
     driver.wait(lambda: counts["diagnose residual"] > 0 and counts["pixel_mask"] > 0)
     driver.window.panels["images"].hide()
-    driver.wait(lambda: "images" not in driver.state.choices.panels)
+    driver.wait(lambda: "images" not in driver.state.settings.panels)
     driver.seek(CONTACT + 2)  # behind it nothing that was asked for before is left to do
     before = counts["diagnose change"], counts["diagnose residual"], counts["pixel_mask"]
     driver.seek(CONTACT + 1)
@@ -183,7 +183,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     assert found.place is None and idle(driver.window.pointing)
     before = driver.window.view.size()
     driver.show("images")
-    driver.wait(lambda: "images" in driver.state.choices.panels)
+    driver.wait(lambda: "images" in driver.state.settings.panels)
     driver.wait(lambda: driver.window.view.size() != before)
     point()
     driver.wait(lambda: found.place is not None)
@@ -194,7 +194,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
     driver.settle()  # what was asked for before counts, too
     before = counts["diagnose change"], counts["total"]
-    driver.state.choose(every_frame=True)
+    driver.state.change(every_frame=True)
     driver.state.set_playing(True)
     driver.wait(lambda: counts["total"] > before[1] + 20)
     assert counts["diagnose change"] == before[0]
@@ -225,7 +225,7 @@ def test_images_open_large_enough_beside_the_plots_of_a_small_window(drive):
         driver.act(f"View › {title}")
     driver.settle()
     assert driver.size == (1016, 660) and driver.window.view.width() == wide
-    cells = [driver.window.images.cells[name] for name in driver.state.choices.images]
+    cells = [driver.window.images.cells[name] for name in driver.state.settings.images]
     assert len(cells) >= 3
     for cell in cells:
         assert cell.box.sceneBoundingRect().height() > 90

@@ -66,11 +66,11 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     for log_kappa in (0.8, 0.5, 0.3):
         driver.wait(lambda to=log_kappa: dragged(to))
     driver.bot.mouseRelease(viewport, LEFT, pos=place(0.3))
-    driver.wait(lambda: driver.state.choices.kappa is not None)
-    assert driver.state.choices.kappa == pytest.approx(2.0, rel=0.15)
+    driver.wait(lambda: driver.state.settings.kappa is not None)
+    assert driver.state.settings.kappa == pytest.approx(2.0, rel=0.15)
     driver.wait(lambda: driver.result.patch.area_m2 != area)
     assert counts["estimate"] == solved
-    assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.choices.kappa))
+    assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.settings.kappa))
     # the comparison follows the frame and costs nothing hidden
     driver.settle()
     bench, dock = driver.solver.session.side_by_side, driver.window.panels["compare"]
@@ -107,7 +107,7 @@ def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_
     driver = drive(frame=CONTACT)
     panel, kappa = threshold(driver), driver.window.kappa
     inspection, patch = lambda: driver.inspection, driver.result.patch
-    assert driver.state.choices.kappa is None
+    assert driver.state.settings.kappa is None
     assert not kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text() == "automatic"
     assert not panel.curve.line.isVisible() and not panel.histogram.line.isVisible()
     assert panel.curve.frame.text.startswith(f"auto {1e6 * patch.area_m2:.0f} mm²")
@@ -115,7 +115,7 @@ def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_
     shown = f"{1e6 * patch.area_m2:.0f} ({low:.0f}…{high:.0f}) mm²"
     assert kappa.area.text() == shown and any(text.endswith(shown) for text in texts(driver))
 
-    driver.state.choose(kappa=15.0)
+    driver.state.change(kappa=15.0)
     parts = lambda: inspection().components  # noqa: E731
     driver.wait(lambda: driver.thresholded() and len(parts()) > 1)
     driver.wait(lambda: panel.table.rowCount() == len(parts()))
@@ -137,13 +137,13 @@ def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_
     driver.wait(lambda: panel.curve.frame.text.startswith(shown))
     driver.seek(CONTACT + 1)  # it stays left out
     left = components(driver.pipeline.mesh, driver.result.estimate, driver.result.patch)
-    assert left and min(part.area_m2 for part in left) >= driver.state.choices.least_area_m2
+    assert left and min(part.area_m2 for part in left) >= driver.state.settings.least_area_m2
     # in a simulation the curve has the IoU
     driver.choose(kappa=None, least_area_m2=0.0)
     driver.seek(CONTACT)
     threshold(driver)
     curve = driver.inspection.kappa_curve
-    driver.state.choose(kappa=float(curve.kappa[30]), images=frozenset({"patch"}))
+    driver.state.change(kappa=float(curve.kappa[30]), images=frozenset({"patch"}))
     driver.show("images")
     patch = lambda: driver.result.patch  # noqa: E731
     driver.wait(lambda: patch().pixel_mask is not None and driver.thresholded())

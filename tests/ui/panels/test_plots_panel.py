@@ -18,7 +18,7 @@ from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.engine.source import CachedSource
-from bubbleviz_ui.model.frame_history import thinned
+from bubbleviz_ui.model.frame_history import decimated
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text
 from bubbleviz_ui.panels.plot_host import PlotFrame
 from bubbleviz_ui.panels.time_plot import Band
@@ -28,7 +28,7 @@ PATCH = frozenset({"estimate", "patch"})
 
 def opened(driver, *plots):
     """The panel with these plots, shown and laid out."""
-    driver.state.choose(plots=frozenset(plots))
+    driver.state.change(plots=frozenset(plots))
     driver.window.resize(1280, 800)
     driver.show("plots")
     driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
@@ -71,12 +71,12 @@ def test_all_frames_are_analysed_in_the_background(drive, sensor):
         assert force[frame] == pytest.approx(found, rel=0.05, abs=1e-6)
     assert force[1] == 0.0 and force[15] > 0.5
     # areas of all frames follow κ: they are found in the estimates that were made
-    driver.wait(lambda: np.isfinite(history.of("area_m2")).all())
-    before, solved = history.of("area_m2").copy(), driver.solver.counts["estimate"]
+    driver.wait(lambda: np.isfinite(history.quantity("area_m2")).all())
+    before, solved = history.quantity("area_m2").copy(), driver.solver.counts["estimate"]
     for kappa in (2.0, 4.0):
-        driver.state.choose(kappa=kappa)
-    driver.wait(lambda: np.isfinite(history.of("area_m2")).all())
-    area = history.of("area_m2")
+        driver.state.change(kappa=kappa)
+    driver.wait(lambda: np.isfinite(history.quantity("area_m2")).all())
+    area = history.quantity("area_m2")
     touching = before > 0.0
     assert touching.any() and np.all(area[touching] != before[touching])
     assert driver.solver.counts["estimate"] == solved
@@ -162,10 +162,10 @@ def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp):
 
 def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
     driver = drive(frame=CONTACT)
-    driver.state.choose(layers=frozenset({"rim"}), panels=frozenset())
+    driver.state.change(layers=frozenset({"rim"}), panels=frozenset())
     driver.window.panels["kappa"].hide()
     panel, counts = opened(driver, "latency"), driver.pipeline.counts
-    driver.state.choose(panels=frozenset({"plots"}))
+    driver.state.change(panels=frozenset({"plots"}))
     before = dict(counts)
     driver.seek(76)
     assert counts["estimate"] == before["estimate"] and counts["patch"] == before["patch"]
@@ -176,7 +176,7 @@ def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
     panel.boxes["kappa"].trigger()
     driver.wait(lambda: counts["patch"] > before["patch"] and counts["look kappa_curve"] > 0)
     driver.window.panels["plots"].hide()
-    driver.wait(lambda: "plots" not in driver.state.choices.panels)
+    driver.wait(lambda: "plots" not in driver.state.settings.panels)
     driver.seek(77)  # what was asked of frame 76 is done by then
     looked = counts["look kappa_curve"], counts["estimate"]
     driver.seek(78)
@@ -219,28 +219,28 @@ def test_thin_curves_keep_every_peak_and_break_at_gaps():
     values[1000:30_000] = 1.0
     values[17_100:17_140:2] = np.nan
     values[17_123] = 50.0
-    x, y = thinned(times, values, (0.0, 1200.0))
+    x, y = decimated(times, values, (0.0, 1200.0))
     assert len(x) == len(y) <= 3000
     assert np.nanmax(y) == 50.0 and np.isnan(y[0])
     assert x[np.nanargmax(y)] == pytest.approx(times[17_123], abs=1.0)
-    x, y = thinned(times, values, (570.0, 572.0))
+    x, y = decimated(times, values, (570.0, 572.0))
     assert len(x) < 70 and 17_123 / 30 in x
-    x, y = thinned(np.zeros(1), np.ones(1), (0.0, 1.0))  # times need no pixels
+    x, y = decimated(np.zeros(1), np.ones(1), (0.0, 1.0))  # times need no pixels
     assert list(x) == [0.0] and list(y) == [1.0]
 
     times = times + 60.0 * (frame > 17_123)
     gaps = find_gaps(times)
-    x, y = thinned(times, np.ones(36_000), (0.0, 1300.0), gaps)
+    x, y = decimated(times, np.ones(36_000), (0.0, 1300.0), gaps)
     (broken,) = np.flatnonzero(np.isnan(y))
     assert x[broken - 1] <= times[17_123] < x[broken] == x[broken + 1] == times[17_124]
     for window_s in ((0.0, 100.0), (700.0, 1300.0)):
-        assert np.isfinite(thinned(times, np.ones(36_000), window_s, gaps)[1]).all()
+        assert np.isfinite(decimated(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
 def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     driver = drive(DentSource)
     panel = opened(driver, "force", "gas", "residual")
-    table, force = panel.statistics, driver.state.history.of("force_n")
+    table, force = panel.statistics, driver.state.history.quantity("force_n")
 
     def rows():
         """The table as it is copied."""
@@ -249,7 +249,7 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
 
     assert not table.isVisible()
     driver.seek(3)
-    driver.state.choose_range((3, 8))
+    driver.state.set_range((3, 8))
     assert table.isVisible()
     driver.wait(lambda: table.item(4, 0).text() == "1 of 6")
     assert table.item(1, 0).text() == "–"
@@ -268,10 +268,10 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     expected = [known.mean(), known.std(ddof=1), known.min(), known.max(), 4]
     assert [float(row[1]) for row in body] == pytest.approx(expected, rel=1e-5)
     assert table.item(0, 0).text() == f"{known.mean():.3f}"
-    driver.state.choose(force_unit="mN", plots=frozenset({"force"}))
+    driver.state.change(force_unit="mN", plots=frozenset({"force"}))
     name = driver.window.controller.sensor.name
     for kappa in (None, 2.5):
-        driver.state.choose(kappa=kappa)
+        driver.state.change(kappa=kappa)
         head, *body = rows()
         assert head == ["Frames 6 to 9", "Force (mN)", "κ", "sensor"]
         assert {tuple(row[2:]) for row in body} == {(f"{kappa or ''}", name)}
@@ -292,17 +292,17 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
     # pointing at a plot shows time and numbers there
     driver.seek(2)
-    driver.wait(lambda: np.isfinite(history.of("residual_m")[[2, frame]]).all())
-    at_cursor = f"Residual rms: {units.fine_length.text(history.of('residual_m')[2])}"
+    driver.wait(lambda: np.isfinite(history.quantity("residual_m")[[2, frame]]).all())
+    at_cursor = f"Residual rms: {units.fine_length.text(history.quantity('residual_m')[2])}"
     driver.wait(lambda: plain(panel, "residual") == at_cursor)
     hover(view, place(panel, "residual", times[frame]))
-    there = units.fine_length.text(history.of("residual_m")[frame])
+    there = units.fine_length.text(history.quantity("residual_m")[frame])
     driver.wait(lambda: plain(panel, "residual") == f"at {times[frame]:.3f} s: {there}")
     assert plain(panel, "force").startswith("Force: ") and driver.state.frame == 2
     QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
     driver.wait(lambda: plain(panel, "residual") == at_cursor)
     for name, light in (("dark", False), ("light", True)):
-        driver.state.choose(theme=name)
+        driver.state.change(theme=name)
         assert (painted(canvas(panel))[3, -3].mean() > 127) == light
 
 

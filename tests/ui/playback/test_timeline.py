@@ -13,7 +13,7 @@ from window_driver import CTRL, LEFT, SHIFT, painted
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.recordings import Gap, TimeAxis
-from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, History
+from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, FrameHistory
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.player import PlayClock
@@ -70,7 +70,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     assert colour(1) == rgb(theme.DARK.free)
     assert colour(FIRST_CONTACT + 4) == rgb(theme.CONTACT)
     assert colour(FRAMES - 2) == rgb(theme.DARK.field)
-    driver.state.choose(kappa=3.0)  # another threshold: other patches
+    driver.state.change(kappa=3.0)  # another threshold: other patches
     driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
     driver.wait(lambda: driver.state.history.contact[1] == FREE)
     assert driver.state.history.contact[2] == UNKNOWN
@@ -89,7 +89,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     assert tuple(edge) == rgb(theme.DARK.accent)
     played: list[int] = []
     driver.state.frame_changed.connect(lambda index, _: played.append(index))
-    driver.state.choose(every_frame=True, speed=2.0)
+    driver.state.change(every_frame=True, speed=2.0)
     driver.key(Qt.Key.Key_Space)
     driver.wait(lambda: len(played) > 9)
     driver.key(Qt.Key.Key_Space)
@@ -102,12 +102,12 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     driver.key(Qt.Key.Key_L)
     steps = driver.window.undo_stack.index()
     drag(driver, 3, 6, ABOVE)
-    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
+    assert driver.state.play_range == (3, 6) and driver.state.settings.loop
     assert driver.window.undo_stack.index() == steps + 1
     driver.key(Qt.Key.Key_Z, CTRL)
-    assert driver.state.play_range is None and not driver.state.choices.loop
+    assert driver.state.play_range is None and not driver.state.settings.loop
     driver.key(Qt.Key.Key_Z, CTRL | SHIFT)
-    assert driver.state.play_range == (3, 6) and driver.state.choices.loop
+    assert driver.state.play_range == (3, 6) and driver.state.settings.loop
 
 
 def test_gaps_and_markers_are_seen(drive):
@@ -183,14 +183,14 @@ def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive):
     assert driver.state.frame == 3
     panel = driver.window.playback
     driver.key(Qt.Key.Key_Up, CTRL)
-    assert driver.state.choices.speed == 2.0 and panel.speed.currentText() == "2×"
+    assert driver.state.settings.speed == 2.0 and panel.speed.currentText() == "2×"
     for _ in range(8):
         driver.key(Qt.Key.Key_Down, CTRL)
-    assert driver.state.choices.speed == 0.1
+    assert driver.state.settings.speed == 0.1
     driver.key(Qt.Key.Key_E)
-    assert driver.state.choices.every_frame and panel.mode.currentText() == "every frame"
+    assert driver.state.settings.every_frame and panel.mode.currentText() == "every frame"
     driver.key(Qt.Key.Key_L)
-    assert not driver.state.choices.loop and not panel.loop.isChecked()
+    assert not driver.state.settings.loop and not panel.loop.isChecked()
 
 
 def test_every_frame_waits_for_the_slowest(drive):
@@ -198,7 +198,7 @@ def test_every_frame_waits_for_the_slowest(drive):
     driver = drive(slow)
     solved: list[int] = []
     driver.window.controller.shown.connect(lambda r: solved.append(r.frame.index))
-    driver.state.choose(every_frame=True, speed=8.0, loop=False)
+    driver.state.change(every_frame=True, speed=8.0, loop=False)
     driver.state.set_playing(True)
     driver.wait(lambda: not driver.state.playing)
     driver.settle()
@@ -226,14 +226,14 @@ def test_a_live_source_goes_on_while_the_view_is_frozen(drive):
     assert " (simulated) " in title()
     driver.click(panel.freeze)
     assert driver.state.frozen and " (frozen) " in title()
-    frame, now = driver.state.frame, driver.state.now
-    driver.wait(lambda: driver.state.now >= now + 5)
+    frame, now = driver.state.frame, driver.state.live_frame
+    driver.wait(lambda: driver.state.live_frame >= now + 5)
     assert driver.state.frame == frame and driver.state.playing
     driver.settle()
     seen = painted(panel.timeline)
     assert np.all(seen == rgb(theme.FORCE), axis=2).any()
     driver.key(Qt.Key.Key_N)
-    assert not driver.state.frozen and driver.state.frame == driver.state.now
+    assert not driver.state.frozen and driver.state.frame == driver.state.live_frame
     assert " (simulated) " in title()
     driver.click(panel.timeline, at(panel.timeline, 40))
     assert driver.state.frozen and driver.state.frame == 40  # looking back freezes, too
@@ -246,7 +246,7 @@ def test_36000_frames_are_a_few_pixels(qtbot):
     state.open(SourceFacts("long", "dome", np.arange(frames) / 30.0), playing=False)
     for frame in (17_999, 18_000, 18_001):
         known = Numbers(status="ok", has_patch=True, area_m2=1e-4)
-        state.history.take(frame, known, patch=True)
+        state.history.record(frame, known, patch=True)
     assert sum(a.nbytes for a in state.history.values.values()) < 8e6
     timeline = Timeline(state)
     timeline.resize(900, timeline.height())
@@ -277,12 +277,12 @@ def test_one_contact_frame_is_never_lost_among_thousands():
 
 
 def test_what_is_missing_depends_on_what_is_asked():
-    history = History(4)
-    history.take(0, Numbers(), patch=True)
-    history.take(1, Numbers(status="ok"), patch=True)
+    history = FrameHistory(4)
+    history.record(0, Numbers(), patch=True)
+    history.record(1, Numbers(status="ok"), patch=True)
     known = Numbers(status="ok", has_patch=True, area_m2=1e-4, force_n=2.0)
-    history.take(2, known, patch=True)
-    history.take(3, known, patch=False)
+    history.record(2, known, patch=True)
+    history.record(3, known, patch=False)
     assert list(history.missing(frozenset())) == []
     assert list(history.missing(frozenset({"estimate"}))) == [0]
     assert list(history.missing(frozenset({"estimate", "patch"}))) == [0, 1, 3]

@@ -17,7 +17,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.model.units import NOTHING
+from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.pose import pose_panel
 from bubbleviz_ui.pose.pose_panel import Curves
 from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, OBJECT_PATCH
@@ -141,13 +141,13 @@ def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
     xyzw = np.array(turn.removeprefix("quaternion x y z w, no unit: ").split(), float)
     assert np.allclose(Rotation.from_quat(xyzw).as_matrix(), T[:3, :3], atol=1e-7)
     assert np.allclose(np.array([row.split() for row in rows], float), T, atol=1e-9)
-    bench.state.choose(length_unit="m")
+    bench.state.change(length_unit="m")
     bench.wait(lambda: bench.text("place").endswith(" m"))
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     bench.wait(lambda: bench.text("place") == "–")
     assert not panel.copy.isEnabled()
     # the patch that is fitted is the one that is shown, without parts that are too small
-    bench.state.choose(least_area_m2=0.01)
+    bench.state.change(least_area_m2=0.01)
     bench.fit()
     assert bench.result.patch.area_m2 == 0.0
     assert panel.session.pose is None or panel.session.pose.stage_two is None
@@ -242,7 +242,7 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
     # closing what shows it stops it
     ran = counts["pose"]
     bench.window.panels["pose"].hide()
-    bench.state.choose(layers=frozenset({"membrane"}))
+    bench.state.change(layers=frozenset({"membrane"}))
     bench.seek(1)
     assert counts["pose"] == ran
 
@@ -250,7 +250,7 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
 def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(bench):
     """Both outlines in their colours and both areas in words; neither work nor outline before."""
     driver, window = bench, bench.window
-    driver.state.choose(layers=frozenset({"membrane", "contour", "readout"}))
+    driver.state.change(layers=frozenset({"membrane", "contour", "readout"}))
     bench.choose_object("frustum")
     bench.click(bench.panel.track)
     driver.seek(1)
@@ -300,7 +300,7 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypa
         bench.wait(lambda: idle(bench.panel))
         curves = bench.panel.findChild(Curves)
         for curve in (*curves.frames, *curves.iterations):  # of a lost pose: no number, no curve
-            assert (f" {NOTHING}<" in curve.frame.text or curve.frame.text.count(" ") == 1) == (
+            assert (f" {DASH}<" in curve.frame.text or curve.frame.text.count(" ") == 1) == (
                 frame == 1
             )
         for curve in curves.iterations:
@@ -341,7 +341,7 @@ def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_p
     bench.choose_object("two_spheres")  # the frustum is pressed
     bench.fit()
     assert bench.text("state") == "not found yet"  # and has no last pose
-    assert bench.text("place") == bench.text("fit") == NOTHING
+    assert bench.text("place") == bench.text("fit") == DASH
     bench.choose_object("frustum")
     bench.fit()
     assert bench.text("state").startswith("found")
@@ -353,7 +353,7 @@ def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_p
     pose = bench.panel.session.pose
     assert pose is not None and pose.stage_two is not None
     for unit, factor in (("mm", 1e3), ("m", 1.0)):
-        bench.state.choose(length_unit=unit)
+        bench.state.change(length_unit=unit)
         bench.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
         fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
         assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)

@@ -81,13 +81,13 @@ def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_use
     assert gauge.interval.toolTip() == "from a manometer"
     assert panel.identified.text() == "2026-11-20 09:30 UTC"
     assert panel.recording.text() == "rest.mcap"
-    bench.state.choose(pressure_unit="psi")
+    bench.state.change(pressure_unit="psi")
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
     # what cannot be saved is not lost
     before = left.read_bytes()
     bench.click(bench.panel.edit)
     bench.write(TENSION, "101.5")
-    bench.state.choose(pressure_unit="psi", solver="linear")  # the sensor is opened anew
+    bench.state.change(pressure_unit="psi", solver="linear")  # the sensor is opened anew
     bench.settle()
     bench.save(left, monkeypatch)
     assert "exists already" in bench.said
@@ -97,7 +97,7 @@ def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_use
     assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
     # a copy with another value is saved and used
     bench.click(bench.window.message.dismiss)
-    bench.state.choose(pressure_unit="kPa", solver=None)
+    bench.state.change(pressure_unit="kPa", solver=None)
     bench.settle()
     copy = left.with_name("right.toml")
     bench.click(bench.panel.edit)

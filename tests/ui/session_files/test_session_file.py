@@ -18,13 +18,13 @@ from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,
-    plain_choices,
+    plain_settings,
     read_session,
     read_user_file,
-    usable_choices,
+    usable_settings,
 )
 from bubbleviz_ui.window_session import window_session
 
@@ -52,12 +52,12 @@ def open_press(driver, files, folder=None, **at):
 def settings(driver, files):
     """Change something of every kind."""
     open_press(driver, files, frame=7)
-    driver.state.choose(
+    driver.state.change(
         kappa=2.5, speed=0.5, pressure_max_pa=4000.0, cloud_colour="plain", theme="light",
         layers=frozenset({"membrane", "rim"}), plots=frozenset({"force"}),
     )  # fmt: skip
-    driver.state.choose_markers((3, 9))
-    driver.state.choose_range((2, 10))
+    driver.state.set_markers((3, 9))
+    driver.state.set_range((2, 10))
     driver.show("plots")
     driver.window.panels["layers"].hide()
     driver.window.view.camera.position = (0.3, 0.2, 0.1)
@@ -67,7 +67,7 @@ def settings(driver, files):
 def check(driver):
     """All of `settings` is there again."""
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
-    state, choices = driver.state, driver.state.choices
+    state, choices = driver.state, driver.state.settings
     driver.settle()
     assert (state.frame, state.markers, state.play_range) == (7, (3, 9), (2, 10))
     assert (choices.kappa, choices.speed, choices.pressure_max_pa) == (2.5, 0.5, 4000.0)
@@ -90,12 +90,12 @@ def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, 
     other.window.open_file(theirs / "look.bubbleviz")
     check(other)
     assert not other.window.message.isVisible()
-    assert other.state.choices.theme == "system"  # theirs stays theirs
+    assert other.state.settings.theme == "system"  # theirs stays theirs
     # what is missing is one sentence, and the rest is restored
     mine.window.session_saver.save_as(files / "alone.bubbleviz")
     shutil.copy(files / "alone.bubbleviz", tmp_path)
     (files / "alone.bubbleviz").unlink()
-    other.state.choose(kappa=None)
+    other.state.change(kappa=None)
     other.show("layers")
     other.seek(5)
     other.window.open_file(tmp_path / "alone.bubbleviz")
@@ -103,23 +103,23 @@ def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, 
     assert message.isVisible()
     assert "press.mcap is missing" in message.label.text()
     assert message.label.text().count(".") <= 6 and "\n" not in message.label.text()
-    assert other.state.choices.kappa == 2.5 and other.window.panels["layers"].isHidden()
+    assert other.state.settings.kappa == 2.5 and other.window.panels["layers"].isHidden()
     assert other.state.frame == 5  # what was open stays
 
 
 def test_choices_of_another_version_cost_only_themselves():
-    mine = Choices(kappa=2.0, speed=4.0, layers=frozenset({"rim"}), theme="light")
-    assert usable_choices(json.loads(json.dumps(plain_choices(mine)))) == mine
-    fields_ = plain_choices(mine)
+    mine = Settings(kappa=2.0, speed=4.0, layers=frozenset({"rim"}), theme="light")
+    assert usable_settings(json.loads(json.dumps(plain_settings(mine)))) == mine
+    fields_ = plain_settings(mine)
     strange = {**fields_, "speed": 3.0, "theme": "pink", "new": 1, "layers": ["rim", "aura"],
                "solver": "oracle", "view_from": [1, 2], "kappa": "x"}  # fmt: skip
-    got = usable_choices(strange)
+    got = usable_settings(strange)
     assert got.layers == {"rim"} and got.speed == 1.0 and got.solver is None
-    assert got.theme == "system" and got.kappa is None and got.view_from == Choices().view_from
+    assert got.theme == "system" and got.kappa is None and got.view_from == Settings().view_from
 
 
 def test_every_choice_is_in_the_file():
-    assert plain_choices(Choices()).keys() == {f.name for f in fields(Choices)}
+    assert plain_settings(Settings()).keys() == {f.name for f in fields(Settings)}
 
 
 def test_an_unreadable_session_is_put_aside(tmp_path):
@@ -140,13 +140,13 @@ def test_recent_files_and_reload(drive, files, tmp_path):
         a.menu() for a in window.menuBar().actions()[0].menu().actions() if "recent" in a.text()
     )
     assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml"]
-    driver.state.choose_markers((1,))
+    driver.state.set_markers((1,))
     gone = window.controller.client.session
     driver.act("File › Reload")
     driver.wait(lambda: window.controller.client.session is not gone)
     driver.settle()
     assert driver.state.frame == 5 and driver.state.markers == (1,)
-    driver.state.choose_range((2, 10))
+    driver.state.set_range((2, 10))
     open_press(driver, files)  # another recording of the same name does not take them over
     assert driver.state.facts.title == "press.mcap"
     assert not driver.state.markers and driver.state.play_range is None
@@ -198,7 +198,7 @@ with window_session(load_sensor({sensor!r}), Path({rec!r}), None, None, user_fil
     session.window.show()
     state.set_playing(False)
     state.seek(6)
-    state.choose(kappa=1.75)
+    state.change(kappa=1.75)
     state.toggle_marker(4)
     session.window.shortcuts.set_keys("View › Reset view", "Ctrl+J")
     print("ready", flush=True)
@@ -230,13 +230,13 @@ def test_after_a_kill_the_next_start_is_where_it_was(qtbot, files, tmp_path, eve
         state, window = again.state, again.window
         window.show()
         assert Path(state.facts.title).name == "press.mcap"
-        assert (state.frame, state.markers, state.choices.kappa) == (6, (4,), 1.75)
+        assert (state.frame, state.markers, state.settings.kappa) == (6, (4,), 1.75)
         assert window.shortcuts.keys("View › Reset view") == "Ctrl+J"
         assert not window.message.label.text()
     rec.unlink()
     with window_session(load_sensor(files / "dome.toml"), None, None, None, lambda: file) as gone:
         assert "press.mcap is missing" in gone.window.message.label.text()
-        assert gone.state.choices.kappa == 1.75 and gone.state.facts.title != "press.mcap"
+        assert gone.state.settings.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 
 def test_what_was_open_is_not_kept(qtbot, files):

@@ -121,12 +121,12 @@ def test_a_live_source_is_connected_again_at_the_next_start(qtbot, tmp_path):
     with start(config) as session:
         session.window.live_controller.connect_to(live)
         session.wait_for(lambda: bool(session.state.facts.grows), "connecting")
-        session.state.choose(kappa=2.0)
+        session.state.change(kappa=2.0)
     with start(config) as session:
         session.wait_for(lambda: bool(session.state.facts.grows), "connecting again")
         assert session.state.facts.title == "synthetic:?frames=6"
         assert session.controller.sensor.name == "robot dome"
-        assert session.state.choices.kappa == 2.0 and not session.window.message.isVisible()
+        assert session.state.settings.kappa == 2.0 and not session.window.message.isVisible()
         session.window.live.leave.click()  # on purpose: the next start leaves it alone
     assert json.loads(config.read_text())["session"]["live"] is None
 
@@ -179,10 +179,10 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(qtbot,
         session.wait_for(message.isVisible, "the message")
         assert "press.mcap" in message.label.text()
         assert not session.state.facts.grows and session.controller.result is not None
-        session.state.choose(solver="fast")  # opens the same press again
+        session.state.change(solver="fast")  # opens the same press again
         gone = session.controller.client.session
         session.wait_for(lambda: session.controller.client.session is not gone, "again")
-        session.state.choose(solver=None)
+        session.state.change(solver=None)
     assert read_user_file(config).session.live == live  # for the start after this one
     (tmp_path / "away.mcap").rename(rec)
     shutil.move(files, tmp_path / "theirs")
@@ -217,7 +217,7 @@ def test_a_robot_that_is_not_there_yet_is_waited_for(qtbot, files, tmp_path):
 def test_a_recording_that_is_gone_for_a_while_loses_nothing(qtbot, files, tmp_path):
     config, rec = tmp_path / "session.json", files / "press.mcap"
     with window_session(load_sensor(files / "dome.toml"), rec, 5, None, lambda: config) as session:
-        session.state.choose_markers((2, 9))
+        session.state.set_markers((2, 9))
     rec.rename(tmp_path / "away.mcap")
     with start(config) as session:
         assert "press.mcap is missing" in session.window.message.label.text()
@@ -234,7 +234,7 @@ def test_a_recording_that_is_gone_for_a_while_loses_nothing(qtbot, files, tmp_pa
 def test_the_command_line_opens_a_session(drive, files, tmp_path):
     mine = drive()
     open_press(mine, files)
-    mine.state.choose_markers((2,))
+    mine.state.set_markers((2,))
     mine.window.session_saver.save_as(files / "look.bubbleviz")
     with start(saved=files / "look.bubbleviz") as session:
         assert session.state.facts.frames == FRAMES and session.state.frame == 8
@@ -271,6 +271,6 @@ def test_a_session_does_not_say_where_to_publish(drive, tmp_path):
     crafted = saved.model_copy(update={"choices": choices})
     (tmp_path / "b.bubbleviz").write_text(crafted.model_dump_json())
     mine.window.open_file(tmp_path / "b.bubbleviz")
-    assert mine.state.choices.publish_at.startswith("tcp/127.0.0.1")
+    assert mine.state.settings.publish_at.startswith("tcp/127.0.0.1")
     assert mine.window.live_controller.publishing.endpoint.startswith("tcp/127.0.0.1")
-    assert mine.state.choices.record_folder is None
+    assert mine.state.settings.record_folder is None

@@ -12,14 +12,14 @@ from bubbleviz.recordings import LAG
 from bubbleviz.result import Slip, Traction
 from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.model.demand import Demand, products
+from bubbleviz_ui.model.demand import Demand, needed_products
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shear.shear_panel import ShearPlot, copied_shear, shear_words
 from bubbleviz_ui.shear.shear_reference import NO_RUBBER
 
-NOTHING = Choices(layers=frozenset(), panels=frozenset())
+NOTHING = Settings(layers=frozenset(), panels=frozenset())
 
 
 @pytest.fixture(scope="module")
@@ -35,22 +35,22 @@ def opened(drive, sensor, **changed):
 
 def shown(driver):
     driver.show("shear")
-    driver.wait(lambda: "shear" in driver.state.choices.panels)
+    driver.wait(lambda: "shear" in driver.state.settings.panels)
     driver.wait(lambda: bool(driver.inspection.reference))
 
 
 def test_traction_is_asked_for_by_what_shows_it():
     layers = replace(NOTHING, layers=frozenset({"traction"}))
-    assert "traction" in products(layers) and "slip" not in products(layers)
+    assert "traction" in needed_products(layers) and "slip" not in needed_products(layers)
     panel = replace(NOTHING, panels=frozenset({"shear"}))
-    assert products(panel) == {"traction", "slip"}
+    assert needed_products(panel) == {"traction", "slip"}
     plots = replace(NOTHING, panels=frozenset({"plots"}), plots=frozenset({"slip"}))
-    assert products(plots) == {"slip"}
-    assert not products(Choices()) & {"flow", "traction", "slip", "texture"}
+    assert needed_products(plots) == {"slip"}
+    assert not needed_products(Settings()) & {"flow", "traction", "slip", "texture"}
     # another bound is another demand only while shear is seen
-    for choices, same in ((panel, False), (NOTHING, True)):
-        other = Demand.of(replace(choices, friction=0.5))
-        assert Demand.of(choices).covers(other) is same
+    for settings, same in ((panel, False), (NOTHING, True)):
+        other = Demand.of(replace(settings, friction=0.5))
+        assert Demand.of(settings).covers(other) is same
 
 
 def test_a_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
@@ -62,14 +62,14 @@ def test_a_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
     shown(driver)
     assert counts["traction"] > 0 and source.decoded > 0
     driver.window.panels["shear"].hide()
-    driver.wait(lambda: "shear" not in driver.state.choices.panels)
+    driver.wait(lambda: "shear" not in driver.state.settings.panels)
     driver.seek(4)
     before = counts["traction"], counts["flow"], counts["slip"], source.decoded
     driver.seek(5)
     assert (counts["traction"], counts["flow"], counts["slip"], source.decoded) == before
     driver.window.use_scene(load_scene("shear"))
     driver.wait(lambda: driver.result.traction is not None)
-    assert {"traction", "texture"} <= driver.state.choices.layers
+    assert {"traction", "texture"} <= driver.state.settings.layers
     assert driver.window.shear.isVisible()
     driver.wait(lambda: driver.window.shear.copy.isEnabled())
     driver.click(driver.window.shear.copy)
@@ -117,7 +117,7 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     driver.opens("dent", Source.of_recording(tmp_path / "dent.mcap"), rubber, playing=False)
     driver.wait(lambda: panel.reference.text().startswith("Depth alone: no colour images"))
     # the exact membrane is not known: what to do, in the image as well
-    driver.state.choose(images=frozenset({"flow"}))
+    driver.state.change(images=frozenset({"flow"}))
     driver.show("images")
     driver.opens("speckled", SpeckledSource, sensor, playing=False)
     driver.wait(lambda: panel.reference.text() == NO_RUBBER)
@@ -132,11 +132,11 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
 def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(drive, rubber):
     pytest.importorskip("cv2")
     driver, source = opened(drive, rubber)
-    driver.state.choose(images=frozenset({"flow"}))
+    driver.state.change(images=frozenset({"flow"}))
     driver.seek(1)
     assert source.decoded == 0 and not {"flow", "look flow"} & set(driver.pipeline.counts)
     driver.show("images")
-    driver.wait(lambda: "images" in driver.state.choices.panels)
+    driver.wait(lambda: "images" in driver.state.settings.panels)
     driver.wait(lambda: bool(driver.window.images.cells))
     cell = driver.window.images.cells["flow"]
     driver.wait(lambda: "images without contact: 1 of" in cell.text.replace("<br>", " "))
@@ -152,7 +152,7 @@ def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(dri
     assert cell.text.startswith("Flow") and cell.text.endswith(" px")
     assert driver.pipeline.counts["traction"] == 0  # not asked for
     driver.window.panels["images"].hide()
-    driver.wait(lambda: "images" not in driver.state.choices.panels)
+    driver.wait(lambda: "images" not in driver.state.settings.panels)
     driver.seek(2)
     before = driver.pipeline.counts["flow"], source.decoded
     driver.seek(3)
@@ -178,19 +178,19 @@ def dragged(driver, status="ok"):
 
 def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     driver, _ = opened(drive, sensor)
-    choices = replace(driver.state.choices, layers=frozenset({"membrane", "traction"}))
+    settings = replace(driver.state.settings, layers=frozenset({"membrane", "traction"}))
     layer = driver.window.scene.layers["traction"]
     ways = []
-    driver.window.scene.show(dragged(driver), choices)
+    driver.window.scene.show(dragged(driver), settings)
     for actor in layer.actors:
         points = np.asarray(actor.mapper.dataset.points)
         assert len(points) == 3 * 5 and actor.GetVisibility()
         ways.append(np.linalg.norm(points[1] - points[0]))
     assert ways[0] == pytest.approx(2.0 * ways[1])
-    driver.window.scene.show(dragged(driver, "depth_alone"), choices)
+    driver.window.scene.show(dragged(driver, "depth_alone"), settings)
     assert len(drawn_points(layer)) == 15
     assert np.ptp(np.asarray(layer.actors[1].mapper.dataset.points)) == 0.0
-    driver.window.scene.show(replace(dragged(driver), traction=None), choices)
+    driver.window.scene.show(replace(dragged(driver), traction=None), settings)
     assert not any(actor.GetVisibility() for actor in layer.actors)
     # numbers have their interval and their doubts
     words = shear_words(dragged(driver), Units())
@@ -203,15 +203,15 @@ def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
     # the bound is off until it is ticked, and that can be undone
     panel, window = driver.window.shear, driver.window
-    assert driver.state.choices.friction is None and not panel.friction.isEnabled()
+    assert driver.state.settings.friction is None and not panel.friction.isEnabled()
     panel.bounded.click()
     panel.friction.setValue(0.8)
-    assert driver.state.choices.friction == 0.8
+    assert driver.state.settings.friction == 0.8
     panel.flow.setCurrentIndex(panel.flow.findData("fine"))
-    assert driver.state.choices.flow_preset == "fine"
+    assert driver.state.settings.flow_preset == "fine"
     for _ in range(3):
         window.undo_stack.undo()
-    assert driver.state.choices.friction is None and driver.state.choices.flow_preset == "fast"
+    assert driver.state.settings.friction is None and driver.state.settings.flow_preset == "fast"
 
 
 def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot):

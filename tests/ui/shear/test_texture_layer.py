@@ -37,14 +37,14 @@ def node_at(driver, x, y):
 
 def test_the_colour_image_on_the_membrane_and_in_images(drive, sensor):
     driver, source = opened(drive, sensor)
-    driver.state.choose(images=frozenset({"depth", "colour"}))
+    driver.state.change(images=frozenset({"depth", "colour"}))
     driver.seek(3)
     assert source.decoded == 0 and driver.pipeline.counts["look colour"] == 0
-    driver.state.choose(layers=frozenset({"membrane", "texture"}))
+    driver.state.change(layers=frozenset({"membrane", "texture"}))
     driver.wait(lambda: driver.result.texture is not None)
     driver.settle()
     assert source.decoded > 0
-    driver.state.choose(layers=frozenset({"membrane"}))
+    driver.state.change(layers=frozenset({"membrane"}))
     driver.seek(4)
     before = source.decoded, driver.pipeline.counts["texture"]
     driver.seek(5)
@@ -53,7 +53,7 @@ def test_the_colour_image_on_the_membrane_and_in_images(drive, sensor):
     driver.seek(2)
     left, right = node_at(driver, -0.02, -0.01), node_at(driver, 0.02, -0.01)
     assert not is_red(colour_at(driver, left))
-    driver.state.choose(layers=frozenset({"membrane", "texture"}))
+    driver.state.change(layers=frozenset({"membrane", "texture"}))
     driver.wait(lambda: driver.result.texture is not None)
     driver.settle()
     assert is_red(colour_at(driver, left)) and is_green(colour_at(driver, right))
@@ -65,7 +65,7 @@ def test_the_colour_image_on_the_membrane_and_in_images(drive, sensor):
     driver.seek(DENTED)
     pressed = int(driver.result.estimate.contact_pressure_pa.argmax())
     alone = colour_at(driver, pressed)
-    driver.state.choose(layers=frozenset({"membrane", "texture"}))
+    driver.state.change(layers=frozenset({"membrane", "texture"}))
     driver.wait(lambda: driver.result.texture is not None)
     driver.settle()
     np.testing.assert_allclose(colour_at(driver, pressed), alone, atol=12)
@@ -73,7 +73,7 @@ def test_the_colour_image_on_the_membrane_and_in_images(drive, sensor):
     assert is_green(colour_at(driver, pressed))
     # the image is shown as it is
     driver.seek(2)
-    driver.state.choose(images=frozenset({"colour", "depth"}))
+    driver.state.change(images=frozenset({"colour", "depth"}))
     driver.show("images")
     driver.wait(lambda: driver.inspection.colour is not None)
     QApplication.processEvents()
@@ -86,7 +86,7 @@ def test_the_colour_image_on_the_membrane_and_in_images(drive, sensor):
     assert cell.pixel.getData()[0][0] == 40.5  # one camera: a place of depth is one of colour
     # a frame without a colour image says so
     driver.seek(0)
-    driver.state.choose(layers=frozenset({"texture"}), images=frozenset({"colour"}))
+    driver.state.change(layers=frozenset({"texture"}), images=frozenset({"colour"}))
     driver.show("images")
     driver.wait(lambda: driver.inspection.colour is not None)
     driver.settle()

@@ -59,7 +59,7 @@ def test_the_palette_by_keys(drive):
     assert driver.state.frame == driver.state.facts.frames - 1
     for shown in (True, False):
         assert done(driver, "wireframe") == "View › Visible layers › Wireframe"
-        assert ("wireframe" in driver.state.choices.layers) is shown
+        assert ("wireframe" in driver.state.settings.layers) is shown
         assert driver.window.layers.boxes["wireframe"].isChecked() is shown
     palette = opened(driver)
     driver.bot.keyClicks(palette.search, "theme")
@@ -68,7 +68,7 @@ def test_the_palette_by_keys(drive):
     for _ in range(next(row for row, name in enumerate(names) if "Dark" in name)):
         driver.bot.keyClick(palette.search, Qt.Key.Key_Down)
     driver.bot.keyClick(palette.search, Qt.Key.Key_Return)
-    assert driver.state.choices.theme == "dark"
+    assert driver.state.settings.theme == "dark"
     palette = opened(driver, Qt.Key.Key_P, CTRL | SHIFT)
     driver.bot.keyClicks(palette.search, "quit")
     driver.bot.keyClick(palette.search, Qt.Key.Key_Escape)

@@ -7,7 +7,7 @@ from PySide6.QtWidgets import QApplication, QFileDialog
 from window_driver import typed
 
 from bubbleviz.files import SESSION_SUFFIX
-from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.settings import Settings
 
 
 def test_nothing_is_replaced_unasked_names_get_their_suffix_and_folders_are_remembered(
@@ -69,7 +69,7 @@ def test_space_plays_what_was_opened_by_the_dialog(drive, sensor, tmp_path, monk
     driver.wait(lambda: QApplication.focusWidget() is not None)
     state.set_playing(False)
     driver.bot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
-    assert state.playing and loop.isChecked() == state.choices.loop == Choices().loop
+    assert state.playing and loop.isChecked() == state.settings.loop == Settings().loop
     state.set_playing(False)
     loop.setFocus()
     driver.choose(solver="fast")  # the same source, solved anew: who is at a box stays there

@@ -21,10 +21,10 @@ def test_check_marks_follow_the_state_and_close_leaves_the_sensor_at_rest(drive,
     driver = drive(lambda _: source, frame=3)
     state, tools = driver.state, driver.window.tools
     for name, choice in (("Playback › Loop", "loop"), ("Playback › Every frame", "every_frame")):
-        before = getattr(state.choices, choice)
+        before = getattr(state.settings, choice)
         assert driver.ticked(name) == before
         driver.act(name)
-        assert getattr(state.choices, choice) is driver.ticked(name) is not before
+        assert getattr(state.settings, choice) is driver.ticked(name) is not before
         driver.window.undo_stack.undo()
         assert driver.ticked(name) == before
     driver.act("Playback › Mark this frame")

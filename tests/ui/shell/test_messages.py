@@ -49,14 +49,14 @@ def test_a_written_file_is_opened_from_its_notice_which_moves_nothing_and_leaves
     assert desktop.opened == [path, tmp_path]
     path.unlink()
     driver.click(notice.open)
-    assert f"{path}: cannot be opened; it is gone" in driver.said
+    assert f"{path}: cannot be opened; it no longer exists" in driver.said
     driver.click(notice.dismiss)
     assert not notice.isVisible()
     # a session is opened in the window
     window.session_saver.save_as(tmp_path / "look.bubbleviz")
-    driver.state.choose(kappa=2.5)
+    driver.state.change(kappa=2.5)
     driver.click(notice.open)
-    assert driver.state.choices.kappa is None
+    assert driver.state.settings.kappa is None
     # a notice moves nothing: it is beside the menus, the middle of a long path left out
     driver.click(window.message.dismiss)
     driver.click(notice.dismiss)
@@ -64,7 +64,7 @@ def test_a_written_file_is_opened_from_its_notice_which_moves_nothing_and_leaves
     QApplication.processEvents()
     before = window.view.geometry()
     path = tmp_path / ("long_" * 40 + ".png")
-    window.messages.tell(UserMessage("notice", f"Saved {path}", file=path))
+    window.messages.add(UserMessage("notice", f"Saved {path}", file=path))
     driver.wait(notice.isVisible)
     QApplication.processEvents()
     assert window.view.geometry() == before
@@ -89,10 +89,10 @@ def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, t
     driver = drive()
     window, message = driver.window, driver.window.message
     for theme in ("dark", "light"):
-        driver.state.choose(theme=theme)
+        driver.state.change(theme=theme)
         seen = set()
         for kind in ("warning", "error", "notice"):
-            window.messages.tell(UserMessage(kind, "text"))
+            window.messages.add(UserMessage(kind, "text"))
             bar = window.notice if kind == "notice" else message
             driver.wait(bar.isVisible)
             seen.add(bar.grab().toImage().pixelColor(3, 3).name())
@@ -100,16 +100,16 @@ def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, t
         for _ in range(2):
             driver.click(message.dismiss)
     before = len(window.messages.all)
-    window.messages.tell(UserMessage("error", "bad", "Traceback: here"))
+    window.messages.add(UserMessage("error", "bad", "Traceback: here"))
     for _ in range(2):
-        window.messages.tell(UserMessage("warning", "odd"))
+        window.messages.add(UserMessage("warning", "odd"))
     assert message.kind.text() == "Error" and driver.said == "bad"
     driver.click(message.more)
     (dialog,) = window.findChildren(MessagesDialog)
     lines = [line.split()[1:] for line in dialog.text.toPlainText().splitlines()]
     told = [line for line in lines[before:] if line[:1] in (["error"], ["warning"])]
     assert told == [["error", "bad"], *[["warning", "odd"]] * 2]
-    window.messages.tell(UserMessage("notice", "good"))
+    window.messages.add(UserMessage("notice", "good"))
     assert "good" in dialog.text.toPlainText()
     driver.click(dialog.copy)
     places = [copied().index(text) for text in ("Traceback: here", "odd", "good")]

@@ -162,7 +162,7 @@ with screen_for_pictures(3200, 2000), window_session(small_sensor(), None, 75) a
     window.show()
     clipped = []
     for name in ("dark", "light"):
-        session.state.choose(theme=name)
+        session.state.change(theme=name)
         for title, panel in window.panels.items():
             if panel.isHidden():
                 panel.show()
@@ -192,7 +192,7 @@ def test_nothing_is_clipped_at_200_percent():
 def test_the_window_fits_into_1280_by_800(drive):
     driver = drive(frame=CONTACT, live=True)
     for name in ("dark", "light"):
-        driver.state.choose(theme=name)
+        driver.state.change(theme=name)
         driver.window.resize(1280, 800)
         driver.window.show_rates()
         driver.settle()

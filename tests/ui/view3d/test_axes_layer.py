@@ -58,7 +58,7 @@ def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_
         lengths.add(said_m(driver))
     assert len(lengths) == 3
     # colour bars have as many numbers as there is room for: no text touches another
-    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    driver.state.change(layers=frozenset({"membrane", "cloud"}))
     window.scene.reset_view()
     counts = []
     for height in (700, 340, 100):
@@ -77,12 +77,12 @@ def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_
     # scales end at round numbers in every unit
     driver.seek(11)
     bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]
-    driver.state.choose(layers=frozenset({"membrane", "cloud"}))
+    driver.state.change(layers=frozenset({"membrane", "cloud"}))
     for units in ({"pressure_unit": "kPa"}, {"pressure_unit": "psi"}, {"length_unit": "m"}):
         driver.choose(**units)
         ends = [bar.GetLookupTable().GetRange()[1] for bar in bars if bar.GetVisibility()]
         assert len(ends) == 2
         assert all(float(f"{end:.2g}") == pytest.approx(end, rel=1e-9) for end in ends), ends
-    driver.state.choose(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
+    driver.state.change(pressure_max_pa=2.2 * 6894.757293168)  # typed: taken as it is
     driver.settle()
     assert any(bar.GetLookupTable().GetRange()[1] == pytest.approx(2.2) for bar in bars)

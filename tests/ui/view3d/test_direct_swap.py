@@ -112,7 +112,7 @@ def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive, qu
     assert_shown(driver, old)
 
     old = before()
-    driver.state.choose(theme="light")
+    driver.state.change(theme="light")
     assert_shown(driver, old)
 
 

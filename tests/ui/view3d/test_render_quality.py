@@ -80,7 +80,7 @@ def test_edges_and_points_are_smooth_or_fast(drive, quality):
     still = len(driver.result.cloud_m)
     assert still > 100
     driver.state.set_playing(True)
-    driver.wait(lambda: driver.state.shown > 3)
+    driver.wait(lambda: driver.state.shown_frame > 3)
     moving = len(driver.result.cloud_m)
     assert (moving <= 50) == (quality is FAST)  # frames have holes, each its own
     driver.state.set_playing(False)

@@ -35,7 +35,7 @@ def driver(drive, monkeypatch):
 
     monkeypatch.setattr(Pipeline, "process", leaving_pressure)
     made = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
-    made.choose(layers=made.state.choices.layers - {"cloud"})
+    made.choose(layers=made.state.settings.layers - {"cloud"})
     yield made
     made.let_go()
 
@@ -67,7 +67,7 @@ def test_it_is_hatched_where_it_is_and_named(driver):
     assert 0 < len(strokes(driver)) < len(drawn)
     driver.choose(section_at_m=0.0)
     assert len(strokes(driver)) in (0, pytest.approx(len(drawn), rel=0.05))
-    layers = driver.state.choices.layers - {"membrane"}
+    layers = driver.state.settings.layers - {"membrane"}
     driver.choose(section_axis=None, layers=layers)
     assert not len(strokes(driver))
     # the readout says what it means, and who points there reads how much it is

@@ -15,7 +15,7 @@ def opened(driver):
     driver.window.resize(1280, 800)
     driver.show("tools")
     driver.window.panels["tools"].raise_()
-    driver.state.choose(layers=frozenset({"membrane"}))
+    driver.state.change(layers=frozenset({"membrane"}))
     QApplication.processEvents()
     driver.settle()
     return driver.window.tools
@@ -40,7 +40,7 @@ def test_views_exaggeration_vectors_and_colour_maps(drive):
     tall = view.height() / max(own.height / own.fy, wide)
     np.testing.assert_allclose(off, tall * np.array([0.2, -0.1]), atol=2.0)
     driver.window.scene.reset_view()
-    assert camera.view_angle == pytest.approx(30.0 / driver.state.choices.zoom)
+    assert camera.view_angle == pytest.approx(30.0 / driver.state.settings.zoom)
     # exaggeration moves what is drawn and not what is measured
     driver.settle()
     estimate, mesh = driver.result.estimate, driver.pipeline.mesh
@@ -58,7 +58,7 @@ def test_views_exaggeration_vectors_and_colour_maps(drive):
     assert abs(drawn[k] - true).max() > 6e-3
     assert driver.pipeline.counts["estimate"] == solved
     assert not near(driver.pixels(), place, NODE)
-    driver.state.choose_panel("images", True)  # which shows the place, too
+    driver.state.set_panel_open("images", True)  # which shows the place, too
     driver.window.hover.at_point(true)
     driver.settle()
     assert near(driver.pixels(), place, NODE)
@@ -69,7 +69,7 @@ def test_views_exaggeration_vectors_and_colour_maps(drive):
     tools.colour_map.setFocus()
     driver.bot.keyClicks(tools.colour_map, "viridis")
     driver.settle()
-    assert driver.state.choices.colour_map == "viridis" and len(driver.warm_pixels()) == 0
+    assert driver.state.settings.colour_map == "viridis" and len(driver.warm_pixels()) == 0
     driver.click(driver.window.layers.boxes["vectors"])
     driver.choose(layers=frozenset({"vectors"}))
     points = drawn_points(driver.window.scene.layers["vectors"])
@@ -114,7 +114,7 @@ def test_places_and_distances_by_clicks(drive):
         return [text for text in texts(driver) if f"node {found.node}" in text]
 
     assert found is not None and f"p_c {1e-3 * found.pressure_pa:.2f} kPa" in written()[0]
-    driver.state.choose(pressure_unit="Pa")
+    driver.state.change(pressure_unit="Pa")
     assert f"p_c {found.pressure_pa:.0f} Pa" in written()[0]
     driver.key(Qt.Key.Key_Escape)
     assert driver.window.tools.picked.place is None and not written()
@@ -136,11 +136,11 @@ def test_places_and_distances_by_clicks(drive):
         assert not measured("mm", 1e3 * true_m)
         driver.click(view, in_view(driver, end))
     assert measured("mm", 1e3 * true_m)
-    driver.state.choose(length_unit="m")
+    driver.state.change(length_unit="m")
     assert measured("m", true_m)
     driver.key(Qt.Key.Key_Escape)
     assert not measured("m", true_m)
-    driver.state.choose(length_unit="mm")
+    driver.state.change(length_unit="mm")
     opened(driver)
     driver.window.scene.look("top")
     driver.settle()
@@ -155,7 +155,7 @@ def test_places_and_distances_by_clicks(drive):
     assert tools.reading[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
     driver.settle()
     assert driver.count(GREEN)[0] > 50
-    driver.state.choose(length_unit="m")
+    driver.state.change(length_unit="m")
     assert tools.reading[0].text().endswith(" m")
     driver.click(driver.window.view, where[0])
     assert tools.distance.length_m is None
@@ -179,7 +179,7 @@ def test_a_section_cuts_the_scene_open_and_what_is_cut_away_is_not_pointed_at(dr
     assert drawn(left) and drawn(right)
     tools.section.setFocus()
     driver.bot.keyClick(tools.section, Qt.Key.Key_Down)
-    assert driver.state.choices.section_axis == "x"
+    assert driver.state.settings.section_axis == "x"
     driver.settle()
     assert not drawn(left) and drawn(right)
     assert driver.count(ORANGE)[0] > 50
@@ -231,7 +231,7 @@ def test_a_picture_of_any_size_is_saved_without_what_the_mouse_points_at(drive, 
     tools.save_picture(tmp_path / "missing" / "view.png")
     assert "cannot be written" in driver.said
     # what the mouse points at is in none, and what was asked for by a click is
-    driver.state.choose_panel("images", True)  # the place is marked, too
+    driver.state.set_panel_open("images", True)  # the place is marked, too
     view = driver.window.view
     driver.wait(lambda: bool(driver.inspection.images))
     driver.settle()
@@ -262,7 +262,7 @@ def test_the_turntable_texts_and_tabs_of_the_tools(drive):
     # no text is clipped
     tools.use_tool("probe")
     tools.picked.at_pixel(24, 44)
-    driver.state.choose(length_unit="m", pressure_unit="psi", section_axis="x")
+    driver.state.change(length_unit="m", pressure_unit="psi", section_axis="x")
     QApplication.processEvents()
     assert driver.window.width() == 1280
     for label in tools.findChildren(QLabel):

@@ -10,7 +10,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
-from bubbleviz_ui.model.units import NOTHING, Unit, Units
+from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.images_panel import ImageCell, Kind, Picture
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.dock import fill
@@ -63,7 +63,7 @@ class Numbers(QWidget):
             label.setWordWrap(True)
             self._labels[name] = label
             self._form.addRow(name, label)
-        self._labels[name].setText(NOTHING if text is None else text)
+        self._labels[name].setText(DASH if text is None else text)
 
     def text(self, name: str) -> str:
         return self._labels[name].text()
@@ -112,13 +112,13 @@ class ImageView(QWidget):
         """Show an image (H, W) in SI with its colours from `low` to `high`; None: nothing."""
         self._host.prepare()
         self.image, self._unit = image, unit
-        self.title.setText(title if image is not None else f"{title}: {NOTHING}")
+        self.title.setText(title if image is not None else f"{title}: {DASH}")
         self.value.setText("")
         if image is None:
             self._cell.clear()
             return
-        self._cell.show(unit.per_si * image, unit.of(low), unit.of(high))
-        self._bar.setLevels((unit.of(low), unit.of(high)))
+        self._cell.show(unit.per_si * image, unit.from_si(low), unit.from_si(high))
+        self._bar.setLevels((unit.from_si(low), unit.from_si(high)))
         self._bar.getAxis("bottom").setLabel(unit.symbol)
 
     def at(self, row: int, column: int) -> str:

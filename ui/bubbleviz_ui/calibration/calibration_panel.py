@@ -44,7 +44,7 @@ OUTDATED = "Outdated: settings changed since."
 WIDTH = 380  # px: two columns of numbers with units
 
 
-class Gamma0Panel(QWidget):
+class CalibrationPanel(QWidget):
     """Steps, the page of one of them, verdict, progress."""
 
     painted = Signal(object, object)  # points (k, 3) and numbers (k,), both in m, for the 3-D view
@@ -113,14 +113,14 @@ class Gamma0Panel(QWidget):
 
         def told(_: None) -> None:
             self.calibration.saved = work
-            self.calibration.said.emit(notice)
+            self.calibration.notified.emit(notice)
             controller = self.calibration.controller
             if self._used is not None and controller.sensor is self._used:
                 controller.opening.sensor_file(path)  # in use from its file from now on
 
         self.calibration.start(job, told)
 
-    def may_be_left(self) -> bool:
+    def confirm_close(self) -> bool:
         """Ask what becomes of an identification that is not saved; whether it may be lost now."""
         if not self.calibration.unsaved:
             return True
@@ -193,7 +193,7 @@ class Gamma0Panel(QWidget):
         self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
         calibration.progressed.connect(self._on_progress)
-        calibration.said.connect(self._on_said)
+        calibration.notified.connect(self._on_notified)
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
@@ -209,7 +209,7 @@ class Gamma0Panel(QWidget):
 
     def _on_wanted(self, request: OpenRequest) -> None:
         """Ask before something is opened that an unsaved identification would be lost by."""
-        if self.calibration.loses(request) and not self.may_be_left():
+        if self.calibration.loses(request) and not self.confirm_close():
             request.cancelled.set()
 
     def _is_saved(self) -> bool:
@@ -230,7 +230,7 @@ class Gamma0Panel(QWidget):
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100 * done))
 
-    def _on_said(self, message: UserMessage) -> None:
+    def _on_notified(self, message: UserMessage) -> None:
         """Remember whether the work was refused, until it is another."""
         self._refused_of = self.calibration.work if message.kind == "error" else None
 

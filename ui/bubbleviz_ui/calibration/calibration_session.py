@@ -18,11 +18,11 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
-from bubbleviz_ui.engine.source import NOTHING, Source
+from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.model.undo import SettingsHistory, Step as UndoStep
+from bubbleviz_ui.model.undo import UndoRecorder, UndoStep
 from bubbleviz_ui.model.units import Units
 
 if TYPE_CHECKING:
@@ -103,9 +103,9 @@ class Calibration(QObject):
     changed = Signal()  # another choice, another answer, or work began or ended
     restarted = Signal()  # another source is open
     progressed = Signal(str, float)  # step in plain words and the share of it that is done
-    said = Signal(object)  # a `UserMessage`
+    notified = Signal(object)  # a `UserMessage`
 
-    def __init__(self, controller: Controller, undo: SettingsHistory) -> None:
+    def __init__(self, controller: Controller, undo: UndoRecorder) -> None:
         super().__init__()
         self.controller, self.undo = controller, undo
         self.work = Work()
@@ -130,7 +130,7 @@ class Calibration(QObject):
 
     @property
     def outdated(self) -> bool:
-        """What is shown is of other choices: it is being computed anew, or that was refused."""
+        """What is shown is of other settings: it is being computed anew, or that was refused."""
         return self.work != self.answer.work
 
     @property
@@ -242,7 +242,7 @@ class Calibration(QObject):
         self.changed.emit()
 
     def _tell_problem(self, failed: Failed) -> None:
-        self.said.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+        self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
@@ -268,7 +268,7 @@ class Calibration(QObject):
         present, opener = self._opener, request.source
         if present is None or self.given is None:
             return False
-        if opener is NOTHING:
+        if opener is NO_SOURCE:
             return True
         if opener.path is not None:
             return opener.path == present.path
@@ -276,7 +276,7 @@ class Calibration(QObject):
 
     def _go_on(self, opened: Opened) -> None:
         """Keep what was decided and found."""
-        if opened.request.source is not NOTHING:
+        if opened.request.source is not NO_SOURCE:
             self._opener = opened.request.source
         if opened.facts.live:
             self.given, self.name = opened.sensor, opened.facts.title

@@ -235,7 +235,7 @@ class CollectBox(QGroupBox):
         self.collector.changed.connect(self._show)
         self.collector.complete.connect(self._use)
         calibration.controller.shown.connect(self.collector.take)
-        calibration.controller.state.link_changed.connect(self._show)
+        calibration.controller.state.connection_changed.connect(self._show)
         calibration.changed.connect(self._show)
         calibration.restarted.connect(self.collector.cancel)
         calibration.controller.opened.connect(self._on_opened)
@@ -274,7 +274,7 @@ class CollectBox(QGroupBox):
     def _on_opened(self, opened: Opened) -> None:
         """Go on with the same source, connected again; a set is of one source only."""
         facts, collector = opened.facts, self.collector
-        if collector.active and not facts.nothing and facts.title != collector.name:
+        if collector.active and not facts.is_empty and facts.title != collector.name:
             collector.cancel()
         self._show()
 
@@ -289,7 +289,7 @@ class CollectBox(QGroupBox):
     def _show(self) -> None:
         collector, state = self.collector, self._calibration.controller.state
         why_none = NO_FRAMES.get(state.badge, "")
-        if state.facts is not None and state.facts.nothing:
+        if state.facts is not None and state.facts.is_empty:
             why_none = NOTHING_OPEN
         self.button.setEnabled(not why_none)
         kept = self._calibration.work.collected

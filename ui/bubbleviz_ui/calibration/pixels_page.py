@@ -125,7 +125,7 @@ class Threshold(QHBoxLayout):
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, self.STEPS)
         self.box = QDoubleSpinBox()
-        self.box.setRange(0.0, unit.of(highest_si))
+        self.box.setRange(0.0, unit.from_si(highest_si))
         self.box.setDecimals(unit.digits)
         self.box.setSuffix(f" {unit.symbol}")
         self.box.setKeyboardTracking(False)
@@ -144,7 +144,7 @@ class Threshold(QHBoxLayout):
         with QSignalBlocker(self.slider), QSignalBlocker(self.box):
             if not self.slider.isSliderDown():
                 self.slider.setValue(round(value_si / self._highest * self.STEPS))
-            self.box.setValue(self._unit.of(value_si))
+            self.box.setValue(self._unit.from_si(value_si))
 
     def _begin(self) -> None:
         self._gestures += 1
@@ -227,7 +227,7 @@ class SurfacePage(Page):
         for name, rms in surfaces.left_out_rms_m.items():
             self.numbers.set(f"misfit of {name}", f"{length.text(rms)} rms")
         axes = " · ".join(
-            f"{units.length.of(a):.{units.length.digits}f}" for a in surfaces.cap.semi_axes_m
+            f"{units.length.from_si(a):.{units.length.digits}f}" for a in surfaces.cap.semi_axes_m
         )
         self.numbers.set("ellipsoid's semi-axes", f"{axes} {units.length.symbol}")
         radius = float(surfaces.sphere.semi_axes_m[0])

@@ -19,10 +19,10 @@ from bubbleviz_ui.engine.opening import Opening
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.choices import PATCH_CHOICES, solver_title
-from bubbleviz_ui.model.demand import Demand, of_object, plotted
+from bubbleviz_ui.model.demand import Demand, plot_products, pose_products
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import PATCH_SETTINGS, solver_title
 from bubbleviz_ui.playback.player import Player
 
 # Analysis of all frames, while the solver has nothing else to do.
@@ -43,7 +43,7 @@ class Analysis(QObject):
         self._frames: tuple[int, ...] = ()
         self._products: frozenset[Product] = frozenset()
         self._count, self._kept_only = 0, False
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     @property
     def busy(self) -> bool:
@@ -52,7 +52,7 @@ class Analysis(QObject):
 
     def start(self) -> None:
         """Compute what the chosen plots need and is not known yet, of all frames."""
-        products = plotted(self._state.choices)
+        products = plot_products(self._state.settings)
         self._begin(products, self._state.history.missing(products), kept_only=False)
 
     def _find_patches_again(self) -> None:
@@ -60,7 +60,7 @@ class Analysis(QObject):
         if self.busy and not self._kept_only:
             self.start()
         else:
-            self._begin(frozenset({"patch"}), self._state.history.forgotten, kept_only=True)
+            self._begin(frozenset({"patch"}), self._state.history.outdated, kept_only=True)
 
     def stop(self) -> None:
         """Leave the rest; what was computed stays."""
@@ -69,15 +69,15 @@ class Analysis(QObject):
 
     def _take(self, frames: tuple[int, ...], demand: Demand, numbers: list[Numbers | None]) -> None:
         """Remember numbers of the first frames, and ask for the others."""
-        same = demand.rule == self._state.choices.rule
+        same = demand.patch_rule == self._state.settings.patch_rule
         known = {k: each for k, each in zip(frames, numbers, strict=False) if each}
         self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
         if frames is self._frames:
             self._frames = frames[len(numbers) :]
             self._ask_rest()
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if names & PATCH_CHOICES:
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & PATCH_SETTINGS:
             self._find_patches_again()
 
     def _begin(self, products: frozenset[Product], frames: np.ndarray, *, kept_only: bool) -> None:
@@ -89,9 +89,9 @@ class Analysis(QObject):
     def _ask_rest(self) -> None:
         self.progressed.emit(self._count - len(self._frames), self._count)
         if self._frames:
-            choices = self._state.choices
-            options = FrameOptions(*choices.rule)
-            demand = Demand(self._products, options=options, shear=Demand.of(choices).shear)
+            settings = self._state.settings
+            options = FrameOptions(*settings.patch_rule)
+            demand = Demand(self._products, options=options, shear=Demand.of(settings).shear)
             frames, client = self._frames, self._client()
             function = partial(client.solver.analyse, frames, demand, kept_only=self._kept_only)
             client.worker.submit(function, partial(self._take, frames, demand), key="analyse")
@@ -134,7 +134,7 @@ class Controller(QObject):
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
         state.frozen_changed.connect(self._on_frozen)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     @property
     def worker(self) -> Worker:
@@ -206,7 +206,7 @@ class Controller(QObject):
     def collect(self) -> None:
         """Find the contact-free colour images anew."""
         if self.state.facts is not None:
-            self.client.ask_frame(self.state.frame, Demand.of(self.state.choices), anew=True)
+            self.client.ask_frame(self.state.frame, Demand.of(self.state.settings), anew=True)
 
     def settle(self) -> None:
         """Have the frame that is shown settled now; it is once one has stayed at it, too."""
@@ -232,7 +232,7 @@ class Controller(QObject):
             self._ask_frame()
 
     def _on_playing(self, playing: bool) -> None:
-        left_out = bool(self.client.demand.looks) or self.client.shown_thinned
+        left_out = bool(self.client.demand.diagnostics) or self.client.shown_thinned
         if not playing and left_out and self.settled:
             self._ask_frame()  # else they come with what is settled, and the pose is found once
         self._wait_to_settle()
@@ -245,18 +245,18 @@ class Controller(QObject):
         self._wait_to_settle()
         self._ask_newest()
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        choices, sensor = self.state.choices, self.sensor
-        estimator = names & {"solver", "compared"} and self.opening.options != choices.options
+    def _on_settings(self, names: frozenset[str]) -> None:
+        settings, sensor = self.state.settings, self.sensor
+        estimator = names & {"solver", "compared"} and self.opening.options != settings.options
         if estimator and sensor is not None:
-            self.opening.reopen(f"solver: {solver_title(choices.solver)}", lambda: sensor)
+            self.opening.reopen(f"solver: {solver_title(settings.solver)}", lambda: sensor)
         elif (
             "cloud_points" in names
-            or ("pose_track" in names and choices.pose_track)  # its poses may be forgotten
-            or not self.client.demand.covers(Demand.of(choices))
+            or ("pose_track" in names and settings.pose_track)  # its poses may be outdated
+            or not self.client.demand.covers(Demand.of(settings))
         ):
             self._ask_frame()
-        elif names & PATCH_CHOICES:
+        elif names & PATCH_SETTINGS:
             self.client.ask_patch()
 
     # -- requests -----------------------------------------------------------------------------
@@ -269,8 +269,10 @@ class Controller(QObject):
     @property
     def _pose_demand(self) -> Demand:
         """What is visible, and the pose."""
-        demand = Demand.of(self.state.choices)
-        return replace(demand, products=demand.products | PATCH | of_object(self.state.choices))
+        demand = Demand.of(self.state.settings)
+        return replace(
+            demand, products=demand.products | PATCH | pose_products(self.state.settings)
+        )
 
     @property
     def _grows(self) -> bool:
@@ -279,13 +281,13 @@ class Controller(QObject):
     def _ask_frame(self) -> None:
         """Ask for the frame at the cursor, unless another source is just being taken."""
         if self.state.facts is not None and self.state.facts is self.client.facts:
-            self.client.ask_frame(self.state.frame, Demand.of(self.state.choices))
+            self.client.ask_frame(self.state.frame, Demand.of(self.state.settings))
 
     def _ask_newest(self) -> None:
         """Ask for the newest frame of a live source, unless nobody wants it now."""
         state = self.state
         if self._grows and state.playing and not state.frozen:
-            self.client.ask_newest(Demand.of(state.choices))
+            self.client.ask_newest(Demand.of(state.settings))
 
     # -- answers ------------------------------------------------------------------------------
 
@@ -318,16 +320,16 @@ class Controller(QObject):
         else:
             self.player.came(solved.result.frame.index)
         self._show(solved.result)
-        if solved.demand.rule != self.state.choices.rule:
+        if solved.demand.patch_rule != self.state.settings.patch_rule:
             self.client.ask_patch()
 
     def _on_opened(self, opened: Opened) -> None:
         self.opening.take(opened.request)
         self._present(playing=opened.request.playing)
-        choices, asked = self.state.choices, opened.request.demand
-        if not asked.covers(Demand.of(choices)):
+        settings, asked = self.state.settings, opened.request.demand
+        if not asked.covers(Demand.of(settings)):
             self._ask_frame()
-        elif asked.rule != choices.rule:
+        elif asked.patch_rule != settings.patch_rule:
             self.client.ask_patch()
 
     def _present(self, *, playing: bool) -> None:
@@ -350,7 +352,7 @@ class Controller(QObject):
         shown = self.client.result
         seen = shown is not None and shown.frame.index == result.frame.index
         if seen:
-            self.state.shown = result.frame.index
+            self.state.shown_frame = result.frame.index
         self.state.history_changed.emit()
         if seen:
             self.shown.emit(shown)

@@ -11,7 +11,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
-from bubbleviz_ui.engine.source import NOTHING, Source, sensor_for
+from bubbleviz_ui.engine.source import NO_SOURCE, Source, sensor_for
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
@@ -31,7 +31,7 @@ class Opening(QObject):
 
     # What is being opened or closed, in words; empty when it is, or is not going to be
     changed = Signal(str)
-    said = Signal(object)  # A `UserMessage`
+    notified = Signal(object)  # A `UserMessage`
     # An `OpenRequest` before it is asked; whoever needs what is open may have it `cancelled`
     wanted = Signal(object)
 
@@ -70,13 +70,13 @@ class Opening(QObject):
     ) -> bool:
         """Open a source with a sensor in the solver thread; whether that was not refused.
 
-        What is done `first`, unless it was, may make other choices.
+        What is done `first`, unless it was, may make other settings.
         """
         request = OpenRequest(
             source=source,
             open_sensor=open_sensor,
             frame=frame,
-            demand=Demand.of(self._state.choices),
+            demand=Demand.of(self._state.settings),
             playing=playing,
         )
         self.wanted.emit(request)
@@ -85,12 +85,14 @@ class Opening(QObject):
         if first is not None:
             first()
         self.cancel()
-        choices = self._state.choices
-        demand, options = Demand.of(choices), choices.options
+        settings = self._state.settings
+        demand, options = Demand.of(settings), settings.options
         request = replace(request, demand=demand, options=options)
         self._waiting = request
         self._ask(request)
-        self.changed.emit("Closing …" if source is NOTHING else f"Opening {what or source.title} …")
+        self.changed.emit(
+            "Closing …" if source is NO_SOURCE else f"Opening {what or source.title} …"
+        )
         return True
 
     def cancel(self) -> None:
@@ -116,7 +118,7 @@ class Opening(QObject):
             self.reopen(path.name, lambda: sensor, Source.of_recording(source.path, path))
         else:
             problem = f"{path}: open the recording of that simulation first"
-            self.said.emit(UserMessage("error", problem))
+            self.notified.emit(UserMessage("error", problem))
 
     def sensor_file(self, path: Path) -> None:
         """Use the sensor of a file with the present source."""
@@ -136,7 +138,7 @@ class Opening(QObject):
         """Close what is open; the sensor stays, at rest."""
         sensor = self.sensor
         if sensor is not None:
-            self.open(NOTHING, lambda: sensor, playing=False)
+            self.open(NO_SOURCE, lambda: sensor, playing=False)
 
     def take(self, request: object) -> None:
         """Notice that what was asked for has come, or has failed."""

@@ -17,7 +17,7 @@ from bubbleviz.result import Result
 from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
 from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
-from bubbleviz_ui.model.frame_history import History, grown
+from bubbleviz_ui.model.frame_history import FrameHistory, grown
 from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -61,7 +61,7 @@ class SensorClient(QObject):
         self.session = object()  # Stands for the open source; another one for each
         self.opened: Opened | None = None  # None before the first source
         self.facts: SourceFacts | None = None  # Of the source as it is now: a live one grows
-        self.history = History(0)
+        self.history = FrameHistory(0)
         self.result: Result | None = None  # Shown last
         self.inspection = Inspection()  # Closer look at that
         self.demand = Demand(frozenset())  # What was asked for last
@@ -81,7 +81,7 @@ class SensorClient(QObject):
     def look_is_old(self) -> bool:
         """Whether the closer look is at a frame before the one that is shown."""
         shown = None if self.result is None else self.result.frame
-        return bool(self.demand.looks) and self._looked_at is not shown
+        return bool(self.demand.diagnostics) and self._looked_at is not shown
 
     @property
     def shown_thinned(self) -> bool:
@@ -104,7 +104,7 @@ class SensorClient(QObject):
         """Ask for the frame that is shown once more, settled; its pose is kept."""
         if self.result is not None:
             due = self._due(self.demand)
-            products = self._shown_as.products - OBJECT_PRODUCTS | due.looks
+            products = self._shown_as.products - OBJECT_PRODUCTS | due.diagnostics
             demand = replace(due, products=products, options=self._options)
             function = partial(self.solver.frame, self.result.frame.index, demand, settled=True)
             self.worker.submit(function, self._take_settled, key="settle")
@@ -136,9 +136,9 @@ class SensorClient(QObject):
             self.solver.newest,
             replace(wanted, products=wanted.products | self.extra),
             partial(self.worker.urgent, "newest"),
-            of_colour=demand.of_colour,
+            needs_colour=demand.needs_colour,
         )
-        then = partial(self._take_newest, at_once=at_once, looks=bool(wanted.looks))
+        then = partial(self._take_newest, at_once=at_once, looks=bool(wanted.diagnostics))
         due_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
         self.worker.submit(function, then, key="newest", due_s=due_s)
 
@@ -147,7 +147,7 @@ class SensorClient(QObject):
         result, asked = self.result, self.demand
         if result is None or result.estimate is None or "patch" not in asked.products:
             return
-        demand = asked.looking(asked.looks & {"components"})
+        demand = asked.with_diagnostics(asked.diagnostics & {"components"})
         demand = replace(demand, options=self._options)
         function = partial(self.solver.patch, result, demand)
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
@@ -155,15 +155,15 @@ class SensorClient(QObject):
     @property
     def _options(self) -> FrameOptions:
         """As chosen now; the patch's may have changed since a frame was asked for."""
-        return Demand.of(self._state.choices).options
+        return Demand.of(self._state.settings).options
 
     def _due(self, demand: Demand) -> Demand:
         """What to ask for now: while playing fewer points, and no closer look at every frame."""
         now = time.perf_counter()
         if self._state.playing and not self._state.frozen:
-            demand = demand.thinned(self._state.thinned)
+            demand = demand.thinned(self._state.cloud_decimation)
             if now - self._looked_s < LOOK_EVERY_S:
-                return demand.looking()
+                return demand.with_diagnostics()
         self._looked_s = now
         return demand
 
@@ -176,10 +176,10 @@ class SensorClient(QObject):
     def _take_opened(self, opened: Opened) -> None:
         self.session = object()
         self.opened, self.facts, self.demand = opened, opened.facts, opened.request.demand
-        self.history = History(opened.facts.frames)
+        self.history = FrameHistory(opened.facts.frames)
         self._awaiting = False
         self.result, self.inspection = opened.result, _inspection(opened.result)
-        self._shown_as = self.demand.looking()
+        self._shown_as = self.demand.with_diagnostics()
         self._looked_at = opened.result.frame
         self._remember(opened.frame, opened.numbers, self.demand)
         self.turned.emit(opened)
@@ -216,8 +216,8 @@ class SensorClient(QObject):
 
     def _show(self, solved: Solved) -> None:
         self.result, self._settled = solved.result, None
-        self._shown_as = solved.demand.looking()
-        if solved.demand.looks or not self.demand.looks:  # else it was left out
+        self._shown_as = solved.demand.with_diagnostics()
+        if solved.demand.diagnostics or not self.demand.diagnostics:  # else it was left out
             self.inspection = _inspection(solved.result)
             self._looked_at = solved.result.frame
 
@@ -226,7 +226,7 @@ class SensorClient(QObject):
         shown, new, asked = self.result, solved.result, solved.demand
         self._remember(new.frame.index, solved.numbers, asked)
         same = shown is not None and shown.frame.index == new.frame.index
-        wanted = self._shown_as.products | self.demand.looks
+        wanted = self._shown_as.products | self.demand.diagnostics
         # else another frame, or more of this one, is looked at by now
         if shown is not None and same and wanted <= asked.products | OBJECT_PRODUCTS:
             pose, by_object = shown.pose, shown.object_patch
@@ -242,15 +242,15 @@ class SensorClient(QObject):
         result, (patched, numbers) = self.result, answer
         if result is not None and result.estimate is patched.estimate:  # else another is shown
             self._remember(result.frame.index, numbers, demand)
-            if "components" in demand.looks:
+            if "components" in demand.diagnostics:
                 parts = _inspection(patched).components
                 self.inspection = replace(self.inspection, components=parts)
             self.result = replace(result, patch=patched.patch)
         self.patched.emit(patched)
 
     def _remember(self, index: int, numbers: Numbers, demand: Demand) -> None:
-        same_patch = demand.rule == self._state.choices.rule
-        self.history.take(index, numbers, patch=same_patch)
+        same_patch = demand.patch_rule == self._state.settings.patch_rule
+        self.history.record(index, numbers, patch=same_patch)
 
     def _grow(self, time_s: float, outages: tuple[Gap, ...]) -> None:
         """Make room for one more frame of a live source."""

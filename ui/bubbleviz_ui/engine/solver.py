@@ -33,7 +33,7 @@ from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, contradiction
 from bubbleviz.simulation import truth_of
-from bubbleviz_ui.engine.source import NOTHING, Source
+from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
@@ -170,9 +170,9 @@ class Session:
         beside: PipelineProcess | None = None,
         settled: bool = False,
     ) -> Result:
-        """Products of a frame; a live one's gas pressure is zeroed. `NOTHING` has none."""
+        """Products of a frame; a live one's gas pressure is zeroed. `NO_SOURCE` has none."""
         pipeline, stream = self.pipeline, self.opened.stream
-        if self.opened is NOTHING:
+        if self.opened is NO_SOURCE:
             return Result(frame)
         if stream is not None:
             frame = zeroed(frame, stream.zero, pipeline)
@@ -188,9 +188,9 @@ class Session:
 
     def look(self, result: Result, demand: Demand) -> Result:
         """The result looked at closer, beside the truth where the source knows it."""
-        if self.opened is NOTHING:
+        if self.opened is NO_SOURCE:
             return result
-        wanted = "kappa_curve" in demand.looks
+        wanted = "kappa_curve" in demand.diagnostics
         truth = truth_of(self.source, result.frame.index) if wanted else None
         mask = truth.patch_mask if truth is not None else None
         result = self.pipeline.diagnose(result, demand.products, demand.options, mask)
@@ -254,18 +254,18 @@ class Solver:
         return solved
 
     def newest(
-        self, demand: Demand, called_off: Callable[[], bool], *, of_colour: bool = False
+        self, demand: Demand, called_off: Callable[[], bool], *, needs_colour: bool = False
     ) -> Solved | None:
         """Products of the newest frame of a live source; None if none comes.
 
         `called_off`: Whether to stop waiting for a frame; `Deferred` is raised then.
-        `of_colour`: Have colour images sent, also for diagnostics that not every frame gets.
+        `needs_colour`: Have colour images sent, also for diagnostics that not every frame gets.
         """
         session, end = self._open, time.perf_counter() + WAIT_S
         stream, beside = session.opened.stream, session.beside
         if stream is None:
             return None
-        stream.follow_colour(of_colour)
+        stream.follow_colour(needs_colour)
         while (frame := stream.newest(LOOK_S)) is None:
             if called_off():
                 raise Deferred

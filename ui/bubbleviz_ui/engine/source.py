@@ -97,7 +97,7 @@ def _synthetic(sensor: Sensor) -> FrameSource:
     return NoisyLoop(source, press.camera, press.noise)
 
 
-class _NothingOpen:
+class _EmptySource:
     """What is there while nothing is open: one image in which no pixel has a return."""
 
     def __init__(self, sensor: Sensor) -> None:
@@ -141,5 +141,5 @@ class CachedSource:
 
 
 SYNTHETIC = Source("synthetic press", _synthetic, live=True, name="synthetic:")
-NOTHING = Source("the sensor at rest", _NothingOpen)
+NO_SOURCE = Source("the sensor at rest", _EmptySource)
 """What is open while nothing is."""

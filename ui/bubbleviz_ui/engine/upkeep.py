@@ -79,7 +79,7 @@ class MemoryRelease(QObject):
         self._timer = QTimer(self)
         self._timer.timeout.connect(lambda: self._on_tick())
         self._timer.start(rest_ms)
-        for changed in (state.source_changed, state.choices_changed, state.frame_changed,
+        for changed in (state.source_changed, state.settings_changed, state.frame_changed,
                         state.history_changed, state.playing_changed):  # fmt: skip
             changed.connect(self._on_changed)
 

@@ -126,12 +126,12 @@ class ExportDialog(QDialog):
         self.cancel.clicked.connect(exporting.cancel)
         exporting.changed.connect(self._show)
         exporting.progressed.connect(self._on_progress)
-        exporting.said.connect(self._say)
+        exporting.notified.connect(self._say)
         self._state.source_changed.connect(self.show_all)
         self._state.range_changed.connect(self.show_all)
-        self._state.choices_changed.connect(self._on_choices)
+        self._state.settings_changed.connect(self._on_settings)
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if names & {"picture_size", "speed"}:
             self._show()
 
@@ -142,7 +142,7 @@ class ExportDialog(QDialog):
         self.frames.clear()
         if range_ is not None:
             self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
-        count = 0 if facts is None or facts.nothing else facts.frames
+        count = 0 if facts is None or facts.is_empty else facts.frames
         self.frames.addItem(f"all {count_of(count, 'frame')}", ALL)
         self.frames.blockSignals(False)
 
@@ -162,11 +162,11 @@ class ExportDialog(QDialog):
         kind, count = self.chosen, len(self.chosen_frames)
         if not kind.is_video:
             return f"{kind.tip}. {count_of(count, 'frame')}."
-        width, height = self._state.choices.picture_size
+        width, height = self._state.settings.picture_size
         fps = self._exporting.fps(self.step.value())
         return (
             f"{kind.tip}. {count_of(count, 'picture')} of {width}×{height} (3-D tools, Picture), "
-            f"{fps:.3g} per second, as in playback at {self._state.choices.speed:g}×."
+            f"{fps:.3g} per second, as in playback at {self._state.settings.speed:g}×."
         )
 
     def _choose_name(self) -> None:

@@ -201,7 +201,7 @@ class Exporting(QObject):
 
     changed = Signal()  # An export began or ended
     progressed = Signal(str, float)  # What it is at, and the share of it that is done
-    said = Signal(object)  # A `UserMessage`: what was done, or why not
+    notified = Signal(object)  # A `UserMessage`: what was done, or why not
 
     def __init__(
         self, controller: Controller, view: View, poses: Callable[[], dict[int, PoseRow]]
@@ -225,7 +225,7 @@ class Exporting(QObject):
         facts = self._state.facts
         if facts is None or self._controller.sensor is None:
             return "Nothing is open yet."
-        if facts.nothing:
+        if facts.is_empty:
             return "Nothing is open: open a recording (Ctrl+O) to export its frames."
         if facts.grows:
             return "A live source is exported from its recording: record it (Ctrl+R), then open it."
@@ -240,7 +240,7 @@ class Exporting(QObject):
     def fps(self, step: int) -> float:
         """Pictures a second of a video that is as fast as playback."""
         facts = self._state.facts
-        rate = float("nan") if facts is None else facts.rate_hz / step * self._state.choices.speed
+        rate = float("nan") if facts is None else facts.rate_hz / step * self._state.settings.speed
         return min(max(rate, 1.0), 120.0) if rate > 0.0 else STILL_FPS
 
     def start(self, kind: Kind, frames: range, path: Path, *, captioned: bool = True) -> None:
@@ -251,9 +251,9 @@ class Exporting(QObject):
         source, sensor = self._controller.opening.source, self._controller.sensor
         if self.busy or source is None or sensor is None or not frames:
             return
-        choices = self._state.choices
+        settings = self._state.settings
         if kind.is_video:
-            size, fps = choices.picture_size, self.fps(frames.step)
+            size, fps = settings.picture_size, self.fps(frames.step)
             self._video = VideoExport(
                 self._controller, self._view, frames, size, path, fps, captioned=captioned
             )
@@ -263,7 +263,7 @@ class Exporting(QObject):
             from bubbleviz_ui.export.file_export import export_to_files
 
             poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
-            how = (FrameOptions(*choices.rule), choices.options, poses)
+            how = (FrameOptions(*settings.patch_rule), settings.options, poses)
             job = partial(export_to_files, source.open, sensor, frames, path, kind.what, *how)
         function = partial(job, self._worker.progress)
         self._worker.submit(function, partial(self._on_done, path), self._on_refused)
@@ -290,12 +290,12 @@ class Exporting(QObject):
 
     def _on_done(self, path: Path, done: str) -> None:
         self._end_video()
-        self.said.emit(UserMessage("notice", done, file=path, topic=TOPIC))
+        self.notified.emit(UserMessage("notice", done, file=path, topic=TOPIC))
         self.changed.emit()
 
     def _on_refused(self, failed: Failed) -> None:
         self._end_video()
-        self.said.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+        self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:

@@ -173,7 +173,7 @@ ABOUT = (
 class ImportDialog(QDialog):
     """Stays open beside the window, which can be used meanwhile."""
 
-    said = Signal(object)  # A `UserMessage`: what was done, or why not
+    notified = Signal(object)  # A `UserMessage`: what was done, or why not
 
     def __init__(
         self,
@@ -250,7 +250,7 @@ class ImportDialog(QDialog):
         self._on_field()
 
     def _on_field(self) -> None:
-        """Forget what was wrong with other choices."""
+        """Forget what was wrong with other settings."""
         self.problem.clear()
         self._show()
 
@@ -291,14 +291,14 @@ class ImportDialog(QDialog):
         self._tell(None, failed.message)
         self._show()
         if failed.details or not self.isVisible():  # else the dialog says it
-            self.said.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+            self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
 
     def _on_done(self, summary: ConvertSummary) -> None:
         self._tell(summary, "")
         self._show()
         out = Path(summary.out)
         remember("recording", out)
-        self.said.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
+        self.notified.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
 
     def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
         self._summary = summary

@@ -207,7 +207,7 @@ class LiveBar(QFrame):
             return
         self.record.show_now()
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters
-        drawn = live.link != "connecting"  # until then something else may be open
+        drawn = live.connection_state != "connecting"  # until then something else may be open
         badge = live.state.badge if drawn else "connecting"
         self._say(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
@@ -237,7 +237,7 @@ class LiveBar(QFrame):
         live.looked.connect(self.show_now)
         live.state.source_changed.connect(self.show_all)
         live.state.frozen_changed.connect(self.show_now)
-        live.state.link_changed.connect(self.show_now)
+        live.state.connection_changed.connect(self.show_now)
         self.zero.clicked.connect(live.zero_now)
         self.publish.clicked.connect(live.toggle_publishing)
         self.leave.clicked.connect(live.disconnect_all)

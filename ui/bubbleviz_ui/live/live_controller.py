@@ -16,10 +16,10 @@ from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import OWN_FOLDER, Recording
 from bubbleviz_ui.live.sensor_pair import SensorPair
-from bubbleviz_ui.model.choices import RECORDING_CHOICES
 from bubbleviz_ui.model.messages import OPENING, UserMessage
-from bubbleviz_ui.model.source_facts import Link, doubt_text
-from bubbleviz_ui.model.undo import SettingsHistory
+from bubbleviz_ui.model.settings import RECORDING_SETTINGS
+from bubbleviz_ui.model.source_facts import ConnectionState, untrusted_text
+from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.view3d.render_view import View
 
 LOOK_MS = 200
@@ -31,14 +31,14 @@ class LiveController(QObject):
 
     looked = Signal()  # Time to show how the sources and the recording are doing
     changed = Signal()  # Another session is connected, or none; another sensor is chosen
-    said = Signal(object)  # A sentence for the user, and details of a bug
+    notified = Signal(object)  # A sentence for the user, and details of a bug
 
     def __init__(
-        self, controller: Controller, pair: SensorPair, view: View, settings: SettingsHistory
+        self, controller: Controller, pair: SensorPair, view: View, undo: UndoRecorder
     ) -> None:
         super().__init__()
         self._controller, self._pair, self.state = controller, pair, controller.state
-        self._settings = settings
+        self._undo = undo
         self._worker = Worker("live")
         self.recording, self.publishing = Recording(self._worker), Publishing()
         self.connection: Connection | None = None  # While a session is being brought up
@@ -50,7 +50,7 @@ class LiveController(QObject):
         self._timer.timeout.connect(self._on_tick)
         self._due = True
         for part in (self.recording, self.publishing):
-            part.said.connect(self.said)
+            part.notified.connect(self.notified)
             part.changed.connect(self.looked)
         self.publishing.changed.connect(self._ask_what_goes_out)
         controller.opened.connect(self._on_opened)
@@ -58,7 +58,7 @@ class LiveController(QObject):
         controller.failed.connect(self._on_failed)
         view.rendered.connect(self._on_rendered)
         pair.failed.connect(self._on_second_failed)
-        self.state.choices_changed.connect(self._on_choices)
+        self.state.settings_changed.connect(self._on_settings)
         self.state.markers_changed.connect(self._on_markers)
 
     @property
@@ -72,7 +72,7 @@ class LiveController(QObject):
         return None if self.run is None else self.run.session.sensors[self.chosen]
 
     @property
-    def link(self) -> Link:
+    def connection_state(self) -> ConnectionState:
         """How that sensor is doing: `connecting` until its first frame is on the screen."""
         if self.sensor is None:
             return "disconnected"
@@ -81,16 +81,16 @@ class LiveController(QObject):
     def doubt_about(self, number: int) -> str:
         """Why what is shown of a sensor is not to be trusted; empty where it is."""
         result = self._pair.result_of(number)
-        return "" if result is None else doubt_text(result)
+        return "" if result is None else untrusted_text(result)
 
     def choose_folder(self, folder: str | Path) -> None:
         """Put the next recordings there."""
-        self.state.choose(record_folder=str(folder))
+        self.state.change(record_folder=str(folder))
 
     def connect_to(self, preset: SessionPreset) -> None:
         """Bring a session up; what is open stays until it sends frames."""
         self.cancel()
-        self.connection = connection = Connection(preset, self.state.choices.pre_roll_s)
+        self.connection = connection = Connection(preset, self.state.settings.pre_roll_s)
         connection.ready.connect(self._on_ready)
         connection.failed.connect(self._on_not_connected)
         connection.start()
@@ -111,7 +111,7 @@ class LiveController(QObject):
         self.publishing.stop()
         self._pair.end()
         run, self.run, self._drawn = self.run, None, False
-        self.state.set_link("disconnected")
+        self.state.set_connection("disconnected")
         if run is not None:
             self._worker.submit(run.close)  # after the recording, which has the same thread
             self.changed.emit()
@@ -150,7 +150,7 @@ class LiveController(QObject):
         def ask(anew: bool) -> None:
             zero.zero_now() if anew else zero.restore(rest_pa, waiting=waiting)
 
-        self._settings.push("gas pressure zero", ask, False, True)
+        self._undo.push("gas pressure zero", ask, False, True)
 
     def close(self) -> None:
         """End everything; a recording is whole when this returns.
@@ -169,7 +169,7 @@ class LiveController(QObject):
     # -- inside -------------------------------------------------------------------------------
 
     def _on_second_failed(self, failed: Failed) -> None:
-        self.said.emit(UserMessage("error", failed.message, failed.details))
+        self.notified.emit(UserMessage("error", failed.message, failed.details))
 
     def _on_tick(self) -> None:
         """Look, if no picture came meanwhile: texts that change beside one cost another upload."""
@@ -191,7 +191,7 @@ class LiveController(QObject):
 
     def _look(self) -> None:
         self._due = False
-        self.state.set_link(self.link)
+        self.state.set_connection(self.connection_state)
         self._warn()
         self.publishing.diagnose()
         self.looked.emit()
@@ -205,7 +205,7 @@ class LiveController(QObject):
             if text:
                 found.add(f"{live.place.name}: {text}." if len(sensors) > 1 else f"{text}.")
         for text in sorted(found - self._warnings):
-            self.said.emit(UserMessage("warning", text))
+            self.notified.emit(UserMessage("warning", text))
         self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
@@ -218,7 +218,7 @@ class LiveController(QObject):
         self.disconnect_all()
         self.run = run
         self._pair.prepare(run)
-        self._use_choices()
+        self._use_settings()
         self._timer.start()
         self.changed.emit()
 
@@ -226,7 +226,7 @@ class LiveController(QObject):
         self.connection = None
         if self.run is None:
             self._timer.stop()
-        self.said.emit(UserMessage("error", failed.message, failed.details, topic=OPENING))
+        self.notified.emit(UserMessage("error", failed.message, failed.details, topic=OPENING))
         self.changed.emit()
 
     def _is_ours(self, request: OpenRequest) -> bool:
@@ -247,17 +247,17 @@ class LiveController(QObject):
             if facts is None or self.run is None or facts.title != self.run.frames[0].name:
                 self.disconnect_all()
 
-    def _use_choices(self) -> None:
+    def _use_settings(self) -> None:
         """Record and publish as the user chose."""
-        choices = self.state.choices
-        self.recording.folder = Path(choices.record_folder or OWN_FOLDER)
-        self.publishing.endpoint = choices.publish_at
+        settings = self.state.settings
+        self.recording.folder = Path(settings.record_folder or OWN_FOLDER)
+        self.publishing.endpoint = settings.publish_at
         if self.run is not None:
-            self.run.session.recorder.pre_roll_s = choices.pre_roll_s
+            self.run.session.recorder.pre_roll_s = settings.pre_roll_s
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if names & RECORDING_CHOICES:
-            self._use_choices()
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & RECORDING_SETTINGS:
+            self._use_settings()
 
     def _on_markers(self) -> None:
         marked = frozenset(self.state.markers)

@@ -17,8 +17,8 @@ from bubbleviz.recordings import RESULTS, Message
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.model.choices import LOOPBACK
 from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.settings import LOOPBACK
 
 if TYPE_CHECKING:
     from bubbleviz.live import ZenohPublisher
@@ -70,7 +70,7 @@ class Publishing(QObject):
     """Publishes patch, force, pose and diagnostics of every sensor of a run."""
 
     changed = Signal()  # It is on, or off
-    said = Signal(object)  # A `UserMessage`
+    notified = Signal(object)  # A `UserMessage`
 
     def __init__(self) -> None:
         super().__init__()
@@ -128,7 +128,9 @@ class Publishing(QObject):
 
     def _on_refused(self, failed: Failed) -> None:
         self.stop()
-        self.said.emit(UserMessage("error", f"Not publishing: {failed.message}", failed.details))
+        self.notified.emit(
+            UserMessage("error", f"Not publishing: {failed.message}", failed.details)
+        )
 
     def _on_open(self, publisher: ZenohPublisher) -> None:
         if not self.on:

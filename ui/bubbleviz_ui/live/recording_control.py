@@ -34,7 +34,7 @@ class Recording(QObject):
     """
 
     changed = Signal()  # It began or ended
-    said = Signal(object)  # A `UserMessage`
+    notified = Signal(object)  # A `UserMessage`
 
     def __init__(self, worker: Worker) -> None:
         super().__init__()
@@ -99,7 +99,7 @@ class Recording(QObject):
             self._say("warning", "Nothing arrived while recording; no file was written")
 
     def _say(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
-        self.said.emit(UserMessage(kind, text, file=file, topic="recording"))
+        self.notified.emit(UserMessage(kind, text, file=file, topic="recording"))
 
 
 def new_name(folder: Path) -> Path:

@@ -16,8 +16,8 @@ from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.model.choices import PATCH_CHOICES
 from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
@@ -47,7 +47,7 @@ class SensorPair(QObject):
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._follow)
         state.frozen_changed.connect(self._follow)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def prepare(self, run: LiveRun) -> None:
         """Take a run whose first sensor will be opened."""
@@ -72,7 +72,7 @@ class SensorPair(QObject):
                 open_sensor=lambda: sensor,
                 frame=0,
                 demand=self._demand,
-                options=state.choices.options,
+                options=state.settings.options,
                 playing=True,
             )
         )
@@ -125,7 +125,7 @@ class SensorPair(QObject):
     @property
     def _demand(self) -> Demand:
         """What is visible in the view."""
-        return Demand.of(replace(self._state.choices, panels=frozenset()))
+        return Demand.of(replace(self._state.settings, panels=frozenset()))
 
     @property
     def _playing(self) -> bool:
@@ -186,9 +186,9 @@ class SensorPair(QObject):
         if not (by_playback and self._playing):
             self._follow()
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if self.second is not None:
-            if names & PATCH_CHOICES:
+            if names & PATCH_SETTINGS:
                 self.second.history.forget_patches()
             self._show()
             self._follow()
@@ -240,6 +240,6 @@ class SensorPair(QObject):
         result = None if self.second is None else self.second.result
         if self.drawing is None or result is None or self._controller.result is None:
             return
-        self.drawing.show(result, self._state.choices)
+        self.drawing.show(result, self._state.settings)
         if self._alone:
             self._view.refresh()

@@ -1,1 +1,1 @@
-"""What is open, where the cursor is, what the user chose; no widgets."""
+"""State of the session: open source, cursor, settings; no widgets."""

@@ -1,4 +1,4 @@
-"""What each visible thing asks of the pipeline: hidden means not asked for, not computed."""
+"""Pipeline products required by the visible layers and panels; hidden ones require none."""
 
 from __future__ import annotations
 
@@ -18,26 +18,34 @@ from bubbleviz.pipeline import (
     stages,
 )
 from bubbleviz.result import Result
-from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.model.registry import ASKING, ESTIMATE, LAYERS, NOTHING, PATCH, PLOTS, Products
+from bubbleviz_ui.model.registry import (
+    ESTIMATE,
+    LAYERS,
+    NO_PRODUCTS,
+    PATCH,
+    PLOTS,
+    RESULT_PANELS,
+    Products,
+)
+from bubbleviz_ui.model.settings import Settings
 
 if TYPE_CHECKING:
     from bubbleviz.shear import FlowPreset
-    from bubbleviz_ui.model.choices import Rule
+    from bubbleviz_ui.model.settings import PatchRule
 
 
 POSE_CONSUMERS = frozenset({"object", "fit", "pose", "object_patch"})
-"""Who wants the pose of the object while it is tracked."""
+"""Layers and panels that need the pose of a tracked object."""
 
 CLOUD_COLOURS: Mapping[str, Products] = MappingProxyType(
-    {"residual": ESTIMATE | {"residual"}, "patch": PATCH | {"pixel_mask"}, "plain": NOTHING}
+    {"residual": ESTIMATE | {"residual"}, "patch": PATCH | {"pixel_mask"}, "plain": NO_PRODUCTS}
 )
-"""Products a colouring of the cloud needs on top of the cloud itself."""
+"""Products each colouring of the cloud needs in addition to the cloud."""
 
 
 @dataclass(frozen=True)
 class ShearOptions:
-    """How traction with friction is made: preset of the optical flow, and the bound μ or none."""
+    """Options of traction with friction: optical-flow preset, and friction bound μ or None."""
 
     flow: FlowPreset = "fast"
     friction: float | None = None
@@ -45,92 +53,91 @@ class ShearOptions:
 
 @dataclass(frozen=True)
 class Demand:
-    """What is asked of a frame; part of every request."""
+    """Products to compute of a frame, with their options; part of every request."""
 
     products: Products
-    # What makes its patch and its cloud
-    options: FrameOptions = field(default_factory=FrameOptions)
-    shear: ShearOptions = field(default_factory=ShearOptions)  # What makes its traction
+    options: FrameOptions = field(default_factory=FrameOptions)  # Of patch and cloud
+    shear: ShearOptions = field(default_factory=ShearOptions)
 
     @classmethod
-    def of(cls, choices: Choices) -> Demand:
-        """What the visible things need."""
-        options = FrameOptions(*choices.rule, choices.cloud_points)
-        shear = ShearOptions(choices.flow_preset, choices.friction)
-        return cls(products(choices), options, shear)
+    def of(cls, settings: Settings) -> Demand:
+        """Demand of the visible layers and panels."""
+        options = FrameOptions(*settings.patch_rule, settings.cloud_points)
+        shear = ShearOptions(settings.flow_preset, settings.friction)
+        return cls(needed_products(settings), options, shear)
 
     @property
-    def rule(self) -> Rule:
-        """What makes a patch of a contact pressure: κ and the least area."""
+    def patch_rule(self) -> PatchRule:
+        """Parameters of the patch threshold: κ and the smallest area."""
         return self.options.kappa, self.options.least_area_m2
 
     @property
-    def looks(self) -> Products:
-        """Closer looks at the frame that is shown."""
+    def diagnostics(self) -> Products:
+        """Requested diagnostics of the frame shown: images, κ curve, patch components."""
         return self.products & DIAGNOSTICS.keys()
 
-    def looking(self, looks: Products = NOTHING) -> Demand:
-        """The same with other closer looks, or none."""
-        return replace(self, products=self.products - DIAGNOSTICS.keys() | looks)
+    def with_diagnostics(self, wanted: Products = NO_PRODUCTS) -> Demand:
+        """The same demand with other diagnostics, or none."""
+        return replace(self, products=self.products - DIAGNOSTICS.keys() | wanted)
 
     @property
-    def of_colour(self) -> bool:
-        """Whether colour images are needed for it."""
+    def needs_colour(self) -> bool:
+        """Whether any product needs colour images."""
         return bool(self.products & COLOUR_PRODUCTS)
 
     def thinned(self, times: int) -> Demand:
-        """The same with fewer points of the cloud, unless all of them are asked for."""
+        """The same demand with fewer points of the cloud, unless all are requested."""
         most = self.options.cloud_points
         if most is None or times == 1:
             return self
         return replace(self, options=replace(self.options, cloud_points=most // times))
 
     def covers(self, other: Demand) -> bool:
-        """Whether all that another asks for is asked for here."""
+        """Whether this demand includes everything in another one."""
         same = other.shear == self.shear or not other.products & {"flow", "traction", "slip"}
         return same and other.products <= self.products
 
 
-def products(choices: Choices) -> Products:
-    """Everything the visible layers and panels need of a frame."""
-    needed = NOTHING.union(
-        *(LAYERS[name].needs for name in choices.layers),
-        *(ASKING[name].needs for name in choices.panels),
+def needed_products(settings: Settings) -> Products:
+    """All products needed by the visible layers and panels."""
+    needed = NO_PRODUCTS.union(
+        *(LAYERS[name].needs for name in settings.layers),
+        *(RESULT_PANELS[name].needs for name in settings.panels),
     )
-    if "cloud" in choices.layers:
-        needed |= CLOUD_COLOURS[choices.cloud_colour]
-    if "plots" in choices.panels:
-        needed |= plotted(choices)
-    if "images" in choices.panels and "patch" in choices.images:
+    if "cloud" in settings.layers:
+        needed |= CLOUD_COLOURS[settings.cloud_colour]
+    if "plots" in settings.panels:
+        needed |= plot_products(settings)
+    if "images" in settings.panels and "patch" in settings.images:
         needed |= PATCH | {"pixel_mask"}
-    if choices.pose_track and (choices.layers | choices.panels) & POSE_CONSUMERS:
-        needed |= PATCH | of_object(choices)
-    looks = _looks(choices)
-    return needed.union(looks, *(DIAGNOSTICS[look] for look in looks))
+    if settings.pose_track and (settings.layers | settings.panels) & POSE_CONSUMERS:
+        needed |= PATCH | pose_products(settings)
+    diagnostics = _diagnostics(settings)
+    return needed.union(diagnostics, *(DIAGNOSTICS[name] for name in diagnostics))
 
 
-def of_object(choices: Choices) -> Products:
-    """What is asked of a frame in which an object is looked for."""
-    return OBJECT_PRODUCTS if "object_patch" in choices.layers else frozenset({"pose"})
+def pose_products(settings: Settings) -> Products:
+    """Products of a frame in which an object is registered."""
+    return OBJECT_PRODUCTS if "object_patch" in settings.layers else frozenset({"pose"})
 
 
-def plotted(choices: Choices) -> Products:
-    """What the chosen plots need of every frame."""
-    return NOTHING.union(*(PLOTS[name].needs for name in choices.plots))
+def plot_products(settings: Settings) -> Products:
+    """Products that the chosen plots need for every frame."""
+    return NO_PRODUCTS.union(*(PLOTS[name].needs for name in settings.plots))
 
 
-def _looks(choices: Choices) -> Products:
-    wanted = NOTHING
-    if "plots" in choices.panels and "kappa" in choices.plots:
+def _diagnostics(settings: Settings) -> Products:
+    wanted = NO_PRODUCTS
+    if "plots" in settings.panels and "kappa" in settings.plots:
         wanted |= {"kappa_curve"}
-    if "threshold" in choices.panels:
+    if "threshold" in settings.panels:
         wanted |= {"kappa_curve", "components"}
-    if "images" in choices.panels:
-        wanted |= {look for look in DIAGNOSTICS if look.removesuffix("_image") in choices.images}
+    if "images" in settings.panels:
+        wanted |= {name for name in DIAGNOSTICS if name.removesuffix("_image") in settings.images}
     return wanted
 
 
-# Performance: each stage's time and count, and who asked for it. No Qt in here.
+# Performance: run time and count of each stage, and which layers and panels request it.
 
 
 STAGES = {
@@ -147,57 +154,58 @@ STAGES = {
     "texture": "Colour image on the membrane",
     "total": "Whole frame: depth image in, results out",
 }
-"""What each stage of the pipeline computes."""
-KEPT = 100
-"""Frames that a median is of."""
+"""Titles of the pipeline stages."""
+MEDIAN_FRAMES = 100
+"""Frames over which a median is taken."""
 ANALYSIS = "analysis of all frames"
 
 
 @dataclass(frozen=True)
-class Cost:
-    """One line of the table."""
+class StageTime:
+    """Row of the performance table: a pipeline stage."""
 
     stage: str
-    title: str  # What it computes
-    # last_ms, median_ms: Time of the last frame it ran for, and median of the last hundred; None:
-    # never ran
+    title: str
+    # last_ms, median_ms: Last run, and median of the last `MEDIAN_FRAMES`; None: never ran
     last_ms: float | None
     median_ms: float | None
-    runs: int  # How often it has run for the open source
-    why: tuple[str, ...]  # Layers and panels that ask for it now; empty: it does not run
+    runs: int  # Since the source was opened
+    requested_by: tuple[str, ...]  # Layers and panels; empty: the stage is idle
 
 
-class Costs:
-    """Times of the frames that were computed last."""
+class StageTimes:
+    """Stage times of the last frames."""
 
     def __init__(self) -> None:
-        self._times: dict[str, deque[float]] = {name: deque(maxlen=KEPT) for name in STAGES}
+        self._times: dict[str, deque[float]] = {
+            name: deque(maxlen=MEDIAN_FRAMES) for name in STAGES
+        }
         self._seen: object = None
 
     def clear(self) -> None:
-        """Begin anew for another source."""
+        """Forget all times, for another source."""
         for times in self._times.values():
             times.clear()
 
     def take(self, result: Result) -> None:
-        """Note the times of a frame, once."""
+        """Record the times of a frame, once."""
         if result.times_ms is self._seen:
-            return  # the same frame with another patch
+            return  # the same solve with another patch
         self._seen = result.times_ms
         for stage, time_ms in result.times_ms.items():
             if stage in self._times:
                 self._times[stage].append(time_ms)
 
     def table(
-        self, choices: Choices, counts: Mapping[str, int], *, analysing: bool = False
-    ) -> list[Cost]:
-        """Every stage, whether it runs or not."""
-        asked = who_asks(choices, analysing=analysing)
+        self, settings: Settings, counts: Mapping[str, int], *, analysing: bool = False
+    ) -> list[StageTime]:
+        """One row per stage, idle ones included."""
+        asked = names_by_stage(settings, analysing=analysing)
         lines = []
         for stage, title in STAGES.items():
             times = self._times[stage]
             lines.append(
-                Cost(
+                StageTime(
                     stage,
                     title,
                     times[-1] if times else None,
@@ -209,19 +217,19 @@ class Costs:
         return lines
 
 
-def who_asks(choices: Choices, *, analysing: bool = False) -> dict[str, list[str]]:
-    """Layers and panels by the stages that run because of them."""
-    nothing = replace(choices, layers=frozenset(), panels=frozenset())
+def names_by_stage(settings: Settings, *, analysing: bool = False) -> dict[str, list[str]]:
+    """Names of the layers and panels that request each stage."""
+    nothing = replace(settings, layers=frozenset(), panels=frozenset())
     asked: dict[str, list[str]] = {}
 
     def note(name: str, needed: Iterable[Product]) -> None:
         for stage in stages(frozenset(needed)) - DIAGNOSTICS.keys():
             asked.setdefault(stage, []).append(name)
 
-    for name in sorted(choices.layers):
-        note(name, products(replace(nothing, layers=frozenset({name}))))
-    for name in sorted(choices.panels):
-        note(name, products(replace(nothing, panels=frozenset({name}))))
+    for name in sorted(settings.layers):
+        note(name, needed_products(replace(nothing, layers=frozenset({name}))))
+    for name in sorted(settings.panels):
+        note(name, needed_products(replace(nothing, panels=frozenset({name}))))
     if analysing:
-        note(ANALYSIS, plotted(choices))
+        note(ANALYSIS, plot_products(settings))
     return asked

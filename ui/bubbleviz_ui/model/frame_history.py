@@ -1,4 +1,4 @@
-"""What was computed so far, a few numbers a frame: 36,000 frames are 4 MB. No Qt in here."""
+"""Numbers of all frames computed so far, about 100 bytes a frame. No Qt."""
 
 from __future__ import annotations
 
@@ -32,38 +32,38 @@ QUANTITIES = (
 MEASURED_FORCE = "measured_force_n"
 OF_PATCH = ("area_m2", "center_x_m", "center_y_m", "center_z_m")
 UNKNOWN, FREE, CONTACT, UNTRUSTED = -1, 0, 1, 2
-"""What is known about contact in a frame; `UNTRUSTED`: the estimate is not to be trusted."""
+"""Contact state of a frame; `UNTRUSTED`: the estimate failed or is implausible."""
 _FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
 
 
-class History:
-    """Numbers of the frames that were computed."""
+class FrameHistory:
+    """Numbers of the frames computed so far."""
 
     def __init__(self, frames: int) -> None:
-        # (F,) array of each of `QUANTITIES`; NaN where nothing is known
+        # (F,) array of each of `QUANTITIES`; NaN where not computed
         self.values = {name: np.full(frames, np.nan) for name in QUANTITIES}
         # (F,) int8 array: `UNKNOWN`, `FREE`, `CONTACT` or `UNTRUSTED`
         self.contact = np.full(frames, UNKNOWN, np.int8)
         self._has = np.zeros(frames, np.uint8)
         self._wrench = np.full((frames, 3), np.nan)
         self._untouched = np.zeros(frames, bool)
-        self._forgotten = np.zeros(frames, bool)
+        self._outdated = np.zeros(frames, bool)
 
     def __len__(self) -> int:
         return len(self.contact)
 
     def grow(self, frames: int) -> None:
-        """Make room for the frames of a live source, of which nothing is known yet."""
+        """Extend the arrays for new frames of a live source."""
         for name, values in self.values.items():
             self.values[name] = grown(values, frames, np.nan)
         self.contact = grown(self.contact, frames, UNKNOWN)
         self._has = grown(self._has, frames, 0)
         self._wrench = grown(self._wrench, frames, np.nan)
         self._untouched = grown(self._untouched, frames, False)
-        self._forgotten = grown(self._forgotten, frames, False)
+        self._outdated = grown(self._outdated, frames, False)
 
-    def take(self, frame: int, known: Numbers, *, patch: bool) -> None:
-        """Keep the numbers of a frame; those of its patch only where `patch` says so."""
+    def record(self, frame: int, known: Numbers, *, patch: bool) -> None:
+        """Record the numbers of a frame; those of its patch only if `patch`."""
         self._put(frame, known, ("gas_measured_pa", "total_ms", "latency_ms"))
         self._has[frame] |= _FRAME
         self._wrench[frame] = known.wrench_n
@@ -82,31 +82,31 @@ class History:
             self.contact[frame] = _contact(known)
 
     def forget_patches(self) -> None:
-        """Forget what another threshold makes different."""
+        """Drop the patch numbers after a change of the threshold."""
         for name in OF_PATCH:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
-        self._forgotten |= (self._has & _PATCH) > 0
+        self._outdated |= (self._has & _PATCH) > 0
         self._has &= np.uint8(_FRAME | _ESTIMATE | _SHEAR)
 
     @property
-    def forgotten(self) -> np.ndarray:
-        """Frames whose patches were forgotten and are not known again, (k,) int."""
-        return np.flatnonzero(self._forgotten & ((self._has & _PATCH) == 0))
+    def outdated(self) -> np.ndarray:
+        """Frames whose dropped patch numbers have not been computed again, (k,) int."""
+        return np.flatnonzero(self._outdated & ((self._has & _PATCH) == 0))
 
-    def of(self, name: str) -> np.ndarray:
+    def quantity(self, name: str) -> np.ndarray:
         """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`.
 
-        The bias of the measured forces is that of the frames known to be contact-free by now.
+        The bias of measured forces is their mean over the frames found contact-free so far.
         """
         if name == MEASURED_FORCE:
             return measured_force(self._wrench, self._untouched)
         return self.values[name]
 
     def next_contact(self, frame: int, direction: int) -> int | None:
-        """Frame in which the next contact begins, or the last before (`direction` −1).
+        """First frame of the next contact, or of the previous one (`direction` −1).
 
-        As far as frames were computed; None where there is none.
+        Only computed frames count; None if there is none.
         """
         touching = self.contact == CONTACT
         begins = np.flatnonzero(touching & ~np.concatenate([[False], touching[:-1]]))
@@ -114,12 +114,12 @@ class History:
         return int(found[0]) if found.size else None
 
     def largest_force(self) -> int | None:
-        """Frame of the largest force of those computed; None where there is no contact."""
+        """Computed frame with the largest force; None if there is no contact."""
         force = np.where(self.contact == CONTACT, self.values["force_n"], np.nan)
         return None if np.isnan(force).all() else int(np.nanargmax(force))
 
     def missing(self, products: frozenset[Product]) -> np.ndarray:
-        """Frames of which not all was computed that these products would tell, (k,) int."""
+        """Frames for which some of these products were not computed, (k,) int."""
         wanted = _FRAME
         if "estimate" in products:
             wanted |= _ESTIMATE
@@ -143,7 +143,7 @@ def _contact(known: Numbers) -> int:
 
 
 def grown(values: np.ndarray, count: int, fill: float) -> np.ndarray:
-    """An array with its first values, `count` long; within its spare room nothing is copied."""
+    """The array extended to `count` values; copied only when its spare capacity is used up."""
     room = values.base if isinstance(values.base, np.ndarray) else values
     if len(room) < count:
         room = np.full((2 * count, *values.shape[1:]), fill, values.dtype)
@@ -151,17 +151,17 @@ def grown(values: np.ndarray, count: int, fill: float) -> np.ndarray:
     return room[:count]
 
 
-def thinned(
+def decimated(
     times_s: np.ndarray,
     values: np.ndarray,
     window_s: tuple[float, float],
     gaps: Sequence[Gap] = (),
     most: int = 1500,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a curve inside a window of time, with nothing lost that one would see.
+    """Points of a curve inside a time window, decimated without visible loss.
 
-    Beyond `most` frames their lowest and highest known values stand for each few of them. A NaN in
-    each of the gaps breaks the curve there.
+    Beyond `most` frames each bin is reduced to its lowest and highest value. A NaN at each gap
+    breaks the curve.
     """
     first = max(int(np.searchsorted(times_s, window_s[0])) - 1, 0)
     last = min(int(np.searchsorted(times_s, window_s[1], "right")) + 1, len(times_s))

@@ -1,4 +1,4 @@
-"""What the mouse points at, in an image or in 3-D: one place, shown in both."""
+"""Place under the mouse, in an image or in the 3-D view; shown in both."""
 
 from __future__ import annotations
 
@@ -12,42 +12,42 @@ from bubbleviz_ui.engine.solver import Opened
 
 
 class Hover(QObject):
-    """Follows the mouse, and the frames while it stands still."""
+    """Probes the result under the mouse; updated when the mouse moves or the frame changes."""
 
-    changed = Signal(object)  # A `Probed`, or None when the mouse is elsewhere
+    changed = Signal(object)  # A `Probed`, or None when the mouse is outside
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
         self._controller = controller
         self._probe: Probe | None = None
-        self._held: Pixel | np.ndarray | None = None
+        self._target: Pixel | np.ndarray | None = None
         self.place: Probed | None = None
         controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
 
     def at_pixel(self, row: int, column: int) -> None:
-        """Point at a pixel."""
-        self._hold((row, column))
+        """The mouse is at a pixel."""
+        self._set_target((row, column))
 
     def at_point(self, point_m: np.ndarray) -> None:
-        """Point at a place (3,) in B."""
-        self._hold(point_m)
+        """The mouse is at a point (3,) in B, m."""
+        self._set_target(point_m)
 
     def leave(self) -> None:
-        """Point at nothing."""
-        self._hold(None)
+        """The mouse has left image and 3-D view."""
+        self._set_target(None)
 
-    def _hold(self, held: Pixel | np.ndarray | None) -> None:
-        self._held = held
+    def _set_target(self, target: Pixel | np.ndarray | None) -> None:
+        self._target = target
         self._find(self._controller.result)
 
     def _find(self, result: Result | None) -> None:
-        place, held = None, self._held
-        if self._probe is not None and result is not None and held is not None:
-            if isinstance(held, tuple):
-                place = self._probe.at_pixel(held, result)
+        place, target = None, self._target
+        if self._probe is not None and result is not None and target is not None:
+            if isinstance(target, tuple):
+                place = self._probe.at_pixel(target, result)
             else:
-                place = self._probe.at_point(held, result)
+                place = self._probe.at_point(target, result)
         if place is not None or self.place is not None:
             self.place = place
             self.changed.emit(place)
@@ -57,5 +57,5 @@ class Hover(QObject):
         self.leave()
 
     def _on_shown(self, result: Result) -> None:
-        if self._held is not None:
+        if self._target is not None:
             self._find(result)

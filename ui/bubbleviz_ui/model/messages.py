@@ -1,4 +1,4 @@
-"""What the window tells its user: the one way to tell it, and all of it since the start."""
+"""Messages to the user, kept for the message log."""
 
 from __future__ import annotations
 
@@ -12,47 +12,47 @@ from PySide6.QtCore import QObject, Signal
 
 MessageKind = Literal["notice", "warning", "error"]
 OPENING = "opening"
-"""Topic of what could not be opened or connected."""
+"""Topic of failures to open or connect."""
 MOST_KEPT = 1000
-"""A source that fails frame after frame must not fill the memory."""
+"""Bounds the memory if a source fails at every frame."""
 
 
 @dataclass(frozen=True)
 class UserMessage:
     """A sentence for the user."""
 
-    kind: MessageKind  # Success; done, with a reservation; failure
+    kind: MessageKind
     text: str
-    details: str = ""  # Of a bug, for a report
-    file: Path | None = None  # What was written: a file or a folder
-    at: datetime = field(default_factory=datetime.now)  # When it was told
-    topic: str = ""  # What it is about: once that succeeds, its errors are of no interest any more
+    details: str = ""  # Traceback of a bug
+    file: Path | None = None  # File or folder that was written
+    at: datetime = field(default_factory=datetime.now)
+    topic: str = ""  # A later success of the same topic removes an error from the message bar
 
     def line(self) -> str:
-        """Time, kind and text, by tabs."""
+        """Time, kind and text, separated by tabs."""
         return f"{self.at:%H:%M:%S}\t{self.kind}\t{self.text}"
 
     def report(self) -> str:
-        """That line, with the details where there are any."""
+        """The line and the details, if any."""
         return "\n".join(filter(None, (self.line(), self.details.rstrip())))
 
 
 class Messages(QObject):
     """All messages of a window since it was opened."""
 
-    told = Signal(object)  # A `UserMessage`, the newest
+    added = Signal(object)  # A `UserMessage`
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
-        self.all: deque[UserMessage] = deque(maxlen=MOST_KEPT)  # The oldest first
+        self.all: deque[UserMessage] = deque(maxlen=MOST_KEPT)  # Oldest first
 
-    def tell(self, message: UserMessage) -> None:
-        """Keep a message and have it shown."""
+    def add(self, message: UserMessage) -> None:
+        """Log a message and emit `added`."""
         self.all.append(message)
-        self.told.emit(message)
+        self.added.emit(message)
 
 
-# How often something happens, counted over the last second.
+# Event rate over the last second.
 
 
 class RateMeter:
@@ -66,7 +66,7 @@ class RateMeter:
         self._times: deque[float] = deque()
 
     def tick(self, now_s: float) -> None:
-        """Note one event."""
+        """Count one event."""
         self._times.append(now_s)
 
     def rate_hz(self, now_s: float) -> float:

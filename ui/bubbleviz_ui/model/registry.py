@@ -1,4 +1,4 @@
-"""Layers and panels, each named once: what it is called and what it asks of the pipeline."""
+"""Registry of layers, panels, plots and images: titles and required pipeline products."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal
 from bubbleviz.pipeline import Product
 
 Products = frozenset[Product]
-NOTHING: Products = frozenset()
+NO_PRODUCTS: Products = frozenset()
 ESTIMATE: Products = frozenset({"estimate"})
 PATCH: Products = frozenset({"estimate", "patch"})
 
@@ -21,8 +21,8 @@ class LayerKind:
 
     title: str  # title, tip: In the layers panel
     tip: str
-    needs: Products = NOTHING  # Hidden means not asked for, not computed
-    at_first: bool = True  # Visible in a new window
+    needs: Products = NO_PRODUCTS  # Computed only while the layer is visible
+    by_default: bool = True  # Visible in a new window
 
 
 LAYERS: Mapping[str, LayerKind] = MappingProxyType(
@@ -37,7 +37,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             "Texture",
             "Colour image on the deformed membrane; pressure shows where something touches",
             ESTIMATE | {"texture"},
-            at_first=False,
+            by_default=False,
         ),
         "wireframe": LayerKind("Wireframe", "Edges of the membrane's mesh", ESTIMATE, False),
         "contour": LayerKind(
@@ -47,7 +47,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             "Patch by object",
             "Green: patch from the surface of the tracked object at its pose;\n"
             "white (patch contour): patch from the contact pressure alone",
-            at_first=False,
+            by_default=False,
         ),
         "compared": LayerKind(
             "Compared outlines", "Patch of settings A and B, while the Compare panel is open"
@@ -57,7 +57,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "force": LayerKind(
             "Force arrow",
-            "Whole force of the contact, friction included, at the centre of pressure",
+            "Total contact force, friction included, at the centre of pressure",
             PATCH,
         ),
         "readout": LayerKind(
@@ -66,20 +66,20 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             PATCH,
         ),
         "frustum": LayerKind(
-            "Camera frustum", "Field of view of the depth camera", at_first=False
+            "Camera frustum", "Field of view of the depth camera", by_default=False
         ),
         "rim": LayerKind("Rim", "Where the membrane is clamped"),
         "vectors": LayerKind(
             "Pressure vectors",
             "Contact pressure p_c at each node, along its normal",
             ESTIMATE,
-            at_first=False,
+            by_default=False,
         ),
         "traction": LayerKind(
             "Traction",
             "Contact traction at each node: normal orange, tangential blue",
             ESTIMATE | {"traction"},
-            at_first=False,
+            by_default=False,
         ),
         "object": LayerKind("Object", "The tracked object at its pose"),
         "fit": LayerKind(
@@ -91,7 +91,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
     }
 )  # fmt: skip
-"""By name, in the order of the layers panel; the class of that name in `view3d` draws it."""
+"""By name, in the order of the layers panel; drawn by the class of that name in `view3d`."""
 
 
 @dataclass(frozen=True)
@@ -99,19 +99,17 @@ class PanelKind:
     """A panel of the window."""
 
     title: str  # Of its dock
-    # Its name in `Choices.panels`; empty: it shows no results, so it asks for nothing
-    choice: str = ""
-    needs: Products = NOTHING  # Asked for while it is in front
-    # Where its dock begins; None: it is no dock
-    side: Literal["right", "bottom", "left"] | None = "right"
-    tab_of: str = ""  # Panel that it opens as a tab of
-    at_first: bool = False  # Open in a new window
+    settings_name: str = ""  # In `Settings.panels`; empty: the panel shows no results
+    needs: Products = NO_PRODUCTS  # Computed only while the panel is in front
+    side: Literal["right", "bottom", "left"] | None = "right"  # Initial side; None: not a dock
+    tab_of: str = ""  # Panel to which it is added as a tab
+    by_default: bool = False  # Open in a new window
 
 
 PANELS: Mapping[str, PanelKind] = MappingProxyType(
     {
-        "layers": PanelKind("Layers", at_first=True),
-        "kappa": PanelKind("Contact patch", "kappa_panel", PATCH, at_first=True),
+        "layers": PanelKind("Layers", by_default=True),
+        "kappa": PanelKind("Contact patch", "kappa_panel", PATCH, by_default=True),
         "threshold": PanelKind("Threshold", "threshold", PATCH, tab_of="kappa"),
         "compare": PanelKind("Compare", "compare", tab_of="kappa"),
         "tools": PanelKind("3-D tools", tab_of="layers"),
@@ -121,16 +119,16 @@ PANELS: Mapping[str, PanelKind] = MappingProxyType(
         "calibration": PanelKind("Calibration", tab_of="layers"),
         "plots": PanelKind("Plots", "plots", side="bottom"),
         "images": PanelKind("Images", "images", side="left"),
-        "playback": PanelKind("Playback", side="bottom", at_first=True),
-        "status": PanelKind("Status bar", "status", PATCH, side=None, at_first=True),
+        "playback": PanelKind("Playback", side="bottom", by_default=True),
+        "status": PanelKind("Status bar", "status", PATCH, side=None, by_default=True),
     }
 )
 """By name, in the order of the View menu."""
 
-ASKING: Mapping[str, PanelKind] = MappingProxyType(
-    {panel.choice: panel for panel in PANELS.values() if panel.choice}
+RESULT_PANELS: Mapping[str, PanelKind] = MappingProxyType(
+    {panel.settings_name: panel for panel in PANELS.values() if panel.settings_name}
 )
-"""Panels that show results, by their name in `Choices.panels`."""
+"""Panels that show results, by their name in `Settings.panels`."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ class PlotKind:
     """A plot of the plots panel."""
 
     title: str  # In its menu
-    needs: Products  # Asked of every frame
+    needs: Products  # Computed for every frame while it is shown
 
 
 PLOTS: Mapping[str, PlotKind] = MappingProxyType(
@@ -151,7 +149,7 @@ PLOTS: Mapping[str, PlotKind] = MappingProxyType(
         "solve": PlotKind("Run time", PATCH),
         "shear": PlotKind("Force with friction", frozenset({"traction"})),
         "slip": PlotKind("Slipping share", frozenset({"slip"})),
-        "latency": PlotKind("Latency", NOTHING),
+        "latency": PlotKind("Latency", NO_PRODUCTS),
         "kappa": PlotKind("κ-curve", ESTIMATE),
     }
 )

@@ -1,4 +1,4 @@
-"""Scene presets: which layers and panels are visible, in which colours, seen from where. No Qt."""
+"""Scene presets: visible layers and panels, colours, viewpoint. No Qt."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import checked, preset_names, presets_folder, read_toml
-from bubbleviz_ui.model.choices import CloudColour
 from bubbleviz_ui.model.registry import LAYERS, PANELS
+from bubbleviz_ui.model.settings import CloudColour
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -30,20 +30,20 @@ class _Strict(BaseModel):
 
 
 class CloudStyle(_Strict):
-    """How measured points look; `points` 0 draws all of them."""
+    """Style of the measured points; `points` 0 draws all of them."""
 
     colour: CloudColour = "residual"
     points: int = Field(default=10_000, ge=0)
 
 
 class MembraneStyle(_Strict):
-    """How the membrane looks."""
+    """Style of the membrane."""
 
     opacity: float = Field(default=1.0, ge=0.1, le=1.0)
 
 
-class ViewPoint(_Strict):
-    """Where one looks from: a direction in B from the middle of the membrane, and how near."""
+class Viewpoint(_Strict):
+    """Viewpoint: direction in B from the middle of the membrane, and zoom."""
 
     direction: tuple[Finite, Finite, Finite] = Field(default=(-0.6, -1.0, 1.1), alias="from")
     zoom: float = Field(default=1.32, gt=0.05, lt=20.0)
@@ -52,29 +52,29 @@ class ViewPoint(_Strict):
     @classmethod
     def _not_along_up(cls, direction: tuple[float, float, float]) -> tuple[float, float, float]:
         if abs(direction[0]) + abs(direction[1]) == 0.0:
-            raise ValueError("along z, which is up in the view; lean it a little, [0.01, 0, 1]")
+            raise ValueError("parallel to z, the up direction; tilt it slightly, [0.01, 0, 1]")
         return direction
 
 
 class ScenePreset(_Strict):
-    """A scene file; what it hides is not computed."""
+    """A scene file; results of hidden layers and panels are not computed."""
 
     schema_version: Literal[1] = 1
     title: str = Field(min_length=1)  # In the menu
-    # layers, panels: What is visible
+    # layers, panels: Names of the visible ones
     layers: tuple[Annotated[str, AfterValidator(_one_of(LAYERS))], ...]
     panels: tuple[Annotated[str, AfterValidator(_one_of(PANELS))], ...] = tuple(
-        name for name, panel in PANELS.items() if panel.at_first
+        name for name, panel in PANELS.items() if panel.by_default
     )
-    cloud: CloudStyle = CloudStyle()  # cloud, membrane, view: Looks
+    cloud: CloudStyle = CloudStyle()
     membrane: MembraneStyle = MembraneStyle()
-    view: ViewPoint = ViewPoint()
+    view: Viewpoint = Viewpoint()
 
-    def choices(self) -> dict[str, Any]:
-        """Fields of `Choices` that the scene decides; κ, speed and scales stay the user's."""
+    def settings(self) -> dict[str, Any]:
+        """Fields of `Settings` set by the scene; κ, speed and scales are kept."""
         return {
             "layers": frozenset(self.layers),
-            "panels": frozenset(PANELS[name].choice for name in self.panels) - {""},
+            "panels": frozenset(PANELS[name].settings_name for name in self.panels) - {""},
             "cloud_colour": self.cloud.colour,
             "cloud_points": self.cloud.points or None,
             "membrane_opacity": self.membrane.opacity,
@@ -84,7 +84,7 @@ class ScenePreset(_Strict):
 
 
 def load_scene(name: str) -> ScenePreset:
-    """Scene preset of a name.
+    """Load a scene preset by name.
 
     Raises InputError: There is none of that name, or its file breaks the schema.
     """
@@ -97,7 +97,7 @@ def load_scene(name: str) -> ScenePreset:
 
 
 def read_scene(path: Path) -> ScenePreset:
-    """Scene of a file.
+    """Read a scene file.
 
     Raises InputError: It is not TOML or breaks the schema; names the key.
     """

@@ -1,4 +1,4 @@
-"""What the window says about the open source. No Qt in here."""
+"""Properties of the open source, and texts about a result. No Qt."""
 
 from __future__ import annotations
 
@@ -14,55 +14,53 @@ from bubbleviz.recordings import Gap, TimeAxis, find_gaps
 from bubbleviz.result import Result
 from bubbleviz_ui.model.units import Units
 
-Link = State | Literal["disconnected"]
-"""How what is connected is doing; disconnected while nothing is."""
-Badge = Link | Literal["", "frozen", "simulated"]
-"""The one word that tells what one looks at; empty for a recording."""
+ConnectionState = State | Literal["disconnected"]
+"""State of the live connection."""
+Badge = ConnectionState | Literal["", "frozen", "simulated"]
+"""Status of a live source in one word; empty for a recording."""
 NOTHING_OPEN = "nothing open"
-"""Title of what is there while nothing is open."""
+"""Title while no source is open."""
 
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """What the window says about the open source."""
+    """Properties of the open source."""
 
-    title: str  # Name of the source
-    sensor_name: str  # Name of the sensor
-    times_s: np.ndarray  # (F,) array: Time of each frame, s
-    live: bool = False  # A live source, not a recording
-    grows: bool = False  # Frames are added while one looks
-    remark: str = ""  # What the user should know about it; empty for nothing
-    # Frames marked when it was recorded, with the text of each
-    marks: tuple[tuple[int, str], ...] = ()
-    simulated: bool = False  # Its live frames are a simulation's
-    # Where a source that grows sent nothing; what a busy solver left out is none
+    title: str
+    sensor_name: str
+    times_s: np.ndarray  # (F,) times of the frames, s
+    live: bool = False  # Live source, not a recording
+    grows: bool = False  # Frames are being added
+    remark: str = ""  # Warning for the user, or empty
+    marks: tuple[tuple[int, str], ...] = ()  # Frames marked during recording, with their texts
+    simulated: bool = False  # Live frames come from a simulation
+    # Intervals in which a live source sent nothing; frames dropped by a busy solver do not count
     outages: tuple[Gap, ...] = ()
-    path: str = ""  # Resolved, of a recording's file or folder; empty for what is none
-    # What was done to the zero of a recording's gas pressure; empty where none was recorded
-    gas_zero: str = ""
+    path: str = ""  # Absolute path of a recording; empty for other sources
+    gas_zero: str = ""  # Zero correction of a recording's gas pressure; empty if none was recorded
 
     @property
-    def nothing(self) -> bool:
-        """Whether nothing is open: its one frame is nobody's."""
+    def is_empty(self) -> bool:
+        """Whether no source is open; the only frame is then empty."""
         return self.title == NOTHING_OPEN
 
     @property
     def frames(self) -> int:
-        """Count the frames."""
+        """Number of frames."""
         return len(self.times_s)
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
-        """Where frames are missing."""
+        """Intervals without frames."""
         return self.outages if self.grows else find_gaps(self.times_s)
 
     @cached_property
     def axis(self) -> TimeAxis:
-        """Where its frames lie on a timeline."""
+        """Positions of the frames on a timeline."""
         return TimeAxis(self.times_s)
 
     def same_source(self, other: SourceFacts) -> bool:
-        """Whether the other facts are of the same frames, with whatever sensor."""
+        """Whether both describe the same frames; the sensor may differ."""
         mine, its = (facts.path or facts.title for facts in (self, other))
         return mine == its and self.frames == other.frames
 
@@ -72,39 +70,38 @@ class SourceFacts:
         span = float(self.times_s[-1] - self.times_s[0]) if self.frames else 0.0
         return (self.frames - 1) / span if span > 0 else float("nan")
 
-    def badge(self, link: Link, *, frozen: bool) -> Badge:
-        """Say in one word what one looks at; what is connected counts for frames from there."""
+    def badge(self, connection: ConnectionState, *, frozen: bool) -> Badge:
+        """Status in one word; the connection state counts only for its own frames."""
         if not self.live:
             return ""
-        if self.grows and link != "live":
-            return link
+        if self.grows and connection != "live":
+            return connection
         if frozen:
             return "frozen"
         return "simulated" if self.simulated else "live"
 
 
-# A frame's force and doubts in words, the same wherever the window shows them. No Qt in here.
+# Texts about a result, the same wherever the window shows them.
 
-
-DOUBTS = {
+UNTRUSTED_STATUS = {
     "no_data": "no depth data",
     "not_converged": "not converged",
     "implausible": "implausible",
 }
-"""Headline of each status without a number to trust."""
+"""Title of each status whose numbers must not be used."""
 
 
-def doubt_text(result: Result) -> str:
-    """Why the numbers of a result are not to be trusted; empty where they are."""
+def untrusted_text(result: Result) -> str:
+    """Why the numbers of a result must not be used; empty if they may."""
     estimate = result.estimate
     if estimate is None or estimate.trusted:
         return ""
-    headline = DOUBTS[estimate.status]
+    headline = UNTRUSTED_STATUS[estimate.status]
     return f"{headline}: {estimate.reason}" if estimate.reason else headline
 
 
 def force_text(result: Result, units: Units) -> str:
-    """|F| ± half of its 95 % interval where it is known; a dash where it is not to be trusted."""
+    """|F| ± half of its 95 % interval, if known; a dash for an untrusted result."""
     estimate, patch = result.trusted_estimate, result.trusted_patch
     if estimate is None or patch is None:
         return units.force.text(None)
@@ -113,18 +110,18 @@ def force_text(result: Result, units: Units) -> str:
 
 
 def tangential_text(result: Result, units: Units) -> str:
-    """The part of the force that is friction; a dash where no friction was estimated."""
+    """Tangential force; a dash if no friction was estimated."""
     patch = result.trusted_patch
     if patch is None:
         return units.force.text(None)
     tangential = float(np.linalg.norm(patch.tangential_force_n))
-    # An estimated amplitude is never exactly 0.
+    # an estimated amplitude is never exactly 0
     estimated = tangential > 0.0 or not patch.force_n.any()
     return units.force.text(tangential if estimated else None)
 
 
 def pressure_text(place: Probed, units: Units) -> str:
-    """Contact pressure at a place, or the pressure there that is not contact."""
+    """Contact pressure at a point, or the pressure there without evidence of contact."""
     if place.unexplained_pa > 0.0:
         return f"{units.pressure.text(place.unexplained_pa)} without evidence of contact"
     return f"p_c {units.pressure.text(place.pressure_pa)}"

@@ -1,4 +1,4 @@
-"""Controls of settings: made from what `Choices` says of each, and bound to it."""
+"""Controls of settings: made from what `Settings` says of each, and bound to it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.model.choices import About, Choices
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
+from bubbleviz_ui.model.settings import SettingInfo, Settings
+from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 
 Box = QAbstractButton | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
 Control = Box | QAction
@@ -36,7 +36,7 @@ def _same(value: Any) -> Any:
 
 
 class Binding(QObject):
-    """A control and its field of the choices, see `bind`; it lives as long as the control."""
+    """A control and its field of the settings, see `bind`; it lives as long as the control."""
 
     def __init__(
         self,
@@ -52,11 +52,11 @@ class Binding(QObject):
         self._showing = False
         self.refresh()
         _changed(control).connect(self._on_set)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def refresh(self) -> None:
         """Show the present choice: the control means something else by it now."""
-        self.show(getattr(self._state.choices, self._field))
+        self.show(getattr(self._state.settings, self._field))
 
     def show(self, value: Any) -> None:
         """Show a value, which is not chosen by that."""
@@ -66,22 +66,22 @@ class Binding(QObject):
 
     def _on_set(self) -> None:
         if not self._showing:
-            self._state.choose(**{self._field: self._chosen(_get(self._control))})
+            self._state.change(**{self._field: self._chosen(_get(self._control))})
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if self._field in names or names & SYSTEMS.keys():
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if self._field in names or names & UNIT_CHOICES.keys():
             self.refresh()
 
 
 def bind(
     control: Control,  # The items of a combo box have the values as their data
     state: SessionState,
-    field: str,  # Of `Choices`
+    field: str,  # Of `Settings`
     # What the control shows of a value; None leaves a button or a number as it is
     shown: Callable[[Any], Any] = _same,
     chosen: Callable[[Any], Any] = _same,  # Value to choose for what the user has set
 ) -> Binding:
-    """Keep a control and a field of the choices the same."""
+    """Keep a control and a field of the settings the same."""
     return Binding(control, state, field, shown, chosen)
 
 
@@ -89,7 +89,7 @@ def bind_member(control: Control, state: SessionState, field: str, name: str) ->
     """Have a button or action say whether a name is in a field that is a set."""
 
     def chosen(on: bool) -> frozenset[str]:
-        names: frozenset[str] = getattr(state.choices, field)
+        names: frozenset[str] = getattr(state.settings, field)
         return names | {name} if on else names - {name}
 
     bind(control, state, field, lambda names: name in names, chosen)
@@ -99,63 +99,63 @@ def bind_option(control: Control, state: SessionState, field: str, option: str) 
     """Have one of several exclusive buttons or actions stand for one value of a field."""
 
     def chosen(on: bool) -> str:
-        return option if on else getattr(state.choices, field)
+        return option if on else getattr(state.settings, field)
 
     bind(control, state, field, lambda value: value == option, chosen)
 
 
 def control(
     state: SessionState,
-    field: str,  # Of `Choices`
-    about: About | None = None,  # Where it is of another setting, which is in the field
+    field: str,  # Of `Settings`
+    info: SettingInfo | None = None,  # Where it is of another setting, which is in the field
     inside: Callable[[Any], Any] = _same,  # That setting of the field's value
     around: Callable[[Any], Any] = _same,  # Value of the field with that setting changed
 ) -> Any:
-    """Control of a setting, as `About` describes it, bound to it."""
-    about = Choices.about(field) if about is None else about
-    box = widget(about)
+    """Control of a setting, as `SettingInfo` describes it, bound to it."""
+    info = Settings.info(field) if info is None else info
+    box = widget(info)
     is_number = isinstance(box, QSpinBox | QDoubleSpinBox)
-    usual = about.low if about.usual is None else about.usual
-    optional = getattr(Choices(), field) is None or inside is not _same
+    number_for_none = info.low if info.number_for_none is None else info.number_for_none
+    optional = getattr(Settings(), field) is None or inside is not _same
 
     def shown(value: Any) -> Any:
         value = inside(value)
-        if about.slider:
-            return round(value / about.step)
+        if info.slider:
+            return round(value / info.step)
         if not is_number:
             return value
-        unit = _fitted(box, about, state.units)
-        return unit.of(usual if value is None else value)
+        unit = _fitted(box, info, state.units)
+        return unit.from_si(number_for_none if value is None else value)
 
     def chosen(value: Any) -> Any:
-        if about.slider:
-            value *= about.step
+        if info.slider:
+            value *= info.step
         elif is_number:
-            value = _unit(about, state.units).to_si(value)
+            value = _unit(info, state.units).to_si(value)
             value = round(value) if isinstance(box, QSpinBox) else value
-            value = None if optional and value == usual else value
+            value = None if optional and value == number_for_none else value
         return around(value)
 
     bind(box, state, field, shown, chosen)
     return box
 
 
-def widget(about: About) -> Box:
+def widget(info: SettingInfo) -> Box:
     """Control of a setting, not bound to it: a choice of titles, a number, or yes and no."""
     box: Box
-    if about.titles is not None:
-        box = options(QComboBox(), about.titles)
-    elif about.slider:
+    if info.titles is not None:
+        box = options(QComboBox(), info.titles)
+    elif info.slider:
         box = QSlider(Qt.Orientation.Horizontal)
-        box.setRange(round(about.low / about.step), round(about.high / about.step))
-    elif about.high > about.low:
-        box = QSpinBox() if isinstance(about.low, int) else QDoubleSpinBox()
-        box.setSpecialValueText(about.lowest)
+        box.setRange(round(info.low / info.step), round(info.high / info.step))
+    elif info.high > info.low:
+        box = QSpinBox() if isinstance(info.low, int) else QDoubleSpinBox()
+        box.setSpecialValueText(info.lowest)
         box.setKeyboardTracking(False)
     else:
-        box = QCheckBox(about.label)
-    box.setToolTip(about.tip)
-    box.setAccessibleName(about.label)
+        box = QCheckBox(info.label)
+    box.setToolTip(info.tip)
+    box.setAccessibleName(info.label)
     return box
 
 
@@ -167,30 +167,30 @@ def form(*controls: QWidget) -> QFormLayout:
     return rows
 
 
-def _unit(about: About, units: Units) -> Unit:
-    unit: Unit = getattr(units, about.unit) if isinstance(about.unit, str) else about.unit
+def _unit(info: SettingInfo, units: Units) -> Unit:
+    unit: Unit = getattr(units, info.unit) if isinstance(info.unit, str) else info.unit
     return unit
 
 
-def _fitted(box: Any, about: About, units: Units) -> Unit:
+def _fitted(box: Any, info: SettingInfo, units: Units) -> Unit:
     """Give a box of numbers the ends, the step and the unit that it has among the operator's."""
-    unit = _unit(about, units)
+    unit = _unit(info, units)
     if isinstance(box, QDoubleSpinBox):
         box.setDecimals(unit.digits)
     number = float if isinstance(box, QDoubleSpinBox) else round
-    box.setRange(number(unit.of(about.low)), number(unit.of(about.high)))
-    box.setSingleStep(number(unit.of(about.step)))
+    box.setRange(number(unit.from_si(info.low)), number(unit.from_si(info.high)))
+    box.setSingleStep(number(unit.from_si(info.step)))
     box.setSuffix(f" {unit.symbol}" if unit.symbol else "")
     return unit
 
 
 def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str, QAction]]:
     """Button with a menu whose actions say which names are in a field that is a set."""
-    about, actions = Choices.about(field), dict[str, QAction]()
-    button = tool_button(about.label, about.tip)
+    info, actions = Settings.info(field), dict[str, QAction]()
+    button = tool_button(info.label, info.tip)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     menu = QMenu(button)
-    for name, title in (about.titles or {}).items():
+    for name, title in (info.titles or {}).items():
         actions[name] = action = menu.addAction(title)
         action.setCheckable(True)
         bind_member(action, state, field, name)
@@ -280,7 +280,7 @@ def _leaves_to_the_window(event: QKeyEvent) -> bool:
 def watch_controls(panel: QWidget) -> None:
     """Let every control of a panel be reached by Tab, and settings be changed on purpose alone.
 
-    Buttons, sliders and choices do not take the focus on a click, number boxes not from the wheel.
+    Buttons, sliders and settings do not take the focus on a click, number boxes not from the wheel.
     """
     control_input = ControlInput(panel)
     for kind in (QAbstractButton, QSlider, QComboBox):

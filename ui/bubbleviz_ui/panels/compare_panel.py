@@ -31,8 +31,9 @@ from bubbleviz_ui.engine.source import RECORDINGS, Source, sensor_for
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, ComparedSetting
 from bubbleviz_ui.model.source_facts import force_text, tangential_text
-from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind_member, control, watch_controls
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
@@ -54,7 +55,7 @@ ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "area": ("Patch area", lambda m, u: u.area.text(m.numbers.area_m2)),
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.numbers.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
-    "iou": ("Patch IoU", lambda m, u: NOTHING if math.isnan(m.iou) else f"{m.iou:.2f}"),
+    "iou": ("Patch IoU", lambda m, u: DASH if math.isnan(m.iou) else f"{m.iou:.2f}"),
     "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),
 }
 """What is measured, by its title and its text."""
@@ -67,13 +68,13 @@ class Column:
 
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
-        self.controls = {each.name: self._control(each.name) for each in fields(Setting)}
-        self.used = QPushButton(f"Use {SETTINGS[number]}")
+        self.controls = {each.name: self._control(each.name) for each in fields(ComparedSetting)}
+        self.used = QPushButton(f"Use {COMPARED_NAMES[number]}")
         self.used.clicked.connect(self.use)
-        self.values = {name: QLabel(NOTHING) for name in ROWS}
+        self.values = {name: QLabel(DASH) for name in ROWS}
         for label in self.values.values():
             label.setObjectName("value")
-        self.title = QLabel(SETTINGS[number])
+        self.title = QLabel(COMPARED_NAMES[number])
         colours = f"background: {theme.COMPARED[number]}; color: {theme.ON_BADGE}"
         self.title.setStyleSheet(f"{colours}; padding: 1px 5px")
         self.title.setToolTip("Colour of its patch outline in the 3-D view")
@@ -81,26 +82,26 @@ class Column:
     def _control(self, name: str) -> Any:
         """Control of the field of that name."""
 
-        def inside(settings: tuple[Setting, ...]) -> Any:
+        def inside(settings: tuple[ComparedSetting, ...]) -> Any:
             return getattr(settings[self._number], name)
 
-        def around(value: Any) -> tuple[Setting, ...]:
-            settings = list(self._state.choices.compared)
+        def around(value: Any) -> tuple[ComparedSetting, ...]:
+            settings = list(self._state.settings.compared)
             settings[self._number] = replace(settings[self._number], **{name: value})
             return tuple(settings)
 
-        return control(self._state, "compared", Setting.about(name), inside, around)
+        return control(self._state, "compared", ComparedSetting.info(name), inside, around)
 
     @property
-    def setting(self) -> Setting:
+    def setting(self) -> ComparedSetting:
         """What is chosen."""
-        return self._state.choices.compared[self._number]
+        return self._state.settings.compared[self._number]
 
     def use(self) -> None:
         """Have the whole window use it from now on."""
         kappa = self.setting.kappa
         rule = {} if kappa is None else {"kappa": kappa}
-        self._state.choose(solver=SETTINGS[self._number], **rule)
+        self._state.change(solver=COMPARED_NAMES[self._number], **rule)
 
     def show_measured(self, measured: ComparedResult | str | None, units: Units) -> None:
         """Write the numbers; a text says why there are none."""
@@ -307,7 +308,7 @@ class ComparePanel(QWidget):
         state.source_changed.connect(self._ask_anew)
         state.playing_changed.connect(self._ask)
         state.frozen_changed.connect(self._ask)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         grid = QGridLayout()
@@ -338,23 +339,23 @@ class ComparePanel(QWidget):
     @property
     def _seen(self) -> bool:
         """Neither closed nor behind another tab, where Qt still calls it visible."""
-        return "compare" in self._state.choices.panels
+        return "compare" in self._state.settings.panels
 
     @property
     def _settings(self) -> tuple[ComparedOptions, ...]:
         """What makes the estimates and the patches of A and B now."""
-        choices = self._state.choices
-        kappa, least = choices.rule
+        settings = self._state.settings
+        kappa, least = settings.patch_rule
         return tuple(
             (s.options, FrameOptions(kappa if s.kappa is None else s.kappa, least))
-            for s in choices.compared
+            for s in settings.compared
         )
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if "panels" in names and not self._seen:
             self._controller.compare(())
             self._take(NOT_MEASURED)
-        elif names & ({"compared"} | PATCH_CHOICES):
+        elif names & ({"compared"} | PATCH_SETTINGS):
             self._ask_anew()
         elif "panels" in names and self._measured is NOT_MEASURED:
             self._ask()

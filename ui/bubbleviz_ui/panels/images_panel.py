@@ -21,7 +21,7 @@ from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import pressure_text
-from bubbleviz_ui.model.units import NOTHING, Unit, Units
+from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button, watch_controls
 from bubbleviz_ui.panels.plot_host import HEAD, Part, PlotHost
 from bubbleviz_ui.shell import theme
@@ -120,7 +120,7 @@ class ImageCell:
         if image is None:
             self.clear()
             lines = [self.picture.title, *textwrap.wrap(why, NARROW)]
-            self._write("<br>".join(lines) if why else f"{self.picture.title}: {NOTHING}")
+            self._write("<br>".join(lines) if why else f"{self.picture.title}: {DASH}")
             return
         low, high = self._range(ends)
         unit = None if self.picture.unit is None else self.picture.unit(units)
@@ -189,7 +189,7 @@ class ImageCell:
         if unit is None:
             no, yes = (f"rgb({','.join(map(str, colours[k]))})" for k in (0, -1))
             return f'<span style="color:{yes}">█</span> yes <span style="color:{no}">█</span> no'
-        ends = (f"{unit.of(end):.{_digits(unit.of(high - low))}f}" for end in (low, high))
+        ends = (f"{unit.from_si(end):.{_digits(unit.from_si(high - low))}f}" for end in (low, high))
         first, last = ends
         return f"{first} {blocks} {last} {unit.symbol}"
 
@@ -205,7 +205,7 @@ class ColourCell(ImageCell):
         """Show what the colour camera saw; None where nobody has looked yet."""
         if seen is None or seen.rgb is None:
             self.clear()
-            why = [NOTHING] if seen is None else textwrap.wrap(seen.reason, NARROW)
+            why = [DASH] if seen is None else textwrap.wrap(seen.reason, NARROW)
             self._write("<br>".join([self.picture.title, *why]))
             return
         self._put(seen.rgb, seen.rgb, autoLevels=False)
@@ -253,7 +253,7 @@ class ImagesPanel(QWidget):
         self._on_hover(None)
         watch_controls(self)
         state.source_changed.connect(self._on_source)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         header, text = QWidget(), QWidget()
@@ -268,7 +268,7 @@ class ImagesPanel(QWidget):
         for cell in self.cells.values():
             cell.forget_range()
 
-    def _on_choices(self) -> None:
+    def _on_settings(self) -> None:
         self._arrange()
         self._draw()
         self._on_hover(self._hover.place)
@@ -316,7 +316,7 @@ class ImagesPanel(QWidget):
         """Put the chosen images into the grid that shows them largest."""
         if self._host.canvas is None:
             return
-        shown = [name for name in PICTURES if name in self._state.choices.images]
+        shown = [name for name in PICTURES if name in self._state.settings.images]
         columns = best_columns(len(shown), self.width(), self.height() - HEADER)
         if self._arranged == [(name, columns) for name in shown]:
             return
@@ -332,7 +332,7 @@ class ImagesPanel(QWidget):
         if result is not None and result.patch is not None:
             mask = result.patch.pixel_mask
             images |= {"patch": mask} if mask is not None else {}
-        for name in self._state.choices.images:
+        for name in self._state.settings.images:
             cell = self.cells[name]
             if isinstance(cell, ColourCell):
                 cell.take(inspection.colour)
@@ -342,7 +342,7 @@ class ImagesPanel(QWidget):
             cell.draw(images.get(name), ends, self._state.units, why)
 
     def _on_mouse(self, place: QPointF) -> None:
-        for name in self._state.choices.images:
+        for name in self._state.settings.images:
             box = self.cells[name].box
             if box.sceneBoundingRect().contains(place) and self._has_pixels_of_depth(name):
                 at = box.mapSceneToView(place)
@@ -367,7 +367,7 @@ def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
     length = units.length
     seen = f"pixel ({place.pixel[1]}, {place.pixel[0]})" if place.pixel else "outside the image"
     point = place.point_m if np.isfinite(place.point_m).all() else place.node_m
-    x, y, z = (f"{length.of(float(c)):.{length.digits}f}" for c in point)
+    x, y, z = (f"{length.from_si(float(c)):.{length.digits}f}" for c in point)
     return (
         f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",
         f"x {x} · y {y} · z {z} {length.symbol}",

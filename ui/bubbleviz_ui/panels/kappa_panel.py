@@ -27,10 +27,10 @@ from bubbleviz.diagnostics import KappaCurve
 from bubbleviz.inverse import Component
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import doubt_text, force_text
-from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.model.source_facts import force_text, untrusted_text
+from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind, control, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
@@ -55,14 +55,14 @@ class KappaPanel(QWidget):
             " (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
-        about = Choices.about("kappa")
+        info = Settings.info("kappa")
         self.slider.setRange(
-            *(round(STEPS_PER_DECADE * math.log10(end)) for end in (about.low, about.high))
+            *(round(STEPS_PER_DECADE * math.log10(end)) for end in (info.low, info.high))
         )
         self.slider.setPageStep(10)
-        self.slider.setToolTip(about.tip)
-        self.box = QDoubleSpinBox(minimum=about.low, maximum=about.high, decimals=2, prefix="κ = ")
-        self.box.setToolTip(about.tip)
+        self.slider.setToolTip(info.tip)
+        self.box = QDoubleSpinBox(minimum=info.low, maximum=info.high, decimals=2, prefix="κ = ")
+        self.box.setToolTip(info.tip)
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
         self.solver = control(state, "solver")
@@ -104,9 +104,9 @@ class KappaPanel(QWidget):
             bind(self.slider, state, "kappa", _to_steps, _to_kappa),
             bind(self.box, state, "kappa"),
         )
-        state.choices_changed.connect(self._show_rule)
+        state.settings_changed.connect(self._show_rule)
         self._show_rule()
-        if state.choices.kappa is None:
+        if state.settings.kappa is None:
             for each in self._kappa:
                 each.show(BEFORE)
 
@@ -116,13 +116,13 @@ class KappaPanel(QWidget):
     def _show_rule(self, names: frozenset[str] = frozenset({"kappa"})) -> None:
         """One rule draws the outline, and only its controls are there."""
         if "kappa" in names:
-            self.by_kappa.setVisible(self._state.choices.kappa is not None)
+            self.by_kappa.setVisible(self._state.settings.kappa is not None)
 
     def show_result(self, result: Result | None) -> None:
         """Write the numbers of the patch; none without a result."""
         units, patch = self._state.units, None if result is None else result.trusted_patch
         threshold_pa = patch.threshold_pa if patch else None
-        automatic = self._state.choices.kappa is None
+        automatic = self._state.settings.kappa is None
         self.threshold.setText("automatic" if automatic else units.pressure.text(threshold_pa))
         area = (patch.area_m2, *patch.area_interval_m2) if patch else (math.nan,) * 3
         self.area.setText(units.area.with_range(*area))
@@ -130,7 +130,7 @@ class KappaPanel(QWidget):
         self.by_object.setText("" if found is None else units.area.text(found.area_m2))
         self._form.setRowVisible(self.by_object, found is not None)
         self.force.setText(units.force.text(None) if result is None else force_text(result, units))
-        self.doubt.setText("" if result is None else doubt_text(result))
+        self.doubt.setText("" if result is None else untrusted_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))
 
 
@@ -203,7 +203,7 @@ class KappaHistogram(OverKappa):
             edges = np.log10(curve.kappa)
             self.bars.setOpts(
                 x=0.5 * (edges[1:] + edges[:-1]),
-                height=units.area.of(1.0) * curve.histogram_m2,
+                height=units.area.from_si(1.0) * curve.histogram_m2,
                 width=0.9 * (edges[1] - edges[0]),
             )
         self.put_line(kappa)
@@ -229,7 +229,7 @@ class KappaPlot(OverKappa):
         self.curve.setData([], [])
         self.iou.setData([], [])
         if curve is not None:
-            area = units.area.of(1.0) * curve.area_m2
+            area = units.area.from_si(1.0) * curve.area_m2
             self.curve.setData(np.log10(curve.kappa), area)
             if curve.iou is not None:  # as high as the areas: the two share the axis
                 self.iou.setData(np.log10(curve.kappa), float(area.max()) * curve.iou)
@@ -290,7 +290,7 @@ class ThresholdPanel(QWidget):
         self._lay_out()
         controller.shown.connect(self._draw)
         watch_controls(self)
-        state.choices_changed.connect(self._draw)
+        state.settings_changed.connect(self._draw)
 
     def _lay_out(self) -> None:
         row = fill(QHBoxLayout(), QLabel(self.least.accessibleName()), (self.least, 1))
@@ -320,7 +320,7 @@ class ThresholdPanel(QWidget):
     # -- events -------------------------------------------------------------------------------
 
     def _on_dragged(self, line: Any) -> None:
-        self._state.choose(kappa=kappa_at(line))
+        self._state.change(kappa=kappa_at(line))
 
     # -- drawing ------------------------------------------------------------------------------
 
@@ -329,14 +329,14 @@ class ThresholdPanel(QWidget):
             return
         result, inspection = self._controller.result, self._controller.inspection
         units = self._state.units
-        kappa = self._state.choices.kappa
+        kappa = self._state.settings.kappa
         if self.histogram is not None and self.curve is not None:
             self.histogram.draw(inspection.kappa_curve, kappa, units)
             self.curve.draw(inspection.kappa_curve, result, kappa, units)
         self._fill(inspection.components)
 
     def _fill(self, parts: tuple[Component, ...]) -> None:
-        units, least = self._state.units, self._state.choices.least_area_m2
+        units, least = self._state.units, self._state.settings.least_area_m2
         self.table.setRowCount(len(parts))
         for row, part in enumerate(parts):
             texts = (
@@ -352,4 +352,4 @@ class ThresholdPanel(QWidget):
                 self.table.setItem(row, column, item)
         if not parts:
             self.table.setRowCount(1)
-            self.table.setItem(0, 0, QTableWidgetItem(NOTHING))
+            self.table.setItem(0, 0, QTableWidgetItem(DASH))

@@ -60,7 +60,7 @@ class PlotsPanel(QWidget):
         state.history_changed.connect(self._later)
         state.range_changed.connect(self._show_statistics)
         state.source_changed.connect(self._on_source)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         row = fill(
@@ -106,7 +106,7 @@ class PlotsPanel(QWidget):
         self._show_all_time()
         self._draw()
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if "plots" in names:
             self._arrange()
         self._draw()
@@ -164,7 +164,7 @@ class PlotsPanel(QWidget):
 
     def _shown(self) -> list[Any]:
         everything: dict[str, Any] = {**self.plots, "kappa": self.kappa}
-        return [plot for name, plot in everything.items() if name in self._state.choices.plots]
+        return [plot for name, plot in everything.items() if name in self._state.settings.plots]
 
     def _arrange(self) -> None:
         """Put the chosen plots into a grid."""
@@ -191,7 +191,7 @@ class PlotsPanel(QWidget):
         if facts.grows and not self._state.frozen:
             self._follow(float(facts.times_s[-1]))
         for name, plot in self.plots.items():
-            if name in self._state.choices.plots:
+            if name in self._state.settings.plots:
                 plot.draw(facts, self._state.history, self._state.units)
                 plot.draw_beside(self._beside, self._state.units)
         self._draw_cursor()
@@ -208,7 +208,7 @@ class PlotsPanel(QWidget):
             return
         frame = min(self._state.playhead, facts.frames - 1)
         for name, plot in self.plots.items():
-            if name in self._state.choices.plots:
+            if name in self._state.settings.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
         if self._pointed is not None:
             name, time_s = self._pointed
@@ -224,19 +224,21 @@ class PlotsPanel(QWidget):
         first, last = state.play_range or (0, -1)
         if state.play_range is not None:
             curves = [
-                Curve(title, trace.unit(state.units), state.history.of(name)[first : last + 1])
+                Curve(
+                    title, trace.unit(state.units), state.history.quantity(name)[first : last + 1]
+                )
                 for plot, trace in TRACES.items()
-                if plot in state.choices.plots
+                if plot in state.settings.plots
                 for name, title in trace.titles.items()
             ]
         sensor = self._controller.sensor
         name = "" if sensor is None else sensor.name
-        self.statistics.show_range(first, last, curves, state.choices.kappa, name)
+        self.statistics.show_range(first, last, curves, state.settings.kappa, name)
 
     def _show_kappa(self) -> None:
-        if self.kappa is not None and self._host.ready and "kappa" in self._state.choices.plots:
+        if self.kappa is not None and self._host.ready and "kappa" in self._state.settings.plots:
             result, curve = self._controller.result, self._controller.inspection.kappa_curve
-            self.kappa.draw(curve, result, self._state.choices.kappa, self._state.units)
+            self.kappa.draw(curve, result, self._state.settings.kappa, self._state.units)
 
     def _on_click(self, event: Any) -> None:
         found = self._under(event.scenePos())
@@ -260,7 +262,7 @@ class PlotsPanel(QWidget):
         """Plot at a place of the canvas, and the time there, s."""
         for name, plot in self.plots.items():
             inside = plot.box.sceneBoundingRect().contains(place)
-            if inside and name in self._state.choices.plots:
+            if inside and name in self._state.settings.plots:
                 return name, float(plot.box.mapSceneToView(place).x())
         return None
 
@@ -268,7 +270,7 @@ class PlotsPanel(QWidget):
         self._seek(float(line.value()))
 
     def _on_kappa(self, line: Any) -> None:
-        self._state.choose(kappa=kappa_at(line))
+        self._state.change(kappa=kappa_at(line))
 
     def _seek(self, time_s: float) -> None:
         facts = self._state.facts

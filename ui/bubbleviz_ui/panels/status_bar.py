@@ -22,12 +22,12 @@ from bubbleviz.live import LatencyReport
 from bubbleviz.result import Result
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.demand import Cost, Costs
-from bubbleviz_ui.model.frame_history import History
-from bubbleviz_ui.model.registry import ASKING, LAYERS
+from bubbleviz_ui.model.demand import StageTime, StageTimes
+from bubbleviz_ui.model.frame_history import FrameHistory
+from bubbleviz_ui.model.registry import LAYERS, RESULT_PANELS
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import SourceFacts, doubt_text, force_text, tangential_text
-from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.model.source_facts import SourceFacts, force_text, tangential_text, untrusted_text
+from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.view3d.render_view import View
@@ -115,7 +115,7 @@ class StatusBar(QStatusBar):
         self._fit()
         self.show_latency(None)
 
-    def show_result(self, result: Result, facts: SourceFacts, history: History) -> None:
+    def show_result(self, result: Result, facts: SourceFacts, history: FrameHistory) -> None:
         """Write the numbers of the frame that is shown."""
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
@@ -123,7 +123,7 @@ class StatusBar(QStatusBar):
         of_all = "" if facts.grows else f" of {facts.frames - 1}"
         place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
-            "frame": f"frame {NOTHING}" if facts.nothing else place,
+            "frame": f"frame {DASH}" if facts.is_empty else place,
             "force": "force " + force_text(result, units),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),
@@ -133,7 +133,7 @@ class StatusBar(QStatusBar):
         for name, text in texts.items():
             self.labels[name].setText(text)
         tangential = f"its tangential part, from depth alone: {tangential_text(result, units)}"
-        self.labels["force"].setToolTip(doubt_text(result) or f"{TIPS['force']};\n{tangential}")
+        self.labels["force"].setToolTip(untrusted_text(result) or f"{TIPS['force']};\n{tangential}")
         self._solve_ms = result.times_ms.get("total")
 
     def show_rates(self, solve_hz: float, render_hz: float, dropped: int) -> None:
@@ -186,9 +186,9 @@ class StatusBar(QStatusBar):
         elide = Qt.TextElideMode.ElideMiddle  # begin of the name, end of the file
         label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
 
-    def _gas_text(self, frame: int, history: History) -> str:
+    def _gas_text(self, frame: int, history: FrameHistory) -> str:
         """Gas pressure change of a frame, as in the plot: measured, else by the gas law."""
-        curves = [history.of(name) for name in ("gas_measured_pa", "gas_law_pa")]
+        curves = [history.quantity(name) for name in ("gas_measured_pa", "gas_law_pa")]
         known = [float(curve[frame]) for curve in curves if frame < len(curve)]
         change = next((value for value in known if math.isfinite(value)), None)
         return f"p_v {self._units.gas_pressure.text(change, signed=True)}"
@@ -212,19 +212,29 @@ class StatusBar(QStatusBar):
 EVERY_MS = 500  # twice a second, as can be read
 COLUMNS = ("Stage", "last", "median", "runs", "Why it runs")
 WIDTH = 860  # px: all columns
-NOBODY = "idle: nothing needs it"
+IDLE = "idle: nothing needs it"
 
 
-class CostsPopup(QFrame):
+class PerformancePopup(QFrame):
     """Table of the stages; follows while it is open."""
 
     def __init__(
-        self, parent: QWidget, state: SessionState, controller: Controller, costs: Costs, view: View
+        self,
+        parent: QWidget,
+        state: SessionState,
+        controller: Controller,
+        stage_times: StageTimes,
+        view: View,
     ) -> None:
         super().__init__(parent, Qt.WindowType.Popup)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setObjectName("costs")
-        self._state, self._controller, self._costs, self._view = state, controller, costs, view
+        self._state, self._controller, self._stage_times, self._view = (
+            state,
+            controller,
+            stage_times,
+            view,
+        )
         self.table = QTableWidget(0, len(COLUMNS))
         self.drawing = QLabel()
         self.hint = QLabel(
@@ -248,11 +258,11 @@ class CostsPopup(QFrame):
         """Write the numbers of now."""
         analysing = self._controller.analysis.busy
         counts = self._controller.client.solver.counts
-        lines = self._costs.table(self._state.choices, counts, analysing=analysing)
+        lines = self._stage_times.table(self._state.settings, counts, analysing=analysing)
         self.table.setRowCount(len(lines))
         for row, line in enumerate(lines):
             for column, text in enumerate(self._texts(line)):
-                self._write(row, column, text, idle=not line.why and line.stage != "total")
+                self._write(row, column, text, idle=not line.requested_by and line.stage != "total")
         height = self.table.horizontalHeader().height() + 2
         self.table.setFixedHeight(height + sum(self.table.rowHeight(r) for r in range(len(lines))))
         view, duration = self._view, self._state.units.duration
@@ -263,9 +273,9 @@ class CostsPopup(QFrame):
             "arrived"
         )
 
-    def _texts(self, line: Cost) -> tuple[str, ...]:
+    def _texts(self, line: StageTime) -> tuple[str, ...]:
         duration = self._state.units.duration
-        why = ", ".join(map(_title, line.why)) or ("" if line.stage == "total" else NOBODY)
+        why = ", ".join(map(_title, line.requested_by)) or ("" if line.stage == "total" else IDLE)
         last, typical = duration.text(line.last_ms), duration.text(line.median_ms)
         return line.title, last, typical, f"{line.runs}×", why
 
@@ -303,7 +313,7 @@ def _title(name: str) -> str:
     """What a layer or panel that asks is called."""
     if name in LAYERS:
         return LAYERS[name].title
-    panel = ASKING.get(name)
+    panel = RESULT_PANELS.get(name)
     if panel is None:
         return name
     return f"{panel.title} panel" if panel.side else panel.title.lower()

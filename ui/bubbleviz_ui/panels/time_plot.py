@@ -13,7 +13,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPainterPath
 from PySide6.QtWidgets import QGraphicsPathItem
 
-from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, History, thinned
+from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, FrameHistory, decimated
 from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Unit, Units
@@ -97,7 +97,7 @@ class TimePlot:
         import pyqtgraph as pg  # 0.2 s later than the window
 
         self.trace = trace
-        self._history: History | None = None
+        self._history: FrameHistory | None = None
         self.frame = PlotFrame("seconds")
         self.box = self.frame.box
         self.box.setMouseEnabled(x=True, y=False)
@@ -120,19 +120,19 @@ class TimePlot:
             self.box.addItem(item)
         self.box.addItem(self.cursor, ignoreBounds=True)
 
-    def draw(self, facts: SourceFacts, history: History, units: Units) -> None:
+    def draw(self, facts: SourceFacts, history: FrameHistory, units: Units) -> None:
         """Draw what is known, in the operator's unit."""
         self._history = history
-        scale = self.trace.unit(units).of(1.0)
+        scale = self.trace.unit(units).from_si(1.0)
         for name, curve in self.curves.items():
             low, high = self.box.viewRange()[0]
-            known = history.of(name)
-            times, values = thinned(facts.times_s, known, (low, high), facts.gaps)
+            known = history.quantity(name)
+            times, values = decimated(facts.times_s, known, (low, high), facts.gaps)
             curve.setData(times, values * scale)
             lone = alone(values)
             self.dots[name].setData(times[lone], values[lone] * scale)
             if name in self.bands:
-                half = history.of(self.trace.bands[name])
+                half = history.quantity(self.trace.bands[name])
                 self.bands[name].draw(facts, known * scale, half * scale, (low, high))
 
     def draw_beside(self, beside: Beside | None, units: Units) -> None:
@@ -189,7 +189,7 @@ class TimePlot:
         return f"{' · '.join(parts)} {unit.symbol}{note}"
 
     def _at(self, name: str, frame: int) -> float:
-        return math.nan if self._history is None else float(self._history.of(name)[frame])
+        return math.nan if self._history is None else float(self._history.quantity(name)[frame])
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Take the theme's colours."""
@@ -229,8 +229,8 @@ class Band:
         """Draw values ± half widths, (F,), in the operator's unit."""
         import pyqtgraph as pg  # 0.2 s later than the window
 
-        times, low = thinned(facts.times_s, values - half, window_s, facts.gaps)
-        _, high = thinned(facts.times_s, values + half, window_s, facts.gaps)
+        times, low = decimated(facts.times_s, values - half, window_s, facts.gaps)
+        _, high = decimated(facts.times_s, values + half, window_s, facts.gaps)
         self.low.setData(times, low)
         self.high.setData(times, high)
         path, polygon = QPainterPath(), pg.functions.arrayToQPolygonF

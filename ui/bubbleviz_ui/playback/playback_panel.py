@@ -15,9 +15,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.model.choices import SPEEDS, Choices
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import NOTHING
+from bubbleviz_ui.model.settings import SPEEDS, Settings
+from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.panels.binding import bind, control, tool_button, watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
@@ -73,7 +73,7 @@ JUMPS = {
 }
 """How far, in words and by which keys, by the seconds."""
 SWITCHES = {
-    "Loop": Choices.about("loop").tip,
+    "Loop": Settings.info("loop").tip,
     "Mark": "Mark this frame (M); PgUp, PgDn go to marked frames",
     "Freeze": "Hold this frame while the live source continues (F)",
 }
@@ -116,7 +116,7 @@ class PlaybackPanel(QWidget):
         watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._on_history)
-        for changed in (state.source_changed, state.choices_changed, state.playing_changed,
+        for changed in (state.source_changed, state.settings_changed, state.playing_changed,
                         state.frozen_changed, state.range_changed,
                         state.markers_changed):  # fmt: skip
             changed.connect(self._show_all)
@@ -124,7 +124,7 @@ class PlaybackPanel(QWidget):
     def _jump(self, seconds: float) -> QToolButton:
         words, keys = JUMPS[seconds]
         button = tool_button(f"{words} s", f"{words} seconds ({keys})", slim=True)
-        button.clicked.connect(lambda: self._state.jump(seconds))
+        button.clicked.connect(lambda: self._state.step_seconds(seconds))
         return button
 
     def _lay_out(self) -> None:
@@ -221,8 +221,8 @@ class PlaybackPanel(QWidget):
         facts = self._state.facts
         if facts is None:
             return ""
-        if facts.nothing:
-            return f"frame {NOTHING}"
+        if facts.is_empty:
+            return f"frame {DASH}"
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         of_all = "" if facts.grows else f" of {facts.frames - 1}"
         return f"frame {frame}{of_all}   {time_text}"

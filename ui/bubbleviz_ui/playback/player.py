@@ -7,8 +7,8 @@ import time
 import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer
 
-from bubbleviz_ui.model.choices import PLAYBACK_CHOICES
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import PLAYBACK_SETTINGS
 
 # Playback time: which frame is due now, at a speed, with or without a loop. No Qt in here.
 
@@ -98,7 +98,7 @@ class Player(QObject):
         state.playing_changed.connect(self._on_playing)
         state.source_changed.connect(self._wind)
         state.range_changed.connect(self._wind)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def came(self, frame: int) -> None:
         """A frame is there to be drawn: the next one may be due soon."""
@@ -131,15 +131,15 @@ class Player(QObject):
             self._clock = None if facts.grows else PlayClock(facts.times_s, frames)
             self._start()
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if names & PLAYBACK_CHOICES:
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & PLAYBACK_SETTINGS:
             self._start()
 
     def _start(self) -> None:
         if self._clock is not None:
             self._read_s = 0.0
-            frame = self._state.now if self._state.frozen else self._state.frame
-            self._clock.start(frame, time.perf_counter(), self._state.choices.speed)
+            frame = self._state.live_frame if self._state.frozen else self._state.frame
+            self._clock.start(frame, time.perf_counter(), self._state.settings.speed)
 
     def _tick(self, ahead_s: float = 0.0) -> None:
         state = self._state
@@ -147,14 +147,14 @@ class Player(QObject):
             return
         now = max(time.perf_counter() + ahead_s, self._read_s)  # never back
         self._read_s = now
-        loop = state.choices.loop
-        if state.choices.every_frame:
+        loop = state.settings.loop
+        if state.settings.every_frame:
             if self._came != state.frame and not state.frozen:
                 return
             index, ended = self._clock.following(now, loop=loop)
         else:
             index, skipped, ended = self._clock.due(now, loop=loop)
             self.skipped += 0 if state.frozen else skipped
-        state.go_on(index)
+        state.advance_to(index)
         if ended:
             state.set_playing(False)

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
 from bubbleviz.calibration import Ranges
 from bubbleviz.diagnostics import Statistics, statistics
 from bubbleviz.recordings import TimeAxis
-from bubbleviz_ui.model.units import NOTHING, Unit
+from bubbleviz_ui.model.units import DASH, Unit
 from bubbleviz_ui.playback.frame_ranges import tidy
 from bubbleviz_ui.shell import theme
 
@@ -274,9 +274,9 @@ def _heading(curve: Curve) -> str:
 
 def _shown(curve: Curve, known: Statistics) -> list[str]:
     """One decimal more than single values have."""
-    numbers = [curve.unit.of(getattr(known, name)) for name in NUMBERS]
+    numbers = [curve.unit.from_si(getattr(known, name)) for name in NUMBERS]
     digits = curve.unit.digits + 1
-    texts = [f"{value:.{digits}f}" if np.isfinite(value) else NOTHING for value in numbers]
+    texts = [f"{value:.{digits}f}" if np.isfinite(value) else DASH for value in numbers]
     frames = len(curve.values)
     return [*texts, str(frames) if known.frames == frames else f"{known.frames} of {frames}"]
 
@@ -287,7 +287,7 @@ def _as_text(
     """The table as spreadsheets take it; a cell is empty where there is no number."""
     lines = [[title, *(_heading(curve) for curve, _ in columns), "κ", "sensor"]]
     for name, words in NUMBERS.items():
-        values = [curve.unit.of(getattr(known, name)) for curve, known in columns]
+        values = [curve.unit.from_si(getattr(known, name)) for curve, known in columns]
         lines.append(
             [words, *(f"{v:.{COPIED_DIGITS}g}" if np.isfinite(v) else "" for v in values), *made_by]
         )

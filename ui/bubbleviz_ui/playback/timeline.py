@@ -112,7 +112,7 @@ class Timeline(QWidget):
     def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
         """Play all frames again."""
         if event.position().y() < RULER:
-            self._state.choose_range(None)
+            self._state.set_range(None)
 
     def event(self, event: QEvent) -> bool:
         """Say what is under the mouse."""
@@ -212,7 +212,7 @@ class Timeline(QWidget):
         left, right = self.x_of(frames[0]), self.x_of(frames[1])
         accent = QColor(theme.of(self).accent)
         shade = QColor(accent)
-        shade.setAlpha(90 if self._state.choices.loop else 45)
+        shade.setAlpha(90 if self._state.settings.loop else 45)
         painter.fillRect(QRectF(left, 0, right - left, RULER), shade)
         for x in (left, right):
             painter.fillRect(QRectF(x - 1, 0, 2, RULER + BAND), accent)
@@ -229,7 +229,7 @@ class Timeline(QWidget):
 
     def _paint_cursor(self, painter: QPainter) -> None:
         if self._state.frozen:
-            now = self.x_of(self._state.now)
+            now = self.x_of(self._state.live_frame)
             painter.fillRect(QRectF(now - 1, RULER, 2, BAND), QColor(theme.FORCE))
         x = self.x_of(self._state.playhead)
         painter.fillRect(QRectF(x - 1, RULER - 4, 2, BAND + 4), QColor(theme.of(self).text))

@@ -25,11 +25,11 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Worker
-from bubbleviz_ui.model.choices import POSE_CHOICES, Choices
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
+from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
+from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import bind_member, control, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
 from bubbleviz_ui.panels.time_plot import alone
@@ -124,10 +124,10 @@ class Curve:
     def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
         """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
         symbol = "o" if alone(values).any() else None
-        self.line.setData(x, unit.of(1.0) * values, symbol=symbol)
+        self.line.setData(x, unit.from_si(1.0) * values, symbol=symbol)
         top = self._top or float(np.nanmax(values, initial=0.0))
         if top > 0.0:
-            self.frame.box.setYRange(0.0, unit.of(top), padding=0.05)
+            self.frame.box.setYRange(0.0, unit.from_si(top), padding=0.05)
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
@@ -179,15 +179,15 @@ class StartBoxes(QWidget):
         unit = self._units.length
         for box in self.places:
             with QSignalBlocker(box):
-                box.setRange(-unit.of(FARTHEST_M), unit.of(FARTHEST_M))
+                box.setRange(-unit.from_si(FARTHEST_M), unit.from_si(FARTHEST_M))
                 box.setDecimals(max(1, unit.digits - 1))
-                box.setSingleStep(unit.of(1e-3))
+                box.setSingleStep(unit.from_si(1e-3))
                 box.setSuffix(f" {unit.symbol}")
 
     def show_pose(self, T_B_O: np.ndarray) -> None:
         """Write a pose (4, 4) into the boxes."""
         angles = np.degrees(angles_of_pose(T_B_O))
-        place = self._units.length.of(1.0) * T_B_O[:3, 3]
+        place = self._units.length.from_si(1.0) * T_B_O[:3, 3]
         values = zip([*self.places, *self.angles], [*place, *angles], strict=True)
         for box, value in values:
             with QSignalBlocker(box):
@@ -217,7 +217,7 @@ EVERY_MS = 150
 class PosePanel(QWidget):
     """Controls of a `PoseSession`."""
 
-    said = Signal(object)  # A `UserMessage`
+    notified = Signal(object)  # A `UserMessage`
     gizmo = Signal(bool)  # Whether the object is to be moved in the view
 
     def __init__(self, state: SessionState, session: PoseSession) -> None:
@@ -292,7 +292,7 @@ class PosePanel(QWidget):
         )
         self.here.setToolTip("Use the displayed pose as the initial pose")
         self.track.setCheckable(True)
-        self.track.setToolTip(Choices.about("pose_track").tip)
+        self.track.setToolTip(Settings.info("pose_track").tip)
         self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
         self.patch.setToolTip(LAYERS["object_patch"].tip)
 
@@ -341,7 +341,7 @@ class PosePanel(QWidget):
         self.csv.clicked.connect(lambda: self._export("csv"))
         self.tum.clicked.connect(lambda: self._export("tum"))
         session.changed.connect(lambda: self._on_changed())
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def use_start(self, T_B_O: np.ndarray) -> None:
         """Begin at a pose (4, 4)."""
@@ -388,18 +388,18 @@ class PosePanel(QWidget):
         try:
             count = self.session.export(path, "tum" if form == "tum" else "csv")
         except InputError as error:
-            self.said.emit(UserMessage("error", str(error), topic="export of poses"))
+            self.notified.emit(UserMessage("error", str(error), topic="export of poses"))
         else:
             text = f"Exported {count_of(count, 'pose')} to {path}"
-            self.said.emit(UserMessage("notice", text, file=path, topic="export of poses"))
+            self.notified.emit(UserMessage("notice", text, file=path, topic="export of poses"))
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if names & SYSTEMS.keys():
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & UNIT_CHOICES.keys():
             self.start.fit_units()
             self._on_changed()
-        if names & {"pose_start", *SYSTEMS}:
+        if names & {"pose_start", *UNIT_CHOICES}:
             self._show_start()
-        if names & POSE_CHOICES:
+        if names & POSE_SETTINGS:
             self._show_object()
         self._on_changed()
 
@@ -421,7 +421,7 @@ class PosePanel(QWidget):
         self.copy.setEnabled(known)
         for button in (self.csv, self.tum):
             button.setEnabled(idle and bool(session.rows))
-        self.track.setChecked(self._state.choices.pose_track)
+        self.track.setChecked(self._state.settings.pose_track)
 
     def _write(self) -> None:
         """Numbers and curves of the pose that is shown."""

@@ -20,9 +20,9 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller, Followed
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.worker import Failed
-from bubbleviz_ui.model.choices import POSE_CHOICES
-from bubbleviz_ui.model.undo import SettingsHistory
-from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.model.settings import POSE_SETTINGS
+from bubbleviz_ui.model.undo import UndoRecorder
+from bubbleviz_ui.model.units import DASH, Units
 
 # A pose in words and numbers.
 
@@ -44,7 +44,7 @@ STATES = {
 def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     """Texts of the panel by name."""
     pose = session.pose
-    texts = dict.fromkeys(NUMBERS, NOTHING)
+    texts = dict.fromkeys(NUMBERS, DASH)
     if session.busy:
         texts["state"] = "fitting…"
     elif session.obj is None:
@@ -142,13 +142,13 @@ class _Found:
 
 
 class PoseSession(QObject):
-    """The object that is looked for: the one of `Choices`, so that undo and sessions know it."""
+    """The object that is looked for: the one of `Settings`, so that undo and sessions know it."""
 
     changed = Signal()  # Another object, start or pose, or a fit began or ended
 
-    def __init__(self, controller: Controller, settings: SettingsHistory) -> None:
+    def __init__(self, controller: Controller, undo: UndoRecorder) -> None:
         super().__init__()
-        self._settings = settings
+        self._undo = undo
         self._controller, self._state = controller, controller.state
         self.obj: RigidObject | None = None  # What the solver thread made of it
         # (4, 4) array or None: T_B_O to begin at; None to search
@@ -164,23 +164,23 @@ class PoseSession(QObject):
         controller.failed.connect(self._on_failed)
         controller.shown.connect(self._on_shown)
         self._state.source_changed.connect(self._on_source)
-        self._state.choices_changed.connect(self._on_choices)
+        self._state.settings_changed.connect(self._on_settings)
 
     @property
     def object_name(self) -> str | None:
         """Preset or file; None for none."""
-        return self._state.choices.pose_object
+        return self._state.settings.pose_object
 
     def choose(self, name: str | None) -> None:
         """Look for another object, or for none; the same one is read again."""
-        before = self._state.choices
-        self._state.choose(pose_object=name, pose_start=None)
-        if self._state.choices is before:
+        before = self._state.settings
+        self._state.change(pose_object=name, pose_start=None)
+        if self._state.settings is before:
             self._look_for_it()
 
     def set_start(self, T_B_O: np.ndarray | None) -> None:
         """Begin at a pose (4, 4), or search."""
-        self._state.choose(pose_start=None if T_B_O is None else pose_numbers(T_B_O))
+        self._state.change(pose_start=None if T_B_O is None else pose_numbers(T_B_O))
 
     def fit_once(self) -> None:
         """Fit the frame at the cursor from the start."""
@@ -194,7 +194,7 @@ class PoseSession(QObject):
         """Follow the object from frame to frame, from the start on."""
         if on and self.obj is not None:
             self._follow(fit=False)
-        self._state.choose(pose_track=on)
+        self._state.change(pose_track=on)
         self.changed.emit()
 
     @property
@@ -205,10 +205,10 @@ class PoseSession(QObject):
 
     def reset(self) -> None:
         """Forget every pose and stop tracking, as a step for undo; object and start stay."""
-        session, track = self._controller.client.session, self._state.choices.pose_track
+        session, track = self._controller.client.session, self._state.settings.pose_track
         if self.pose is not None or self.rows or track:
             found = _Found(session, self.pose, self.rows, track)
-            self._settings.push("reset pose", self._use, found, _Found(session))
+            self._undo.push("reset pose", self._use, found, _Found(session))
 
     def _use(self, found: _Found) -> None:
         """Show these poses, and track on from the last; nothing where another source is open."""
@@ -218,9 +218,9 @@ class PoseSession(QObject):
         self.pose, start = pose, self.start
         if found.track and known_pose(pose):
             start = pose.T_B_O
-        choices = self._state.choices
-        self._controller.follow(choices.pose_object, choices.pose_unit, start, fit=False)
-        self._state.choose(pose_track=found.track)
+        settings = self._state.settings
+        self._controller.follow(settings.pose_object, settings.pose_unit, start, fit=False)
+        self._state.change(pose_track=found.track)
         self.changed.emit()  # last: the choice has the last result drawn once more, with its pose
 
     def export(self, path: Path, form: Literal["csv", "tum"]) -> int:
@@ -239,8 +239,8 @@ class PoseSession(QObject):
         self._follow(fit=False)
 
     def _follow(self, *, fit: bool) -> None:
-        choices = self._state.choices
-        self._controller.follow(choices.pose_object, choices.pose_unit, self.start, fit=fit)
+        settings = self._state.settings
+        self._controller.follow(settings.pose_object, settings.pose_unit, self.start, fit=fit)
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
@@ -249,18 +249,18 @@ class PoseSession(QObject):
 
     def _on_source(self) -> None:
         if self.object_name is not None:
-            self._follow(fit=self._state.choices.pose_track)
+            self._follow(fit=self._state.settings.pose_track)
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if "pose_start" in names:
             self._take_start()
-        if names & POSE_CHOICES:
+        if names & POSE_SETTINGS:
             self._look_for_it()
         elif "pose_start" in names:
-            self._follow(fit=False) if self._state.choices.pose_track else self.changed.emit()
+            self._follow(fit=False) if self._state.settings.pose_track else self.changed.emit()
 
     def _take_start(self) -> None:
-        numbers = self._state.choices.pose_start
+        numbers = self._state.settings.pose_start
         try:
             self.start = None if numbers is None else pose_matrix(np.array(numbers))
         except InputError:  # of a session that somebody has edited

@@ -23,7 +23,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import SYSTEMS, Unit, Units
+from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
 from bubbleviz_ui.session_files.session_file import name_of
@@ -178,7 +178,7 @@ class ValueRow(QWidget):
 class SensorPanel(QWidget):
     """The sensor that the other panels show."""
 
-    said = Signal(object)  # A `UserMessage`
+    notified = Signal(object)  # A `UserMessage`
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
@@ -203,7 +203,7 @@ class SensorPanel(QWidget):
             box.textEdited.connect(self._check)
         self._watch.told.connect(self._on_difference)
         controller.opened.connect(self._on_opened)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         self.name.setToolTip("Name of the sensor")
@@ -312,9 +312,9 @@ class SensorPanel(QWidget):
         try:
             save_sensor(copy, path)
         except InputError as error:
-            self.said.emit(UserMessage("error", str(error), topic="sensor file"))
+            self.notified.emit(UserMessage("error", str(error), topic="sensor file"))
             return
-        self.said.emit(UserMessage("notice", f"Saved {path}", file=path, topic="sensor file"))
+        self.notified.emit(UserMessage("notice", f"Saved {path}", file=path, topic="sensor file"))
         self._end()
         self._opening.sensor_file(path)
 
@@ -339,10 +339,10 @@ class SensorPanel(QWidget):
         self.difference.setToolTip(difference)
         self.difference.setVisible(bool(difference))
         if difference:
-            self.said.emit(UserMessage("warning", f"{self._opened_file}: {difference}"))
+            self.notified.emit(UserMessage("warning", f"{self._opened_file}: {difference}"))
 
-    def _on_choices(self, names: frozenset[str]) -> None:
-        if names & SYSTEMS.keys():
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & UNIT_CHOICES.keys():
             self._show()
 
 

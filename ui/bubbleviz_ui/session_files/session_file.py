@@ -19,7 +19,7 @@ from bubbleviz.files import SUFFIXES, presets_folder, whole_file
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import SYNTHETIC
-from bubbleviz_ui.model.choices import OWN_CHOICES, Choices, Setting
+from bubbleviz_ui.model.settings import USER_SETTINGS, ComparedSetting, Settings
 
 # Live sensors in a session file: what of the disk they name. No Qt in here.
 
@@ -64,7 +64,7 @@ MOST_RECENT = 10  # in the menu
 FARTHEST_M = 1e3  # of a point of view
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
-_CHOICES = TypeAdapter(Choices)
+_SETTINGS = TypeAdapter(Settings)
 
 
 class SavedCamera(BaseModel):
@@ -101,7 +101,7 @@ class SavedSession(BaseModel):
     frame: int = Field(default=0, ge=0)
     play_range: tuple[int, int] | None = None
     markers: tuple[int, ...] = ()
-    choices: dict[str, Any] = {}  # Fields of `Choices`
+    choices: dict[str, Any] = {}  # Fields of `Settings`
     camera: SavedCamera | None = None  # Where the user has moved the view
     # geometry, layout: The window's place and its docks, Base64 of what Qt makes of them
     geometry: str = ""
@@ -109,9 +109,9 @@ class SavedSession(BaseModel):
     shortcuts: dict[str, str] = {}  # Keys by action, where the user has changed them
 
     @property
-    def chosen(self) -> Choices:
-        """The choices; what this version does not know is left at its default."""
-        return usable_choices(self.choices)
+    def chosen(self) -> Settings:
+        """The settings; what this version does not know is left at its default."""
+        return usable_settings(self.choices)
 
 
 class UserFile(BaseModel):
@@ -122,26 +122,28 @@ class UserFile(BaseModel):
     hinted: bool = False  # The first-run hint was read
 
 
-def plain_choices(choices: Choices) -> dict[str, Any]:
-    """Choices as JSON has them."""
-    fields: dict[str, Any] = _CHOICES.dump_python(choices, mode="json")
-    return {k: sorted(v) if isinstance(getattr(choices, k), frozenset) else v
+def plain_settings(settings: Settings) -> dict[str, Any]:
+    """Settings as JSON has them."""
+    fields: dict[str, Any] = _SETTINGS.dump_python(settings, mode="json")
+    return {k: sorted(v) if isinstance(getattr(settings, k), frozenset) else v
             for k, v in fields.items()}  # fmt: skip
 
 
-def usable_choices(fields: dict[str, Any]) -> Choices:
-    """Choices of a file, each field on its own: one that cannot be used costs no other."""
+def usable_settings(fields: dict[str, Any]) -> Settings:
+    """Settings of a file, each field on its own: one that cannot be used costs no other."""
     usable: dict[str, Any] = {}
     for name, value in fields.items():
         try:
-            usable[name] = Choices.known(
-                name, getattr(_CHOICES.validate_python({name: value}), name)
+            usable[name] = Settings.valid(
+                name, getattr(_SETTINGS.validate_python({name: value}), name)
             )
         except (ValidationError, AttributeError):
             continue
-    choices = Choices(**usable)
-    comparable = all(Setting.known("solver", s.solver) == s.solver for s in choices.compared)
-    return choices if comparable else replace(choices, compared=Choices.compared)
+    settings = Settings(**usable)
+    comparable = all(
+        ComparedSetting.valid("solver", s.solver) == s.solver for s in settings.compared
+    )
+    return settings if comparable else replace(settings, compared=Settings.compared)
 
 
 def name_of(sensor: Sensor) -> str | None:
@@ -170,7 +172,7 @@ def for_colleague(saved: SavedSession, file: Path) -> SavedSession:
             return name
 
     theirs = _renamed(saved, relative)
-    choices = {k: v for k, v in theirs.choices.items() if k not in OWN_CHOICES}
+    choices = {k: v for k, v in theirs.choices.items() if k not in USER_SETTINGS}
     return theirs.model_copy(update={"choices": choices, "shortcuts": {}})
 
 

@@ -18,8 +18,8 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import SYNTHETIC, Source, sensor_for
 from bubbleviz_ui.engine.worker import Failed
-from bubbleviz_ui.model.choices import OWN_CHOICES
 from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
+from bubbleviz_ui.model.settings import USER_SETTINGS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.session_file import (
     MOST_RECENT,
@@ -34,7 +34,7 @@ from bubbleviz_ui.session_files.session_file import (
     located,
     missing,
     name_of,
-    plain_choices,
+    plain_settings,
     read_session,
     read_user_file,
     with_paths,
@@ -138,7 +138,7 @@ class SessionSaver(QObject):
             frame=state.frame,
             play_range=state.play_range,
             markers=state.markers,
-            choices=plain_choices(state.choices),
+            choices=plain_settings(state.settings),
             camera=_camera(window.view) if moved else None,
             geometry=_text(self._frame.saveGeometry()),
             layout=_text(self._frame.saveState()),
@@ -174,8 +174,8 @@ class SessionSaver(QObject):
         """Restore a session that was read from a file; whether its source is being opened."""
         self._remember(str(path.absolute()))
         saved = self._allowed(saved, path)
-        present = plain_choices(self._window.state.choices)
-        own = {name: present[name] for name in OWN_CHOICES}
+        present = plain_settings(self._window.state.settings)
+        own = {name: present[name] for name in USER_SETTINGS}
         saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
         return self.open_source(saved, path, partial(self.use, saved, path))
 
@@ -192,20 +192,20 @@ class SessionSaver(QObject):
         return saved.model_copy(update={"live": None})
 
     def use(self, saved: SavedSession, file: Path | None = None) -> None:
-        """Take choices and layout of a session."""
+        """Apply settings and layout of a session."""
         window, saved = self._window, located(saved, file)
-        choices, gone = saved.chosen, missing(saved).get("object")
+        settings, gone = saved.chosen, missing(saved).get("object")
         self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
         if gone is not None:
-            choices = replace(choices, pose_object=None)
+            settings = replace(settings, pose_object=None)
             self._problems.append(f"object {gone} is missing")
-        with window.settings.unrecorded():
-            window.state.choose(**vars(choices))
+        with window.undo_recorder.unrecorded():
+            window.state.change(**vars(settings))
             if saved.geometry:
                 self._frame.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
                 self._frame.restoreState(_bytes(saved.layout))
-            window.status.setVisible("status" in choices.panels)
+            window.status.setVisible("status" in settings.panels)
 
     def open_source(
         self,
@@ -380,10 +380,10 @@ class SessionSaver(QObject):
 
     def _take_what_belongs(self, saved: SavedSession, frames: int) -> None:
         """Take range, markers and point of view."""
-        with self._window.settings.unrecorded():
+        with self._window.undo_recorder.unrecorded():
             state = self._window.state
-            state.choose_range(saved.play_range)
-            state.choose_markers(tuple(k for k in saved.markers if k < frames))
+            state.set_range(saved.play_range)
+            state.set_markers(tuple(k for k in saved.markers if k < frames))
         if saved.camera is not None:
             camera = self._window.view.camera
             for name in ("position", "focal_point", "up", "view_angle"):
@@ -402,7 +402,7 @@ class SessionSaver(QObject):
     def _tell(
         self, kind: MessageKind, text: str, file: Path | None = None, topic: str = ""
     ) -> None:
-        self._window.messages.tell(UserMessage(kind, text, file=file, topic=topic))
+        self._window.messages.add(UserMessage(kind, text, file=file, topic=topic))
 
     def _remember(self, path: str) -> None:
         recent = (path, *(other for other in self.recent if other != path))[:MOST_RECENT]

@@ -21,9 +21,9 @@ from PySide6.QtWidgets import (
 from bubbleviz.diagnostics import Measure, ShearEllipse, ShearNumbers
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import NOTHING, SYSTEMS, Unit, Units
+from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import bind, control, form, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
@@ -66,7 +66,7 @@ class ShearPlot(PlotHost):
             (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
             (self.outline, None if ellipse is None else ellipse.outline_n),
         ):
-            item.setData(unit.of(1.0) * (np.empty((0, 2)) if points is None else points))
+            item.setData(unit.from_si(1.0) * (np.empty((0, 2)) if points is None else points))
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Take the theme's colours."""
@@ -105,7 +105,7 @@ def shear_words(result: Result | None, units: Units) -> dict[str, str]:
     """Texts by name, `state` among them."""
     traction = None if result is None else result.traction
     if result is None or traction is None:
-        return dict.fromkeys(("state", *NUMBERS), NOTHING)
+        return dict.fromkeys(("state", *NUMBERS), DASH)
     numbers = ShearNumbers.of(traction, result.slip)
     angle = _text(numbers.direction_deg, units.angle)
     known = math.isfinite(numbers.direction_deg[0])
@@ -115,7 +115,7 @@ def shear_words(result: Result | None, units: Units) -> dict[str, str]:
         "force": _text(numbers.force_n, units.force),
         "normal": _text(numbers.normal_n, units.force),
         "tangential": _text(numbers.tangential_n, units.force),
-        "direction": f"{angle}, {UNVERIFIED}" if known else NOTHING,
+        "direction": f"{angle}, {UNVERIFIED}" if known else DASH,
         "torque": _text(numbers.torque_nm, units.torque),
         "displacement": _text(numbers.displacement_m, units.length),
         "slip": _text(numbers.slip_share, units.share),
@@ -148,23 +148,23 @@ class ShearPanel(QWidget):
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
         self._state, self._controller = state, controller
-        self.reference = QLabel(NOTHING, wordWrap=True)
+        self.reference = QLabel(DASH, wordWrap=True)
         self.reference.setToolTip("Contact-free colour images from which motion is measured")
         self.collect = QPushButton("Collect again")
         self.collect.setToolTip(
             "Find the contact-free colour images again; do not touch the sensor meanwhile"
         )
         self.flow = control(state, "flow_preset")
-        about = Choices.about("friction")
-        self.bounded = QCheckBox(about.label)
+        info = Settings.info("friction")
+        self.bounded = QCheckBox(info.label)
         self.friction = QDoubleSpinBox(
-            minimum=about.low, maximum=about.high, singleStep=about.step, prefix="μ = "
+            minimum=info.low, maximum=info.high, singleStep=info.step, prefix="μ = "
         )
         for box in (self.bounded, self.friction):
-            box.setToolTip(about.tip)
+            box.setToolTip(info.tip)
         self.friction.setKeyboardTracking(False)
-        self.state = QLabel(NOTHING, wordWrap=True)
-        self.values = {name: QLabel(NOTHING, wordWrap=True) for name in NUMBERS}
+        self.state = QLabel(DASH, wordWrap=True)
+        self.values = {name: QLabel(DASH, wordWrap=True) for name in NUMBERS}
         for name, label in self.values.items():
             label.setObjectName("value")
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
@@ -199,27 +199,27 @@ class ShearPanel(QWidget):
     def _connect(self, state: SessionState, controller: Controller) -> None:
         bind(self.bounded, state, "friction", lambda mu: mu is not None, self._bound)
         self._mu = bind(self.friction, state, "friction")
-        if state.choices.friction is None:
+        if state.settings.friction is None:
             self._mu.show(MU)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._write)
         self.collect.clicked.connect(controller.collect)
         self.copy.clicked.connect(self._copy)
         controller.shown.connect(self._later)
-        state.choices_changed.connect(self._on_choices)
-        self._on_choices(frozenset({"friction"}))
+        state.settings_changed.connect(self._on_settings)
+        self._on_settings(frozenset({"friction"}))
 
     def _bound(self, on: bool) -> float | None:
         return self.friction.value() if on else None
 
-    def _on_choices(self, names: frozenset[str]) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
         if "friction" in names:
-            self.friction.setEnabled(self._state.choices.friction is not None)
-        if names & (SYSTEMS.keys() | {"panels"}):
+            self.friction.setEnabled(self._state.settings.friction is not None)
+        if names & (UNIT_CHOICES.keys() | {"panels"}):
             self._later()
 
     def _later(self) -> None:
-        if "shear" in self._state.choices.panels and not self._due.isActive():
+        if "shear" in self._state.settings.panels and not self._due.isActive():
             self._due.start()
 
     def _write(self) -> None:

@@ -123,7 +123,7 @@ class OpenPanels(QObject):
 
     def _note_status(self) -> None:
         """Docks ask for what they show while they are in front; the status bar always is."""
-        self._state.choose_panel(STATUS, STATUS in self.names)
+        self._state.set_panel_open(STATUS, STATUS in self.names)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Notice that somebody has opened or closed one; hiding the window closes none."""

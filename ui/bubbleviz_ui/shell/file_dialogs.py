@@ -20,15 +20,15 @@ SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
 
 
 def file_to_open(
-    parent: QWidget, title: str, kinds: str = "", *, of: str, at_first: Path | None = None
+    parent: QWidget, title: str, kinds: str = "", *, of: str, by_default: Path | None = None
 ) -> Path | None:
     """File to read; None to cancel.
 
     `kinds`: Filters of file names, as Qt writes them.
     `of`: Kind of the file, whose last folder the dialog shows.
-    `at_first`: Folder to show before there is one.
+    `by_default`: Folder to show before there is one.
     """
-    name, _ = QFileDialog.getOpenFileName(parent, title, _folder(of, at_first), kinds)
+    name, _ = QFileDialog.getOpenFileName(parent, title, _folder(of, by_default), kinds)
     return _remembered(of, name)
 
 
@@ -97,9 +97,9 @@ def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
     return name, dialog.selectedNameFilter()
 
 
-def _folder(of: str, at_first: Path | None = None) -> str:
+def _folder(of: str, by_default: Path | None = None) -> str:
     """Where the last file of a kind was; empty for nowhere, or where that is gone."""
-    folder = str(_folders().value(of, at_first or ""))
+    folder = str(_folders().value(of, by_default or ""))
     return folder if folder and Path(folder).is_dir() else ""
 
 

@@ -16,11 +16,11 @@ import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.source import RECORDINGS
-from bubbleviz_ui.model.choices import LOOPBACK, Choices
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.model.units import SYSTEMS
+from bubbleviz_ui.model.settings import LOOPBACK, Settings
+from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import bind, bind_member, bind_option
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
@@ -85,7 +85,7 @@ class Menus:
     def _help(self, menu: QMenu) -> None:
         palette = self._add(menu, "&Command palette…", self._window.show_palette)
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
-        self._add(menu, "&Performance", self._window.show_costs, "Ctrl+I")
+        self._add(menu, "&Performance", self._window.show_performance, "Ctrl+I")
         self._add(menu, "&Messages…", self._window.show_messages)
         self._add(menu, "&Documentation…", self._window.show_pages, "F1")
         self._add(menu, "&First steps", self._window.hint.show)
@@ -123,7 +123,7 @@ class Menus:
             ("1 s back", -1.0, "Ctrl+Left"),
             ("1 s forward", 1.0, "Ctrl+Right"),
         ):
-            self._add(menu, title, partial(state.jump, seconds), keys)
+            self._add(menu, title, partial(state.step_seconds, seconds), keys)
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
         self._add(menu, "&Last frame", self._last_frame, "End")
         self._add(menu, "&Go to frame…", self._go_to_frame, "Ctrl+G")
@@ -138,7 +138,7 @@ class Menus:
         bind(self._switch(menu, "&Loop", "L"), state, "loop")
         self._add(menu, "Start range here", lambda: self._range_end(0), "[")
         self._add(menu, "End range here", lambda: self._range_end(1), "]")
-        self._add(menu, "Play all frames", lambda: state.choose_range(None), "Backspace")
+        self._add(menu, "Play all frames", lambda: state.set_range(None), "Backspace")
         menu.addSeparator()
         CheckMark(
             self._switch(menu, "&Mark this frame", "M"),
@@ -209,7 +209,7 @@ class Menus:
             menu.aboutToShow,
         )
         self._one_of(menu.addMenu("&Theme"), "theme")
-        self._one_of(menu.addMenu("&Units"), *SYSTEMS)
+        self._one_of(menu.addMenu("&Units"), *UNIT_CHOICES)
         menu.addSeparator()
         for panel in window.panels.values():
             if isinstance(panel, QDockWidget):
@@ -244,7 +244,7 @@ class Menus:
         menu.setObjectName(menu.title().replace("&", "menu_").lower())
         for field in fields:
             group = QActionGroup(menu)
-            for value, title in (Choices.about(field).titles or {}).items():
+            for value, title in (Settings.info(field).titles or {}).items():
                 action = group.addAction(menu.addAction(title))
                 action.setCheckable(True)
                 bind_option(action, self._window.state, field, value)
@@ -273,14 +273,14 @@ class Menus:
 
     def _change_speed(self, direction: int) -> None:
         state = self._window.state
-        state.choose(speed=next_speed(state.choices.speed, direction))
+        state.change(speed=next_speed(state.settings.speed, direction))
 
     def _range_end(self, end: int) -> None:
         state = self._window.state
         if state.facts is not None:
             first, last = state.play_range or (0, state.facts.frames - 1)
             here = state.playhead
-            state.choose_range((first, here) if end else (here, last))
+            state.set_range((first, here) if end else (here, last))
 
     def _last_frame(self) -> None:
         facts = self._window.state.facts
@@ -308,11 +308,11 @@ class Menus:
         self._seek_found(frame)
         if frame is not None and missing and facts is not None and not facts.grows:
             text = SO_FAR.format(count_of(missing, "frame"))
-            self._window.messages.tell(UserMessage("notice", text))
+            self._window.messages.add(UserMessage("notice", text))
 
     def _seek_found(self, frame: int | None) -> None:
         if frame is None:
-            self._window.messages.tell(UserMessage("notice", NO_CONTACT))
+            self._window.messages.add(UserMessage("notice", NO_CONTACT))
         else:
             self._window.state.seek(frame)
 
@@ -322,15 +322,15 @@ class Menus:
             self._bar,
             "Publish results",
             "Listen at (127.0.0.1: this computer only; a network address: others, too)",
-            text=state.choices.publish_at,
+            text=state.settings.publish_at,
         )
         if chosen:
-            state.choose(publish_at=endpoint.strip() or LOOPBACK)
+            state.change(publish_at=endpoint.strip() or LOOPBACK)
 
     def _open_recording(self) -> None:
         folder = self._window.live_controller.recording.folder
         path = file_to_open(
-            self._bar, "Open recording", RECORDINGS, of="recording", at_first=folder
+            self._bar, "Open recording", RECORDINGS, of="recording", by_default=folder
         )
         if path is not None:
             self._window.controller.opening.recording(path)

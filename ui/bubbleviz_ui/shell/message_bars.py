@@ -72,7 +72,7 @@ class MessageBar(_Bar):
         )
         self.dismiss.clicked.connect(lambda: self._keep(lambda message: message is not self._shown))
 
-    def say(self, message: UserMessage) -> None:
+    def show_message(self, message: UserMessage) -> None:
         """Show a message; one that is told again counts once."""
         same = (message.kind, message.text)
         self._open = [other for other in self._open if (other.kind, other.text) != same]
@@ -146,7 +146,7 @@ class NoticeBar(QFrame):
         """It is as large as it asks to be."""
         return self.sizeHint()
 
-    def say(self, message: UserMessage) -> None:
+    def show_message(self, message: UserMessage) -> None:
         """Show a message in place of the one before."""
         self.label.setText(message.text)
         self.label.setToolTip(message.text)

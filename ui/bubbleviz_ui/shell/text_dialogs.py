@@ -59,7 +59,7 @@ class MessagesDialog(TextDialog):
         self.text.setPlaceholderText("No messages yet")
         for message in messages.all:
             self._add(message)
-        messages.told.connect(self._add)
+        messages.added.connect(self._add)
 
     def report(self) -> str:
         """All messages with their details."""
@@ -84,7 +84,7 @@ class InformationDialog(TextDialog):
             self.text.setPlaceholderText("Reading the recording…")
             worker.submit(lambda: info(path).to_text(), self._write, self._on_failed)
             self.finished.connect(worker.cancel)
-        elif facts is not None and facts.nothing:
+        elif facts is not None and facts.is_empty:
             self._write("Nothing is open.")
         elif facts is not None:
             so_far = " so far" if facts.grows else ""

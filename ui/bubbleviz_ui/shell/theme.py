@@ -9,7 +9,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QWidget
 
-from bubbleviz_ui.model.choices import ThemeName
+from bubbleviz_ui.model.settings import ThemeName
 
 _FOLDER = Path(__file__).parent.as_posix()
 

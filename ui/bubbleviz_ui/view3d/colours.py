@@ -13,7 +13,7 @@ from matplotlib import colormaps
 
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
 
@@ -131,15 +131,15 @@ class HeldRanges:
         """Forget what a sensor showed that shows nothing any more."""
         self._shown_pa.pop(who, None)
 
-    def of(self, choices: Choices) -> Ranges:
+    def of(self, settings: Settings) -> Ranges:
         """Scales to draw with."""
         pressure = self._held.pressure_pa
         for shown in self._shown_pa.values():
             pressure = _grown(pressure, shown)
         units, held = self._units, self._held
         return Ranges(
-            choices.pressure_max_pa or _round_in(units.pressure, pressure),
-            choices.residual_max_m or _round_in(units.length, held.residual_m),
+            settings.pressure_max_pa or _round_in(units.pressure, pressure),
+            settings.residual_max_m or _round_in(units.length, held.residual_m),
             held.force_n,
         )
 
@@ -158,4 +158,4 @@ def _grown(held: float, seen: float) -> float:
 
 def _round_in(unit: Unit, si: float) -> float:
     """A value not below `si`, in SI, that is round in a unit."""
-    return rounded_up(unit.of(si)) / unit.of(1.0)
+    return rounded_up(unit.from_si(si)) / unit.from_si(1.0)

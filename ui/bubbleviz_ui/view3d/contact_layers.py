@@ -13,9 +13,9 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import Choices, ColourMap
-from bubbleviz_ui.model.source_facts import DOUBTS, force_text, tangential_text
-from bubbleviz_ui.model.units import NOTHING, Units
+from bubbleviz_ui.model.settings import ColourMap, Settings
+from bubbleviz_ui.model.source_facts import UNTRUSTED_STATUS, force_text, tangential_text
+from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, pressure_colours
 from bubbleviz_ui.view3d.layer import (
@@ -43,7 +43,7 @@ class MembraneLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._map: ColourMap = Choices.colour_map
+        self._map: ColourMap = Settings.colour_map
         self._table = lookup_table(pressure_colours(self._map))
         actor = self.add(
             canvas.surface.poly,
@@ -68,14 +68,14 @@ class MembraneLayer(Layer):
     def draw(self, picture: Picture) -> None:
         """Take the colour range and the opacity; the surface itself is shared."""
         unit = self.canvas.units.pressure
-        high = unit.of(picture.ranges.pressure_pa)
+        high = unit.from_si(picture.ranges.pressure_pa)
         self._bar.set_range(0.0, high, unit)
         self.actor.mapper.scalar_range = (0.0, high)
-        self.actor.prop.opacity = picture.choices.membrane_opacity
+        self.actor.prop.opacity = picture.settings.membrane_opacity
         estimate = picture.result.estimate
         self.actor.mapper.scalar_visibility = estimate is None or estimate.trusted
-        if picture.choices.colour_map != self._map:
-            self._map = picture.choices.colour_map
+        if picture.settings.colour_map != self._map:
+            self._map = picture.settings.colour_map
             self._table.values = pressure_colours(self._map)
         unexplained = None if estimate is None else estimate.unexplained_pressure_pa
         there = unexplained is not None and bool(unexplained.any())
@@ -172,7 +172,7 @@ class ComparedLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Trace the patches of A and B, unless they are of another frame."""
-        shown, larger = picture.result.frame.index, picture.choices.exaggeration
+        shown, larger = picture.result.frame.index, picture.settings.exaggeration
         for outline, one in zip(self._outlines, self._measured, strict=True):
             there = one if isinstance(one, ComparedResult) else None
             if there is not None and there.result.frame.index != shown:
@@ -387,7 +387,7 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
     if estimate is None or patch is None:
         return "", ""
     if not estimate.trusted:
-        return DOUBTS[estimate.status], estimate.reason
+        return UNTRUSTED_STATUS[estimate.status], estimate.reason
     if estimate.status == "no_contact" or patch.area_m2 <= 0:
         return "no contact", ""
     peak = units.pressure.text(float(estimate.contact_pressure_pa.max()))
@@ -398,7 +398,7 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
         patches = f"patch (white) {area}{APART}by object (green) {by_object}"
     tangential = tangential_text(result, units)
     told = [f"peak {peak}", f"tangential {tangential}", patches]
-    if tangential == NOTHING:
+    if tangential == DASH:
         del told[1]
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
@@ -546,16 +546,16 @@ class TextureLayer(Layer):
             self.actor.SetVisibility(False)
             return
         self._take_image(texture.colour.rgb)
-        poly, choices = self.canvas.surface.poly, picture.choices
+        poly, settings = self.canvas.surface.poly, picture.settings
         poly.active_texture_coordinates[:] = texture.place
         cover = texture.seen.astype(float)
-        if "membrane" in choices.layers:
+        if "membrane" in settings.layers:
             share = picture.shape.pressure_pa / (FADED * picture.ranges.pressure_pa)
             cover *= 1.0 - np.minimum(share, 1.0)
         poly.point_data[self.SHADE][:, :3] = 255
         poly.point_data[self.SHADE][:, 3] = 255.0 * cover
         poly.Modified()
-        self.actor.prop.opacity = choices.membrane_opacity
+        self.actor.prop.opacity = settings.membrane_opacity
 
     def _take_image(self, rgb: np.ndarray) -> None:
         """Write the pixels, rows from the top, into the texture."""

@@ -13,7 +13,7 @@ from bubbleviz.diagnostics import Probed
 from bubbleviz.membrane import MembraneMesh, level_line, midway
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.colours import Ranges
 from bubbleviz_ui.view3d.render_view import LIGHTS, View
@@ -90,7 +90,7 @@ class Surface:
         """Move the vertices and colour them, in place."""
         self._points[:] = shape.nodes_m
         self._normals[:] = shape.normals
-        self._pressure[:] = self._units.pressure.of(1.0) * shape.pressure_pa
+        self._pressure[:] = self._units.pressure.from_si(1.0) * shape.pressure_pa
         self.poly.Modified()
 
     def around(self, nodes: np.ndarray) -> pv.PolyData:
@@ -153,7 +153,7 @@ class Picture:
     result: Result
     shape: Shape | None
     ranges: Ranges
-    choices: Choices
+    settings: Settings
 
 
 class Layer:

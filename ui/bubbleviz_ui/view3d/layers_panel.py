@@ -11,7 +11,7 @@ from bubbleviz_ui.shell.dock import fill
 
 
 class LayersPanel(QWidget):
-    """Check boxes for the layers and the choices that belong to them."""
+    """Check boxes for the layers and the settings that belong to them."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class LayersPanel(QWidget):
             bind_member(box, state, "layers", name)
         self._enable()
         watch_controls(self)
-        state.choices_changed.connect(self._enable)
+        state.settings_changed.connect(self._enable)
 
     def _box(self, name: str, kind: LayerKind) -> QCheckBox:
         box = QCheckBox(kind.title)
@@ -51,10 +51,10 @@ class LayersPanel(QWidget):
 
     def _enable(self) -> None:
         """Let only what belongs to a visible layer be changed."""
-        choices = self._state.choices
-        membrane, cloud = "membrane" in choices.layers, "cloud" in choices.layers
+        settings = self._state.settings
+        membrane, cloud = "membrane" in settings.layers, "cloud" in settings.layers
         self.opacity.setEnabled(membrane)
         self.pressure_max.setEnabled(membrane)
         self.cloud_colour.setEnabled(cloud)
         self.cloud_points.setEnabled(cloud)
-        self.residual_max.setEnabled(cloud and choices.cloud_colour == "residual")
+        self.residual_max.setEnabled(cloud and settings.cloud_colour == "residual")

@@ -50,7 +50,7 @@ class ObjectLayer(Layer):
         """Draw the pose of a result; what it has none of stays where it was."""
         pose = picture.result.pose
         if pose is not None:
-            self.put_pose(pose, picture.choices.pose_stage)
+            self.put_pose(pose, picture.settings.pose_stage)
 
     def put_pose(self, pose: Pose, stage: int) -> None:
         """Place it at a stage of a pose, in the colour of how well it is known."""

@@ -29,7 +29,7 @@ class Pointing(QObject):
 
     @property
     def _wanted(self) -> bool:
-        return not self._state.playing or "images" in self._state.choices.panels
+        return not self._state.playing or "images" in self._state.settings.panels
 
     def _on_moved(self, x: float, y: float) -> None:
         self._at = (x, y)

@@ -63,7 +63,9 @@ class RenderQuality:
     name: str  # What `BUBBLEVIZ_RENDERING` calls it
     samples: int  # Samples a pixel, for smooth edges; 0 for none
     round_points: bool  # Points are shaded balls instead of flat squares
-    thinned: int  # One in so many points of the cloud is drawn while frames follow each other
+    cloud_decimation: (
+        int  # One in so many points of the cloud is drawn while frames follow each other
+    )
     # The view puts its pictures on the screen itself, see `direct_swap`; else Qt does
     own_swap: bool
     renderer: str = ""  # What the driver calls itself; empty where it was not asked
@@ -81,8 +83,10 @@ class RenderQuality:
         return f"{self.name}, by {self.renderer}" if self.renderer else self.name
 
 
-FAST = RenderQuality("fast", samples=0, round_points=False, thinned=4, own_swap=True)
-SMOOTH = RenderQuality("smooth", samples=SAMPLES, round_points=True, thinned=1, own_swap=False)
+FAST = RenderQuality("fast", samples=0, round_points=False, cloud_decimation=4, own_swap=True)
+SMOOTH = RenderQuality(
+    "smooth", samples=SAMPLES, round_points=True, cloud_decimation=1, own_swap=False
+)
 
 
 def quality_for(renderer: str, wanted: str = "") -> RenderQuality:

@@ -15,8 +15,8 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.registry import LAYERS
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.colours import HeldRanges
 from bubbleviz_ui.view3d.contact_layers import (
@@ -90,10 +90,10 @@ class DrawnLayers:
         for layer in self.by_name.values():
             layer.set_sensor(sensor, mesh)
 
-    def draw(self, result: Result, choices: Choices) -> None:
+    def draw(self, result: Result, settings: Settings) -> None:
         """Draw a result with what the user chose to see."""
         self._ranges.take(self, result)
-        self._draw(result, choices)
+        self._draw(result, settings)
 
     def hide(self) -> None:
         """Show nothing, and have no say in the scales."""
@@ -103,19 +103,19 @@ class DrawnLayers:
     def _keep_scale(self) -> None:
         """Draw once more where another sensor has changed the scales since."""
         drawn = self._picture
-        if drawn is not None and drawn.ranges != self._ranges.of(drawn.choices):
-            self._draw(drawn.result, drawn.choices)
+        if drawn is not None and drawn.ranges != self._ranges.of(drawn.settings):
+            self._draw(drawn.result, drawn.settings)
 
-    def _draw(self, result: Result, choices: Choices) -> None:
+    def _draw(self, result: Result, settings: Settings) -> None:
         shape = None
-        if any(layer.cut for name, layer in self.by_name.items() if name in choices.layers):
-            shape = self.surface.shape_of(result.estimate, choices.exaggeration)
+        if any(layer.cut for name, layer in self.by_name.items() if name in settings.layers):
+            shape = self.surface.shape_of(result.estimate, settings.exaggeration)
         if shape is not None:
             self.surface.draw(shape)
-        self._picture = picture = Picture(result, shape, self._ranges.of(choices), choices)
+        self._picture = picture = Picture(result, shape, self._ranges.of(settings), settings)
         for name, layer in self.by_name.items():
-            layer.set_visible(name in choices.layers)
-            if name in choices.layers:
+            layer.set_visible(name in settings.layers)
+            if name in settings.layers:
                 layer.draw(picture)
 
     def of(self, kind: type[L]) -> L:
@@ -132,9 +132,9 @@ MARGIN = 1.0
 class Scene:
     """Draws results in a view. Actors are made once; a result changes arrays in place."""
 
-    def __init__(self, view: View, units: Units, choices: Choices) -> None:
+    def __init__(self, view: View, units: Units, settings: Settings) -> None:
         self._view = view
-        self._choices = choices
+        self._settings = settings
         self.ranges = HeldRanges(units)
         self._drawn = DrawnLayers(view, units, self.ranges)
         self.layers = self._drawn.by_name
@@ -177,8 +177,8 @@ class Scene:
         if self._mesh is None:
             return
         seen, R_B_W = np.vstack([self._mesh.nodes, self._beside_m]), self._T_W_B[:3, :3].T
-        towards, up = R_B_W @ self._choices.view_from, R_B_W[:, 2]
-        look_along(self._view, towards, up, seen, self._choices.zoom)
+        towards, up = R_B_W @ self._settings.view_from, R_B_W[:, 2]
+        look_along(self._view, towards, up, seen, self._settings.zoom)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -202,11 +202,11 @@ class Scene:
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def show(self, result: Result, choices: Choices) -> None:
+    def show(self, result: Result, settings: Settings) -> None:
         """Draw a result with what the user chose to see."""
-        self._result, self._choices = result, choices
-        self.section.apply(choices)
-        self._drawn.draw(result, choices)
+        self._result, self._settings = result, settings
+        self.section.apply(settings)
+        self._drawn.draw(result, settings)
         # The bounds of what is drawn would be gathered from every point of every layer.
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -214,14 +214,14 @@ class Scene:
     def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings into pictures of the frame they are of."""
         self._drawn.of(ComparedLayer).take(measured)
-        self.apply(self._choices)
+        self.apply(self._settings)
 
-    def apply(self, choices: Choices) -> None:
-        """Draw the last result again with other choices."""
-        self._choices = choices
+    def apply(self, settings: Settings) -> None:
+        """Draw the last result again with other settings."""
+        self._settings = settings
         self._text.write()
         if self._result is not None:
-            self.show(self._result, choices)
+            self.show(self._result, settings)
 
     def look(self, name: Viewpoint) -> None:
         """Look from one of the usual places; later sensors do not change it."""
@@ -241,7 +241,7 @@ class Scene:
         """Write the numbers of a place at it; light it up where images show it, too."""
         drawn_m = self.drawn_node(place)
         self._text.show(place, drawn_m)
-        self.marks.show(place if "images" in self._choices.panels else None, drawn_m)
+        self.marks.show(place if "images" in self._settings.panels else None, drawn_m)
 
     def drawn_node(self, place: Probed | None) -> np.ndarray | None:
         """Where the node of a place is drawn, (3,) in B; None without a place."""
@@ -308,9 +308,9 @@ class SecondScene:
         """Whether it is in the view."""
         return bool(self._assembly.GetVisibility())
 
-    def show(self, result: Result, choices: Choices) -> None:
+    def show(self, result: Result, settings: Settings) -> None:
         """Have the next picture show a result with what the user chose to see."""
-        self._drawn.draw(result, choices)
+        self._drawn.draw(result, settings)
         self._assembly.SetVisibility(True)
 
     def hide(self) -> None:

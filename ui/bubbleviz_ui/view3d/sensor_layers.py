@@ -85,7 +85,7 @@ class ScaleBar:
         self._bar.Modified()
         self._line.GetProperty().SetLineWidth(2.0 * self._view.pixel)
         unit = self._units.length
-        self._label.SetInput(f"{unit.of(length_m):.4g} {unit.symbol}")
+        self._label.SetInput(f"{unit.from_si(length_m):.4g} {unit.symbol}")
         self._label.SetPosition(self._view.pixel * left, self._view.pixel * (top + 2.0))
 
     def _paint(self, colours: theme.Colours) -> None:
@@ -228,13 +228,13 @@ class CloudLayer(Layer):
         self._reserve(len(result.cloud_m))
         _fill(self._poly.points, result.cloud_m)
         if not self.canvas.view.quality.round_points:
-            sparse = len(result.cloud_m) < SPARSE * (picture.choices.cloud_points or 0)
+            sparse = len(result.cloud_m) < SPARSE * (picture.settings.cloud_points or 0)
             self.actor.prop.point_size = DOT + 1 if sparse else DOT
-        by_residual = picture.choices.cloud_colour == "residual"
+        by_residual = picture.settings.cloud_colour == "residual"
         if by_residual and result.cloud_residual_m is not None:
             self._colour_by_residual(result.cloud_residual_m, picture.ranges.residual_m)
         else:
-            self._colour(result if picture.choices.cloud_colour == "patch" else None)
+            self._colour(result if picture.settings.cloud_colour == "patch" else None)
         self._poly.Modified()
         self._has(True)
         self._bar.set_visible(self._visible and by_residual)
@@ -250,8 +250,8 @@ class CloudLayer(Layer):
 
     def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
         unit = self.canvas.units.length
-        high = unit.of(high_m)
-        _fill(self._poly.point_data[self.RESIDUAL], unit.of(1.0) * residual_m)
+        high = unit.from_si(high_m)
+        _fill(self._poly.point_data[self.RESIDUAL], unit.from_si(1.0) * residual_m)
         self._bar.set_range(-high, high, unit)
         self.actor.mapper.scalar_range = (-high, high)
         self._use(self.RESIDUAL, direct=False)

@@ -16,7 +16,7 @@ from vtkmodules.vtkFiltersCore import vtkCutter
 from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkWindowToImageFilter
 
 from bubbleviz.camera import DepthCamera
-from bubbleviz_ui.model.choices import Choices
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layer import Surface, add_mark
 from bubbleviz_ui.view3d.render_view import POINTS_PER_INCH, View
@@ -135,13 +135,13 @@ class Section:
         self._line.mapper.ScalarVisibilityOff()
         self._line.visibility = False
 
-    def apply(self, choices: Choices) -> None:
+    def apply(self, settings: Settings) -> None:
         """Cut as the user chose; not at all without an axis."""
-        axis = choices.section_axis
+        axis = settings.section_axis
         if axis is not None:
-            sign = -1.0 if choices.section_flipped else 1.0
+            sign = -1.0 if settings.section_flipped else 1.0
             normal = AXES[axis]
-            self._plane.SetOrigin(*(choices.section_at_m * n for n in normal))
+            self._plane.SetOrigin(*(settings.section_at_m * n for n in normal))
             self._plane.SetNormal(*(sign * n for n in normal))
         if self._on != (axis is not None):
             self._on = axis is not None
@@ -150,7 +150,7 @@ class Section:
                     actor.mapper.AddClippingPlane(self._plane)
                 else:
                     actor.mapper.RemoveAllClippingPlanes()
-        on_surface = {"membrane", "wireframe", "contour"} & choices.layers
+        on_surface = {"membrane", "wireframe", "contour"} & settings.layers
         self._line.visibility = self._on and bool(on_surface)
 
 

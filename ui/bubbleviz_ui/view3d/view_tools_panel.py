@@ -21,9 +21,9 @@ from PySide6.QtWidgets import (
 from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
-from bubbleviz_ui.model.choices import Choices
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.panels.binding import bind, control, form, tool_button, watch_controls
 from bubbleviz_ui.panels.images_panel import words
 from bubbleviz_ui.shell.dock import fill
@@ -56,7 +56,7 @@ WIDTH = 286
 class ViewTools(QWidget):
     """Controls of the 3-D view that are no layers."""
 
-    said = Signal(object)  # A `UserMessage`
+    notified = Signal(object)  # A `UserMessage`
 
     def __init__(
         self, state: SessionState, controller: Controller, view: View, scene: Scene
@@ -74,9 +74,9 @@ class ViewTools(QWidget):
         self._lay_out()
         self._bind(state)
         self._connect(controller)
-        self._on_choices()
+        self._on_settings()
         watch_controls(self)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def _make_buttons(self) -> None:
         self.views = {
@@ -101,7 +101,7 @@ class ViewTools(QWidget):
         self.flipped = control(state, "section_flipped")
         self.section_at = QSlider(Qt.Orientation.Horizontal)
         self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
-        self.section_at.setToolTip(Choices.about("section_at_m").tip)
+        self.section_at.setToolTip(Settings.info("section_at_m").tip)
         self.section_text = QLabel()
         self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
@@ -187,7 +187,7 @@ class ViewTools(QWidget):
         if self.tool == "probe" and place is not None:
             lines = words(place, units)
         elif self.tool == "distance" and length_m is not None:
-            dx, dy, dz = (units.length.of(float(d)) for d in ends[1] - ends[0])
+            dx, dy, dz = (units.length.from_si(float(d)) for d in ends[1] - ends[0])
             digits = units.length.digits
             lines = (
                 f"distance {units.length.text(length_m)}",
@@ -208,11 +208,11 @@ class ViewTools(QWidget):
         self._at.refresh()
         self._say()
 
-    def _on_choices(self) -> None:
-        choices, length = self._state.choices, self._state.units.length
-        self.section_text.setText(f"at {length.text(choices.section_at_m)}")
+    def _on_settings(self) -> None:
+        settings, length = self._state.settings, self._state.units.length
+        self.section_text.setText(f"at {length.text(settings.section_at_m)}")
         for box in (self.section_at, self.flipped):
-            box.setEnabled(choices.section_axis is not None)
+            box.setEnabled(settings.section_axis is not None)
         self._on_picked(self.picked.place)
 
     # -- pictures -----------------------------------------------------------------------------
@@ -226,7 +226,7 @@ class ViewTools(QWidget):
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         written = QPixmap.fromImage(image).save(str(path), picture_format(path))
-        self.said.emit(picture_saved(path, written=written))
+        self.notified.emit(picture_saved(path, written=written))
 
     def _choose_file(self) -> None:
         title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"
@@ -236,11 +236,11 @@ class ViewTools(QWidget):
 
 
 def _pixels() -> QSpinBox:
-    about = Choices.about("picture_size")
-    box = QSpinBox(minimum=int(about.low), maximum=int(about.high))
+    info = Settings.info("picture_size")
+    box = QSpinBox(minimum=int(info.low), maximum=int(info.high))
     box.setKeyboardTracking(False)
     box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
-    box.setToolTip(about.tip)
+    box.setToolTip(info.tip)
     return box
 
 

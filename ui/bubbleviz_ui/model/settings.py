@@ -1,7 +1,6 @@
-"""What the user chose; it outlives new data. No Qt in here.
+"""Settings of the window, kept when another source is opened. No Qt.
 
-Each setting says how it is called, which values it has and what its control shows: forms, menus,
-undo and session files go by that.
+Each setting declares its label, values and control; forms, menus, undo and session files use that.
 """
 
 from __future__ import annotations
@@ -12,46 +11,46 @@ from typing import Any, ClassVar, Literal, TypeVar
 
 from bubbleviz.inverse import ESTIMATORS, MAX_NODES, SOLVER_NAMES, EstimatorOptions
 from bubbleviz.membrane import MOST_FRICTION
-from bubbleviz_ui.model.registry import ASKING, IMAGES, LAYERS, PLOTS
-from bubbleviz_ui.model.units import PLAIN, SYSTEMS, Unit
+from bubbleviz_ui.model.registry import IMAGES, LAYERS, PLOTS, RESULT_PANELS
+from bubbleviz_ui.model.units import DIMENSIONLESS, UNIT_CHOICES, Unit
 
 CloudColour = Literal["residual", "patch", "plain"]
 Axis = Literal["x", "y", "z"]
 ColourMap = Literal["inferno", "viridis", "cividis", "magma", "plasma"]
-"""All perceptually uniform (van der Walt and Smith 2015; Nuñez 2018)."""
+"""Perceptually uniform (van der Walt and Smith 2015; Nuñez 2018)."""
 ImageName = Literal["depth", "change", "residual", "noise", "used", "patch", "colour", "flow"]
 ThemeName = Literal["system", "dark", "light"]
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Playback speeds to choose from."""
+"""Playback speeds offered."""
 LOOPBACK = "tcp/127.0.0.1:7448"
-"""Where results are published unless told otherwise: this computer only."""
-SETTINGS = ("A", "B")
-"""What stands for the settings of Compare in place of a solver's name."""
+"""Default endpoint for publishing results: this computer only."""
+COMPARED_NAMES = ("A", "B")
+"""Values of `Settings.solver` that select a setting of the Compare panel."""
 FEWEST_NODES = 100
 
 
 @dataclass(frozen=True)
-class About:
-    """How a setting is named, shown and edited."""
+class SettingInfo:
+    """Label, values and control of a setting."""
 
-    label: str  # Beside its control and in the Edit menu
+    label: str  # Next to its control and in the Edit menu
     tip: str = ""
-    titles: Mapping[Any, str] | None = None  # Of its values, or of what may be in it, if few
-    others: bool = False  # Values without a title are possible, too
-    # low, high, step: Of a number, SI; whole numbers have whole ends
+    titles: Mapping[Any, str] | None = None  # Title of each value, or of each element of a set
+    open_ended: bool = False  # Values without a title are valid too
+    # low, high, step: Of a number, SI; integers for an integer setting
     low: float = 0.0
     high: float = 0.0
     step: float = 1.0
-    unit: str | Unit = PLAIN  # Of a number: one of `Units` by name, or its own
-    slider: bool = False  # It is edited with a slider, not with a box
-    lowest: str = ""  # Text in place of the lowest number
-    usual: float | None = None  # Number that stands for None; the lowest where not given
-    of: frozenset[str] = frozenset()  # Groups it belongs to
+    unit: str | Unit = DIMENSIONLESS  # Name of an attribute of `Units`, or a unit
+    slider: bool = False  # Edited with a slider instead of a number box
+    lowest: str = ""  # Text shown in place of the lowest number
+    number_for_none: float | None = None  # Number shown for None; by default the lowest
+    groups: frozenset[str] = frozenset()
 
-    def known(self, value: Any, default: Any) -> Any:
-        """The value of a file, as far as there is such a value; else the default."""
-        if self.titles is None or self.others:
+    def valid(self, value: Any, default: Any) -> Any:
+        """The value read from a file if this version knows it, else the default."""
+        if self.titles is None or self.open_ended:
             return value
         if isinstance(value, frozenset):
             return value & frozenset(self.titles)
@@ -61,51 +60,51 @@ class About:
 T = TypeVar("T")
 
 
-def _setting(default: T, label: str, tip: str = "", *, of: str = "", **how: Any) -> T:
-    """A setting with its default, and how it is shown, see `About`."""
-    about = About(label, tip, of=frozenset(of.split()), **how)
-    made: T = field(default=default, metadata={"about": about})
+def _setting(default: T, label: str, tip: str = "", *, groups: str = "", **how: Any) -> T:
+    """Dataclass field with a default and a `SettingInfo`."""
+    info = SettingInfo(label, tip, groups=frozenset(groups.split()), **how)
+    made: T = field(default=default, metadata={"info": info})
     return made
 
 
-class _Described:
-    """Dataclass whose fields are settings."""
+class _SettingsBase:
+    """Base of dataclasses whose fields are settings."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @classmethod
-    def about(cls, name: str) -> About:
-        """How a setting is shown."""
-        about: About = cls.__dataclass_fields__[name].metadata["about"]
-        return about
+    def info(cls, name: str) -> SettingInfo:
+        """Label, values and control of a setting."""
+        info: SettingInfo = cls.__dataclass_fields__[name].metadata["info"]
+        return info
 
     @classmethod
-    def known(cls, name: str, value: Any) -> Any:
-        """A value as far as this version knows it, see `About.known`."""
-        return cls.about(name).known(value, cls.__dataclass_fields__[name].default)
+    def valid(cls, name: str, value: Any) -> Any:
+        """The value if this version knows it, else the default."""
+        return cls.info(name).valid(value, cls.__dataclass_fields__[name].default)
 
 
 def solver_title(solver: str | None) -> str:
-    """What the window calls a value of `Choices.solver`."""
-    if solver in SETTINGS:
+    """Title of a value of `Settings.solver`."""
+    if solver in COMPARED_NAMES:
         return f"setting {solver} of Compare"
     name, _, base = (solver or "default").partition("-")
     return f"{name}, sensor's mesh alone" if base else name
 
 
-def _same(*names: str) -> dict[str, str]:
-    """Titles of values that are their own."""
+def _own_titles(*names: str) -> dict[str, str]:
+    """Titles of values that are shown as they are."""
     return {name: name for name in names}
 
 
 KAPPA = "κ: threshold as a multiple of the mean contact pressure (section V-C of the paper)"
 TIMES, PIXELS, SECONDS = Unit("×", 1.0, 2), Unit("px", 1.0, 0), Unit("s", 1.0, 1)
-USUAL = EstimatorOptions()
+DEFAULT_OPTIONS = EstimatorOptions()
 
 
 @dataclass(frozen=True)
-class Setting(_Described):
-    """A setting of estimator and patch to compare; None is bubbleviz's default."""
+class ComparedSetting(_SettingsBase):
+    """Estimator and patch options to compare; None stands for the default."""
 
     solver: str | None = _setting(
         None,
@@ -117,14 +116,14 @@ class Setting(_Described):
         None,
         "Pressure prior",
         "Expected contact pressure, in gauge pressures; larger: less smoothing",
-        low=0.1, high=100.0, step=0.5, unit=TIMES, usual=USUAL.pressure_scale,
+        low=0.1, high=100.0, step=0.5, unit=TIMES, number_for_none=DEFAULT_OPTIONS.pressure_scale,
     )  # fmt: skip
     friction: float | None = _setting(
         None,
         "Friction μ",
         "Expected coefficient of friction; lowest value: no friction. Only the exact membrane"
         " (rubber) has friction",
-        high=MOST_FRICTION, step=0.1, lowest="none", usual=USUAL.friction,
+        high=MOST_FRICTION, step=0.1, lowest="none", number_for_none=DEFAULT_OPTIONS.friction,
     )  # fmt: skip
     nodes: int | None = _setting(
         None,
@@ -142,64 +141,64 @@ class Setting(_Described):
 
     @property
     def options(self) -> EstimatorOptions:
-        """What the estimator takes."""
-        usual = EstimatorOptions.named(self.solver, self.friction)
+        """Options of the estimator."""
+        base = EstimatorOptions.named(self.solver, self.friction)
         return replace(
-            usual,
+            base,
             nodes=None if self.nodes is None else max(self.nodes, FEWEST_NODES),
-            pressure_scale=self.pressure_scale or usual.pressure_scale,
+            pressure_scale=self.pressure_scale or base.pressure_scale,
             block=self.block,
         )
 
 
 @dataclass(frozen=True)
-class Choices(_Described):
-    """What the user chose; it outlives new data."""
+class Settings(_SettingsBase):
+    """All settings of the window; kept when another source is opened."""
 
-    # None for bubbleviz's own rule in place of the multiple
-    kappa: float | None = _setting(None, "κ", KAPPA, of="patch", low=0.1, high=100.0)
+    # None: bubbleviz's own threshold rule instead of a multiple of the mean
+    kappa: float | None = _setting(None, "κ", KAPPA, groups="patch", low=0.1, high=100.0)
     least_area_m2: float = _setting(
         0.0,
         "Remove parts below",
         "Parts of the patch smaller than this are not contact",
-        of="patch", high=0.01, step=5e-6, unit="area", lowest="nothing",  # m²: any bubble; 5 mm²
+        groups="patch", high=0.01, step=5e-6, unit="area", lowest="nothing",
     )  # fmt: skip
-    # Solver of the inverse problem, or A or B for a setting of Compare; None for the default
+    # Solver of the inverse problem, or A or B for a setting of Compare; None: default solver
     solver: str | None = _setting(
         None,
         "Solver",
         "Solver of the inverse problem (Eq. 23); a change solves the frame again",
-        titles={name: solver_title(name) for name in (None, *SOLVER_NAMES, *SETTINGS)},
+        titles={name: solver_title(name) for name in (None, *SOLVER_NAMES, *COMPARED_NAMES)},
     )
     speed: float = _setting(
         1.0,
         "Speed",
         "Playback speed (Ctrl+↑, Ctrl+↓)",
-        of="playback",
+        groups="playback",
         titles={speed: f"{speed:g}×" for speed in SPEEDS},
     )
     every_frame: bool = _setting(
         False,
         "Playback",
         "Real time: skip frames if needed; every frame: show all, however slowly (E)",
-        of="playback",
+        groups="playback",
         titles={False: "real time", True: "every frame"},
     )
     loop: bool = _setting(
-        True, "Loop", "Repeat the recording or the chosen range (L)", of="playback"
+        True, "Loop", "Repeat the recording or the chosen range (L)", groups="playback"
     )
-    # layers, panels: What is visible
+    # layers, panels: Names of the visible ones
     layers: frozenset[str] = _setting(
-        frozenset(name for name, layer in LAYERS.items() if layer.at_first),
+        frozenset(name for name, layer in LAYERS.items() if layer.by_default),
         "layers",
         titles={name: layer.title for name, layer in LAYERS.items()},
     )
     panels: frozenset[str] = _setting(
-        frozenset(name for name, panel in ASKING.items() if panel.at_first),
+        frozenset(name for name, panel in RESULT_PANELS.items() if panel.by_default),
         "panels",
-        titles={name: panel.title for name, panel in ASKING.items()},
+        titles={name: panel.title for name, panel in RESULT_PANELS.items()},
     )
-    # plots, images: What the panels of these names show
+    # plots, images: Shown in the panels of these names
     plots: frozenset[str] = _setting(
         frozenset({"force", "gas", "area"}),
         "Plots",
@@ -218,8 +217,8 @@ class Choices(_Described):
         "Residual: measured minus modelled range; patch: whether in contact",
         titles={"residual": "residual", "patch": "patch", "plain": "one colour"},
     )
-    # Points drawn at most: beyond that, every n-th measured point; None for all. Of 10,000 on the
-    # dome each has some 4×4 screen pixels, so one sees both them and the membrane
+    # Most points drawn: beyond that, every n-th measured point; None: all. At 10,000 each point
+    # has about 4×4 screen pixels, so that the membrane shows between them
     cloud_points: int | None = _setting(
         10_000,
         "Points shown",
@@ -228,7 +227,7 @@ class Choices(_Described):
             **{n: f"up to {n:,}".replace(",", " ") for n in (5_000, 10_000, 20_000, 50_000)},
             None: "all",
         },
-        others=True,
+        open_ended=True,
     )
     membrane_opacity: float = _setting(
         1.0,
@@ -236,14 +235,14 @@ class Choices(_Described):
         "Opacity of the membrane, 10 … 100 %",
         low=0.1, high=1.0, step=0.01, slider=True,
     )  # fmt: skip
-    # Direction in B that a fresh view looks from, towards the middle of the membrane
+    # Direction in B from the middle of the membrane to the initial viewpoint
     view_from: tuple[float, float, float] = _setting((-0.6, -1.0, 1.1), "scene")
-    zoom: float = _setting(1.32, "scene")  # How near; 1 shows the whole box around the membrane
+    zoom: float = _setting(1.32, "scene")  # 1: bounding box of the membrane fills the view
     colour_map: ColourMap = _setting(
         "inferno",
         "Colours",
         "Colours of the contact pressure, perceptually uniform",
-        titles=_same("inferno", "viridis", "cividis", "magma", "plasma"),
+        titles=_own_titles("inferno", "viridis", "cividis", "magma", "plasma"),
     )
     exaggeration: float = _setting(
         1.0,
@@ -251,19 +250,19 @@ class Choices(_Described):
         "Factor by which displacement u is exaggerated",
         high=10.0, step=0.5, unit=TIMES,
     )  # fmt: skip
-    # Normal of the plane that cuts the scene open; None: it is whole
+    # Normal of the section plane; None: no section
     section_axis: Axis | None = _setting(
         None,
         "Section",
         "Cut the membrane across an axis of the bubble frame B",
-        titles={None: "whole", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"},
+        titles={None: "none", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"},
     )
     section_at_m: float = _setting(0.0, "Position of the section", "Position of the cutting plane")
     section_flipped: bool = _setting(
-        False, "other side", "Show what is on the other side of the plane"
+        False, "other side", "Show the part on the other side of the plane"
     )
-    # pressure_max_pa, residual_max_m: Upper ends of the colour ranges; None: by the frames seen,
-    # see `HeldRanges`
+    # pressure_max_pa, residual_max_m: Upper ends of the colour ranges; None: from the frames shown
+    # so far, see `HeldRanges`
     pressure_max_pa: float | None = _setting(
         None,
         "Maximum pressure",
@@ -276,106 +275,109 @@ class Choices(_Described):
         "Residual at the ends of the colour scale; lowest value: automatic",
         high=0.1, step=1e-4, unit="length", lowest="automatic",
     )  # fmt: skip
-    # Object to look for: preset or mesh file; None for none
-    pose_object: str | None = _setting(None, "object", of="pose")
-    # Of the mesh file; None: by its name
+    # Object to register: preset or mesh file; None: no object
+    pose_object: str | None = _setting(None, "object", groups="pose")
+    # Unit of the mesh file; None: from its name
     pose_unit: Literal["m", "mm"] | None = _setting(
         None,
         "unit of the object",
         "Unit of a mesh file; by name: mm where it ends in _mm, else m",
-        of="pose",
+        groups="pose",
         titles={None: "unit by name", "m": "metres", "mm": "millimetres"},
     )
-    # T_B_O the search begins at, x y z in m and qx qy qz qw; None: all around
+    # Initial pose T_B_O, x y z in m and qx qy qz qw; None: global search
     pose_start: tuple[float, float, float, float, float, float, float] | None = _setting(
         None, "initial pose"
     )
     pose_track: bool = _setting(False, "tracking", "Follow the object from frame to frame")
-    # Stage whose pose the object is drawn at; 2 for both
+    # Registration stage whose pose is drawn; 2: after both
     pose_stage: int = _setting(
         2, "Shown", "Stage whose pose is drawn", titles={2: "both stages", 1: "stage one"}
     )
-    # Of the optical flow that shear is measured by
+    # Preset of the optical flow from which shear is measured
     flow_preset: Literal["fast", "balanced", "fine"] = _setting(
         "fast",
         "Optical flow",
         "Optical flow: fast, or more accurate",
-        titles=_same("fast", "balanced", "fine"),
+        titles=_own_titles("fast", "balanced", "fine"),
     )
-    # Coulomb's bound μ of the tangential over the normal traction; None for no bound
+    # Coulomb bound μ on tangential over normal traction; None: no bound
     friction: float | None = _setting(
         None,
         "Friction bound",
         "Limit the tangential traction to μ times the normal one (Coulomb)",
         low=0.01, high=MOST_FRICTION, step=0.05,
     )  # fmt: skip
-    # What is measured side by side
-    compared: tuple[Setting, Setting] = _setting(
-        (Setting(), Setting(solver="linear")), "compared settings"
+    # Settings A and B of the Compare panel
+    compared: tuple[ComparedSetting, ComparedSetting] = _setting(
+        (ComparedSetting(), ComparedSetting(solver="linear")), "compared settings"
     )
-    # Width and height of pictures of the 3-D view, pixels
+    # Width and height of screenshots of the 3-D view, pixels
     picture_size: tuple[int, int] = _setting((1920, 1080), "Picture", "Pixels", low=16, high=8192)
-    # At most 60 s are kept in memory: 1.1 GB of 16-bit 640×480 at 30 Hz
+    # Limit of 60 s: 1.1 GB of memory for 16-bit 640×480 at 30 Hz
     pre_roll_s: float = _setting(
         2.0,
         "Include the previous",
         "Also record this much from before the button was pressed",
-        of="recording", high=60.0, unit=SECONDS,
+        groups="recording", high=60.0, unit=SECONDS,
     )  # fmt: skip
-    # Where recordings go; None: a folder of their own in the user's
-    record_folder: str | None = _setting(None, "record folder", of="recording own")
-    # Where results are published once that is asked for
-    publish_at: str = _setting(LOOPBACK, "place to publish at", of="recording own")
-    # length_unit, pressure_unit, force_unit, duration_unit: What numbers are shown in, see
-    # `units.SYSTEMS`
+    # Folder for recordings; None: a folder of bubbleviz in the user's home
+    record_folder: str | None = _setting(None, "record folder", groups="recording user")
+    # Endpoint at which results are published
+    publish_at: str = _setting(LOOPBACK, "publishing endpoint", groups="recording user")
+    # length_unit, pressure_unit, force_unit, duration_unit: Units shown, see `units.UNIT_CHOICES`
     length_unit: Literal["mm", "m"] = _setting(
-        "mm", "unit of length", titles=_same(*SYSTEMS["length_unit"])
+        "mm", "unit of length", titles=_own_titles(*UNIT_CHOICES["length_unit"])
     )
     pressure_unit: Literal["kPa", "Pa", "psi"] = _setting(
-        "kPa", "unit of pressure", titles=_same(*SYSTEMS["pressure_unit"])
+        "kPa", "unit of pressure", titles=_own_titles(*UNIT_CHOICES["pressure_unit"])
     )
     force_unit: Literal["N", "mN"] = _setting(
-        "N", "unit of force", titles=_same(*SYSTEMS["force_unit"])
+        "N", "unit of force", titles=_own_titles(*UNIT_CHOICES["force_unit"])
     )
     duration_unit: Literal["ms", "s"] = _setting(
-        "ms", "unit of duration", titles=_same(*SYSTEMS["duration_unit"])
+        "ms", "unit of duration", titles=_own_titles(*UNIT_CHOICES["duration_unit"])
     )
     # Colours of the window
     theme: ThemeName = _setting(
         "system",
         "theme",
-        of="own",
+        groups="user",
         titles={"system": "As the &system", "dark": "&Dark", "light": "&Light"},
     )
 
     @property
     def options(self) -> EstimatorOptions:
-        """What the estimator takes."""
-        used = self.used
-        return EstimatorOptions.named(self.solver) if used is None else used.options
+        """Options of the estimator."""
+        in_use = self.compared_in_use
+        return EstimatorOptions.named(self.solver) if in_use is None else in_use.options
 
     @property
-    def used(self) -> Setting | None:
-        """The setting of Compare that the whole window uses; None: neither."""
-        return self.compared[SETTINGS.index(self.solver)] if self.solver in SETTINGS else None
+    def compared_in_use(self) -> ComparedSetting | None:
+        """The setting of Compare that the window uses; None: neither A nor B."""
+        return (
+            self.compared[COMPARED_NAMES.index(self.solver)]
+            if self.solver in COMPARED_NAMES
+            else None
+        )
 
     @property
-    def rule(self) -> Rule:
-        """What makes a patch of a contact pressure: κ and the least area."""
+    def patch_rule(self) -> PatchRule:
+        """Parameters of the patch threshold: κ and the smallest area."""
         return self.kappa, self.least_area_m2
 
     @staticmethod
     def group(name: str) -> frozenset[str]:
-        """Fields of a group."""
-        return frozenset(f.name for f in fields(Choices) if name in Choices.about(f.name).of)
+        """Names of the fields of a group."""
+        return frozenset(f.name for f in fields(Settings) if name in Settings.info(f.name).groups)
 
 
-Rule = tuple[float | None, float]
-PATCH_CHOICES = Choices.group("patch")
-"""Choices that make another patch of the same contact pressure."""
-POSE_CHOICES = Choices.group("pose")
-"""Choices that make it another object."""
-PLAYBACK_CHOICES = Choices.group("playback")
-RECORDING_CHOICES = Choices.group("recording")
-OWN_CHOICES = Choices.group("own")
-"""Choices that are the user's and of this computer; they neither come nor go with a session."""
+PatchRule = tuple[float | None, float]
+PATCH_SETTINGS = Settings.group("patch")
+"""Settings that change the patch but not the contact pressure."""
+POSE_SETTINGS = Settings.group("pose")
+"""Settings of the registered object."""
+PLAYBACK_SETTINGS = Settings.group("playback")
+RECORDING_SETTINGS = Settings.group("recording")
+USER_SETTINGS = Settings.group("user")
+"""Settings of the user on this computer; not part of exchanged session files."""

@@ -6,9 +6,9 @@ import pytest
 from PySide6.QtWidgets import QApplication
 
 from bubbleviz.pipeline import stages
-from bubbleviz_ui.model.choices import Choices
-from bubbleviz_ui.model.demand import STAGES, products, who_asks
-from bubbleviz_ui.panels.status_bar import NOBODY, CostsPopup
+from bubbleviz_ui.model.demand import STAGES, names_by_stage, needed_products
+from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.panels.status_bar import IDLE, PerformancePopup
 
 
 def rows(popup):
@@ -19,7 +19,7 @@ def rows(popup):
     }
 
 
-NOTHING = Choices(layers=frozenset(), panels=frozenset())
+NOTHING = Settings(layers=frozenset(), panels=frozenset())
 
 
 @pytest.mark.parametrize(
@@ -37,13 +37,15 @@ NOTHING = Choices(layers=frozenset(), panels=frozenset())
     ],
 )
 def test_what_runs_is_what_somebody_asks_for(changes, wanted):
-    choices = replace(NOTHING, **changes)
-    asked = who_asks(choices)
-    assert set(asked) == stages(products(choices)) and "residual" not in products(choices)
-    assert wanted is None or products(choices) == wanted
+    settings = replace(NOTHING, **changes)
+    asked = names_by_stage(settings)
+    assert set(asked) == stages(needed_products(settings)) and "residual" not in needed_products(
+        settings
+    )
+    assert wanted is None or needed_products(settings) == wanted
     for name in {n for names in asked.values() for n in names}:
-        less = {"layers": choices.layers - {name}, "panels": choices.panels - {name}}
-        without = stages(products(replace(choices, **less)))
+        less = {"layers": settings.layers - {name}, "panels": settings.panels - {name}}
+        without = stages(needed_products(replace(settings, **less)))
         assert not without & {stage for stage, names in asked.items() if names == [name]}
 
 
@@ -52,7 +54,7 @@ def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive):
     for frame in (4, 5, 6):
         driver.seek(frame)
     driver.click(driver.window.status.labels["solve"])
-    popup = driver.window.findChildren(CostsPopup)[-1]
+    popup = driver.window.findChildren(PerformancePopup)[-1]
     driver.bot.waitExposed(popup)
     table = popup.table
     for row in range(table.rowCount()):  # nothing in it is clipped
@@ -67,11 +69,11 @@ def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive):
     result = driver.result
     assert last == driver.state.units.duration.text(result.times_ms["estimate"])
     assert median.endswith(" ms") and "Membrane" in why and "status bar" in why
-    assert seen["pixel_mask"][3] == NOBODY and seen["pixel_mask"][2] == "0×"
-    driver.state.choose(layers=frozenset({"rim"}))
+    assert seen["pixel_mask"][3] == IDLE and seen["pixel_mask"][2] == "0×"
+    driver.state.change(layers=frozenset({"rim"}))
     popup.refresh()
     seen = rows(popup)
-    assert seen["cloud"][3] == NOBODY and "Membrane" not in seen["estimate"][3]
+    assert seen["cloud"][3] == IDLE and "Membrane" not in seen["estimate"][3]
     popup.close()
     before = driver.pipeline.counts["cloud"]
     driver.seek(7)
