@@ -69,7 +69,7 @@ def settled(session: WindowSession) -> None:
         lambda: (
             controller.result is not None
             and controller.result.frame.index == state.frame
-            and controller.settled
+            and controller.cold_solved
         ),
         "the frame",
     )

@@ -123,7 +123,7 @@ def test_the_window_says_what_was_done_to_the_zero_of_a_recording(drive, sensor,
         driver.seek(PRESSED)
         assert (message.isVisible() and done in message.label.text()) == (shift_pa > 50.0)
         driver.wait(lambda: gas.text() == "p_v +100 Pa")  # of the contact alone
-        driver.window.controller.opening.nothing()
+        driver.window.controller.opening.close_source()
         driver.wait(lambda: driver.state.facts.is_empty)
         assert "zero" not in gas.toolTip()
 

@@ -57,7 +57,7 @@ class Driver:
 
     @property
     def pipeline(self):
-        return self.solver.session.pipeline
+        return self.solver.current.pipeline
 
     @property
     def result(self):
@@ -93,9 +93,9 @@ class Driver:
         """Have the frame at the cursor shown, settled now and not in a moment, and painted."""
         controller = self.window.controller
         self.wait(self.at_the_cursor)
-        if not controller.settled:
-            controller.settle()
-        self.wait(lambda: self.at_the_cursor() and controller.settled)
+        if not controller.cold_solved:
+            controller.cold_solve()
+        self.wait(lambda: self.at_the_cursor() and controller.cold_solved)
         self.painted_anew()
 
     def painted_anew(self):

@@ -166,7 +166,7 @@ class MainWindow(QMainWindow):
     def open_file(self, path: Path) -> None:
         """Open a sensor, object mesh, session, ground truth or recording."""
         if path.suffix.lower() == ".toml":
-            self.controller.opening.sensor_file(path)
+            self.controller.opening.open_sensor_file(path)
         elif path.suffix.lower() in SUFFIXES:
             with self.undo_recorder.one_step("object"):
                 self.panels["pose"].show()
@@ -175,9 +175,9 @@ class MainWindow(QMainWindow):
         elif path.suffix.lower() == SESSION_SUFFIX:
             self.session_saver.open(path)
         elif path.suffix.lower() == TRUTH_SUFFIX:
-            self.controller.opening.truth(path)
+            self.controller.opening.use_ground_truth(path)
         else:
-            self.controller.opening.recording(path)
+            self.controller.opening.open_recording(path)
 
     def show_performance(self) -> None:
         """Show the run time of each stage."""
@@ -233,7 +233,7 @@ class MainWindow(QMainWindow):
             self._import = ImportDialog(
                 self,
                 self.importing,
-                self.controller.opening.recording,
+                self.controller.opening.open_recording,
                 lambda: self.live_controller.recording.folder,
             )
             self._import.notified.connect(self.messages.add)
@@ -440,7 +440,7 @@ class MainWindow(QMainWindow):
         recordings = [path for path in paths if path.suffix.lower() not in others]
         sensor, truth = by_suffix.get(".toml"), by_suffix.get(TRUTH_SUFFIX)
         if recordings and (sensor is not None or truth is not None):
-            self.controller.opening.recording(recordings[0], sensor, truth)
+            self.controller.opening.open_recording(recordings[0], sensor, truth)
         else:
             self.open_file(paths[0])
 
@@ -532,6 +532,6 @@ class MainWindow(QMainWindow):
         now = time.perf_counter()
         controller, view = self.controller, self.view
         self.status.show_rates(
-            controller.client.solves.rate_hz(now), view.renders.rate_hz(now), controller.dropped
+            controller.client.solve_rate.rate_hz(now), view.renders.rate_hz(now), controller.dropped
         )
         self.status.show_latency(self.picture_age.report())

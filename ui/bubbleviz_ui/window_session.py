@@ -204,12 +204,12 @@ class WindowSession:
 
     def raise_if_interrupted(self) -> None:
         """Raise KeyboardInterrupt after ^C; for custom event loops."""
-        if self.interrupt.came:
+        if self.interrupt.received:
             raise KeyboardInterrupt
 
     def run(self) -> int:
         """Run the event loop until the window is closed or ^C; returns the exit code."""
-        return EXIT_CODE if self.interrupt.came else self.application.exec()
+        return EXIT_CODE if self.interrupt.received else self.application.exec()
 
     def close(self) -> None:
         """Close the window without asking about unsaved work, and delete it."""

@@ -19,7 +19,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.progress import Cancelled
 from bubbleviz.result import Estimate, FineContact
-from bubbleviz_ui.engine.solver import KeptEstimates, OpenRequest, Solver
+from bubbleviz_ui.engine.solver import EstimateCache, OpenRequest, Solver
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
 from bubbleviz_ui.engine.worker import KEYS, Deferred, Failed, Worker
@@ -88,19 +88,19 @@ def test_progress_is_told_and_ends_a_function_that_is_cancelled(wait, jobs):
 
 def test_a_late_answer_is_dropped(jobs):
     began, go = Event(), Event()
-    ended, unwanted = [], list[str]()
+    ended, discard = [], list[str]()
 
     def slow():
         began.set()
         assert go.wait(240.0)
         return "a source that is open"
 
-    jobs.submit(slow, ended.append, ended.append, unwanted=unwanted.append)
+    jobs.submit(slow, ended.append, ended.append, discard=discard.append)
     assert began.wait(240.0)
     jobs.cancel()
     go.set()
     jobs.close()
-    assert unwanted == ["a source that is open"] and not ended
+    assert discard == ["a source that is open"] and not ended
 
 
 def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot):
@@ -180,17 +180,17 @@ def holding(worker, key="follow"):
 def test_the_latest_of_each_key_runs_the_most_urgent_first(wait, worker):
     opened(wait, worker)
     go_on, came = holding(worker), []
-    worker.submit(lambda: "left", came.append, key="settle")
+    worker.submit(lambda: "left", came.append, key="cold_solve")
     replaced = [worker.submit(lambda k=k: k, came.append, key="frame") for k in range(4)]
-    worker.submit(lambda: "settled", came.append, key="settle")
+    worker.submit(lambda: "settled", came.append, key="cold_solve")
     worker.submit(lambda: "patch", came.append, key="patch")
-    assert worker.urgent("frame") and not worker.urgent("patch")
+    assert worker.has_more_urgent("frame") and not worker.has_more_urgent("patch")
     go_on.set()
     wait(lambda: len(came) == 3)
     assert came == ["patch", 3, "settled"] and replaced == [False, True, True, True]
     go_on = holding(worker)
-    worker.submit(lambda: "left", came.append, key="settle")
-    assert worker.drop("settle") and not worker.drop("settle")
+    worker.submit(lambda: "left", came.append, key="cold_solve")
+    assert worker.drop("cold_solve") and not worker.drop("cold_solve")
     worker.submit(lambda: "last", came.append, key="analyse")
     go_on.set()
     wait(lambda: came[-1] == "last")
@@ -206,7 +206,7 @@ def test_what_is_not_due_or_deferred_lets_others_go_first(wait, worker):
     wait(lambda: came == ["patch"])
 
     def newest():
-        calls.append(worker.urgent("newest"))
+        calls.append(worker.has_more_urgent("newest"))
         if len(calls) == 1:
             worker.submit(lambda: "patch again", came.append, key="patch")
             raise Deferred
@@ -317,10 +317,10 @@ print(held - before, resident_mib() - before)
 
 
 def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot, wait):
-    state, given, rest_ms = SessionState(), Event(), 20
+    state, given, idle_ms = SessionState(), Event(), 20
     state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=True)
-    giving = MemoryRelease(state, given.set, rest_ms)
-    timer = QTimer(interval=rest_ms)  # as often as the other looks, which began before
+    giving = MemoryRelease(state, given.set, idle_ms)
+    timer = QTimer(interval=idle_ms)  # as often as the other looks, which began before
     timer.start()
     for _ in range(3):
         qtbot.waitSignal(timer.timeout, timeout=PATIENCE_MS).wait()
@@ -334,13 +334,13 @@ def test_the_oldest_kept_estimate_is_dropped_first_and_finer_meshes_count():
     nothing = np.zeros(1000)
     estimate = Estimate("no_contact", nothing, nothing.copy(), 0.0, 0.0, 0.0)
     size = 2 * nothing.nbytes
-    kept = KeptEstimates(3 * size)
+    kept = EstimateCache(3 * size)
     for frame in (0, 1, 2, 0, 3):  # frame 0 is computed again
         kept.keep(frame, Numbers(area_m2=frame), estimate)
     assert kept.get(1) is None
     assert [kept.get(frame)[0].area_m2 for frame in (0, 2, 3)] == [0, 2, 3]
 
-    mesh, kept = mesh_cap(spherical_cap(0.045, 0.02), 1000), KeptEstimates(5 * size)
+    mesh, kept = mesh_cap(spherical_cap(0.045, 0.02), 1000), EstimateCache(5 * size)
     zero = np.zeros(len(mesh.nodes))
     fine = FineContact(mesh, np.zeros((len(zero), 2), int), zero, mesh.nodes, 1e-3)
     for frame in range(3):
@@ -364,14 +364,14 @@ def interrupt(qapp):
 def test_an_interrupt_ends_the_loop_that_runs_and_no_other(qapp, interrupt):
     QTimer.singleShot(0, lambda: signal.raise_signal(signal.SIGTERM))
     assert qapp.exec() == EXIT_CODE
-    assert interrupt.came
+    assert interrupt.received
 
 
 def test_the_loop_of_the_next_window_goes_on(qapp, interrupt):
     """It came while a window was opened, which handles events without a loop of Qt's."""
     signal.raise_signal(signal.SIGINT)
     qapp.processEvents()
-    assert interrupt.came
+    assert interrupt.received
     interrupt.close()
     loop, done = QEventLoop(), list[str]()
     QTimer.singleShot(0, lambda: (done.append("its work"), loop.quit()))

@@ -79,11 +79,11 @@ def test_the_solver_is_held_back_by_what_its_results_waited():
     """As in a window that takes 50 ms for a picture while the solver takes 15."""
     delay = RequestDelay()
     for _ in range(40):
-        delay.waited(max(0.050 - 0.015 - delay.hold_s, 0.0))
-    assert 0.028 < delay.hold_s < 0.035  # the result is there just before the window is
+        delay.update(max(0.050 - 0.015 - delay.delay_s, 0.0))
+    assert 0.028 < delay.delay_s < 0.035  # the result is there just before the window is
     for _ in range(40):
-        delay.waited(0.0)
-    assert delay.hold_s == 0.0
+        delay.update(0.0)
+    assert delay.delay_s == 0.0
 
 
 def test_garbage_is_counted_shown_and_survived(open_bench):

@@ -115,4 +115,4 @@ def test_a_full_disk_is_reported_and_results_are_published_only_on_request(open_
         source.stop()
     live.window.live.publish.click()
     live.wait(lambda: not listens())
-    live.wait(lambda: not live.window.controller.client.extra)
+    live.wait(lambda: not live.window.controller.client.extra_products)

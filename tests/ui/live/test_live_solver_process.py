@@ -66,9 +66,9 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
         first = stream.first_frame()
         frames.begin(first.arrival_ns, first)
         solver.open(OpenRequest(Source.of_stream(frames), lambda: sensor, 0, demand))
-        session = solver.session
-        assert session is not None and session.beside is not None
-        beside, own = session.beside, Pipeline.of(sensor, session.source[0].intrinsics)
+        current = solver.current
+        assert current is not None and current.solver_process is not None
+        beside, own = current.solver_process, Pipeline.of(sensor, current.source[0].intrinsics)
         compared = 0
         while compared < 3:
             solved = solver.newest(demand, lambda: False)

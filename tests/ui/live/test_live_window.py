@@ -146,7 +146,7 @@ def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
         shown = live.shown
         live.settle()
         live.show("threshold")  # it has to be looked at once more
-        live.wait(lambda: not live.window.controller.client.look_is_old)
+        live.wait(lambda: not live.window.controller.client.diagnostics_outdated)
         live.settle()
         assert live.shown == shown == live.state.frame and not live.window.message.isVisible()
         live.window.panels["threshold"].hide()
@@ -162,7 +162,7 @@ def one_frame_everywhere(live):
         and status["force"].text() == f"force {force}"
         and (readout == f"contact  {force}" or (readout, force) == ("no contact", "0.00 N"))
         and live.state.frame == live.shown
-        and not live.window.controller.client.look_is_old
+        and not live.window.controller.client.diagnostics_outdated
     )
 
 

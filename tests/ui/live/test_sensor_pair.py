@@ -125,7 +125,7 @@ def test_both_stop_at_one_moment_and_the_panels_turn_to_the_other_and_back(open_
         bench.follow(3)
         bench.state.set_playing(False)
         bench.messages_come(3, sensor=1)
-        bench.wait(lambda: bench.shown == bench.state.frame and bench.window.controller.settled)
+        bench.wait(lambda: bench.shown == bench.state.frame and bench.window.controller.cold_solved)
         now = bench.state.facts.times_s[bench.state.frame]
         bench.wait(lambda now=now: other(bench) == frames.at(now))
         bench.state.set_playing(True)

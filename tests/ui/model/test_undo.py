@@ -234,7 +234,7 @@ def test_every_control_shows_what_undo_brings_back(drive):
     def settled():
         """Once the solver is built anew and the object is read; the pose panel writes at times."""
         driver.wait(lambda: not window.pose.session.busy and idle(window.pose))
-        driver.wait(lambda: window.controller.settled and idle(window.pose))
+        driver.wait(lambda: window.controller.cold_solved and idle(window.pose))
         return shown()
 
     elsewhere = {"panels", "pre_roll_s", "record_folder", "publish_at", "view_from", "zoom",

@@ -32,7 +32,7 @@ def wait_until_as_shown(driver):
         force = force_text(result, units)
         shown = (f"{result.frame.index}", force, units.area.text(result.patch.area_m2))
         compared = tuple(text(driver, row) for row in ("frame", "force", "area"))
-        return driver.window.controller.settled and compared == shown
+        return driver.window.controller.cold_solved and compared == shown
 
     driver.wait(as_shown)
 
@@ -96,10 +96,10 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     assert window.kappa.solver.currentText() == "setting B of Compare"
     panel.b.controls["block"].setValue(2)  # of what is in use
     driver.wait(lambda: driver.pipeline.options.block == 2)
-    session = driver.solver.session
+    current = driver.solver.current
     panel.a.controls["block"].setValue(3)  # of what is not
     driver.settle()
-    assert driver.solver.session is session
+    assert driver.solver.current is current
     driver.type(panel.b.controls["kappa"], "4.5")
     driver.wait(driver.thresholded)
     assert state.settings.kappa == window.kappa.box.value() == 4.5

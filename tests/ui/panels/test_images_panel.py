@@ -191,16 +191,16 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     # while playing not every frame is looked at closer
     opened(driver, "depth", "change")
     controller = driver.window.controller
-    monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
+    monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 3600.0)
     driver.settle()  # what was asked for before counts, too
     before = counts["diagnose change"], counts["total"]
     driver.state.change(every_frame=True)
     driver.state.set_playing(True)
     driver.wait(lambda: counts["total"] > before[1] + 20)
     assert counts["diagnose change"] == before[0]
-    monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 0.0)
     driver.wait(lambda: counts["diagnose change"] > before[0] + 2)
-    monkeypatch.setattr(sensor_client, "LOOK_EVERY_S", 3600.0)
+    monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 3600.0)
     driver.state.set_playing(False)
     driver.settle()
     image = lambda: controller.inspection.images["depth"]  # noqa: E731

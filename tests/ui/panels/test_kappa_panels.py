@@ -73,7 +73,7 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.settings.kappa))
     # the comparison follows the frame and costs nothing hidden
     driver.settle()
-    bench, dock = driver.solver.session.side_by_side, driver.window.panels["compare"]
+    bench, dock = driver.solver.current.side_by_side, driver.window.panels["compare"]
     driver.seek(CONTACT + 1)
     assert not bench.pipelines
     panel = compare(driver)

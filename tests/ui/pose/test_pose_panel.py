@@ -190,7 +190,7 @@ def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     assert panel.session.pose is None
     controller = bench.window.controller
     with bench.bot.waitSignal(controller.shown):
-        controller.client.ask_settled()  # of the frame as it was shown, with its pose
+        controller.client.request_cold_solve()  # of the frame as it was shown, with its pose
     bench.wait(lambda: bench.text("state") == "not fitted yet")
 
 

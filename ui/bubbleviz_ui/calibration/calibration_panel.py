@@ -116,7 +116,7 @@ class CalibrationPanel(QWidget):
             self.calibration.notified.emit(notice)
             controller = self.calibration.controller
             if self._used is not None and controller.sensor is self._used:
-                controller.opening.sensor_file(path)  # in use from its file from now on
+                controller.opening.open_sensor_file(path)  # in use from its file from now on
 
         self.calibration.start(job, told)
 
@@ -199,7 +199,7 @@ class CalibrationPanel(QWidget):
         self.validation.painted.connect(self.painted)
         self.report.use.connect(self.use_it)
         self.report.save.connect(self.save)
-        calibration.controller.opening.wanted.connect(self._on_wanted)
+        calibration.controller.opening.about_to_open.connect(self._on_wanted)
 
     def _on_next(self) -> None:
         """First do this page's step, then go on to the next page and do its step."""

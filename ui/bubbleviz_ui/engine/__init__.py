@@ -1,1 +1,1 @@
-"""Between model and solver thread: requests out, answers in, work off the GUI thread."""
+"""Solver thread of the window: requests from the model, results back to it."""

@@ -1,4 +1,4 @@
-"""Between model and solver thread: decides what is asked for and when."""
+"""Controller between model and solver thread: decides what to compute and when."""
 
 from __future__ import annotations
 
@@ -25,81 +25,83 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, solver_title
 from bubbleviz_ui.playback.player import Player
 
-# Analysis of all frames, while the solver has nothing else to do.
+# Analysis of all frames while the solver is idle.
 
 
 class Analysis(QObject):
-    """Has the numbers computed that are not known yet, a part of the frames at a time.
+    """Computes the missing numbers of all frames, a batch at a time.
 
-    `state`: Remembers the numbers.
-    `client`: Gives the sensor whose frames are analysed.
+    `state`: Stores the numbers.
+    `client`: Returns the sensor whose frames are analysed.
     """
 
-    progressed = Signal(int, int)  # Frames done and frames asked for; equal when it is over
+    progressed = Signal(int, int)  # Frames done and requested; equal at the end
 
     def __init__(self, state: SessionState, client: Callable[[], SensorClient]) -> None:
         super().__init__()
         self._state, self._client = state, client
         self._frames: tuple[int, ...] = ()
         self._products: frozenset[Product] = frozenset()
-        self._count, self._kept_only = 0, False
+        self._count, self._cached_only = 0, False
         state.settings_changed.connect(self._on_settings)
 
     @property
     def busy(self) -> bool:
-        """It goes on."""
+        """Whether it is running."""
         return bool(self._frames)
 
     def start(self) -> None:
-        """Compute what the chosen plots need and is not known yet, of all frames."""
+        """Compute what the chosen plots need and is missing, for all frames."""
         products = plot_products(self._state.settings)
-        self._begin(products, self._state.history.missing(products), kept_only=False)
+        self._begin(products, self._state.history.missing(products), cached_only=False)
 
     def _find_patches_again(self) -> None:
-        """Find those that another κ has made untrue, of estimates that are kept."""
-        if self.busy and not self._kept_only:
+        """Recompute patches outdated by another κ, from cached estimates."""
+        if self.busy and not self._cached_only:
             self.start()
         else:
-            self._begin(frozenset({"patch"}), self._state.history.outdated, kept_only=True)
+            self._begin(frozenset({"patch"}), self._state.history.outdated, cached_only=True)
 
     def stop(self) -> None:
-        """Leave the rest; what was computed stays."""
+        """Stop; numbers computed so far are kept."""
         self._frames, self._count = (), 0
         self.progressed.emit(0, 0)
 
     def _take(self, frames: tuple[int, ...], demand: Demand, numbers: list[Numbers | None]) -> None:
-        """Remember numbers of the first frames, and ask for the others."""
+        """Store the numbers of the first frames, and request the others."""
         same = demand.patch_rule == self._state.settings.patch_rule
         known = {k: each for k, each in zip(frames, numbers, strict=False) if each}
         self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
         if frames is self._frames:
             self._frames = frames[len(numbers) :]
-            self._ask_rest()
+            self._request_rest()
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if names & PATCH_SETTINGS:
             self._find_patches_again()
 
-    def _begin(self, products: frozenset[Product], frames: np.ndarray, *, kept_only: bool) -> None:
-        self._products, self._kept_only = products, kept_only
+    def _begin(
+        self, products: frozenset[Product], frames: np.ndarray, *, cached_only: bool
+    ) -> None:
+        self._products, self._cached_only = products, cached_only
         self._frames = tuple(int(k) for k in frames)
         self._count = len(self._frames)
-        self._ask_rest()
+        self._request_rest()
 
-    def _ask_rest(self) -> None:
+    def _request_rest(self) -> None:
         self.progressed.emit(self._count - len(self._frames), self._count)
         if self._frames:
             settings = self._state.settings
             options = FrameOptions(*settings.patch_rule)
             demand = Demand(self._products, options=options, shear=Demand.of(settings).shear)
             frames, client = self._frames, self._client()
-            function = partial(client.solver.analyse, frames, demand, kept_only=self._kept_only)
+            function = partial(client.solver.analyse, frames, demand, cached_only=self._cached_only)
             client.worker.submit(function, partial(self._take, frames, demand), key="analyse")
 
 
 @dataclass(frozen=True)
-class Followed:
-    """The object that is looked for now, if it could be loaded; `fitted`: at once, to a frame."""
+class ObjectChange:
+    """Another object to register; `fitted`: at once, to the frame at the cursor."""
 
     object_name: str | None
     unit: Literal["m", "mm"] | None
@@ -107,29 +109,31 @@ class Followed:
     obj: RigidObject | None = None
 
 
-STANDS_MS = 150
-"""How long one has to stay at a frame before it is settled: not while scrubbing."""
+COLD_SOLVE_DELAY_MS = 150
+"""How long the cursor must stay at a frame before a cold solve, which avoids them while scrubbing.
+
+A cold solve starts from rest instead of the previous frame, so that its result does not depend on
+what was shown before."""
 
 
 class Controller(QObject):
-    """Asks for what the visible things need of the frame at the cursor."""
+    """Requests what the visible layers and panels need of the frame at the cursor."""
 
-    opened = Signal(object)  # An `Opened`: another source or sensor is open
-    shown = Signal(object)  # A `Result` to draw
-    failed = Signal(object)  # A `Failed` to tell the user about
-    compared = Signal(object, object)  # Settings, and what was measured with each on one frame
-    followed = Signal(object)  # A `Followed`: another object is looked for, or none
+    opened = Signal(object)  # `Opened`: another source or sensor
+    shown = Signal(object)  # `Result` to draw
+    failed = Signal(object)  # `Failed`, to be shown to the user
+    compared = Signal(object, object)  # Compared settings, and the measurement of each
+    object_changed = Signal(object)  # `ObjectChange`
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.state = state
-        self.client = SensorClient(state)  # The sensor that the panels show
-        # Opens other things
+        self.client = SensorClient(state)  # Sensor shown by the panels
         self.opening = Opening(state, lambda request: self.client.open(request))
-        self.analysis = Analysis(state, lambda: self.client)  # Of all frames
-        self.player = Player(state)  # Of recordings
-        self._stands = QTimer(self, singleShot=True, interval=STANDS_MS)
-        self._stands.timeout.connect(self.settle)
+        self.analysis = Analysis(state, lambda: self.client)
+        self.player = Player(state)
+        self._cold_solve_timer = QTimer(self, singleShot=True, interval=COLD_SOLVE_DELAY_MS)
+        self._cold_solve_timer.timeout.connect(self.cold_solve)
         self._listen(self.client)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
@@ -138,27 +142,27 @@ class Controller(QObject):
 
     @property
     def worker(self) -> Worker:
-        """Solver thread of the sensor that the panels show."""
+        """Solver thread of the sensor shown by the panels."""
         return self.client.worker
 
     @property
     def result(self) -> Result | None:
-        """What is shown; None before the first source."""
+        """Result shown; None before the first source."""
         return self.client.result
 
     @property
     def inspection(self) -> Inspection:
-        """Closer look at the frame that is shown."""
+        """Diagnostics of the frame shown."""
         return self.client.inspection
 
     @property
-    def settled(self) -> bool:
-        """Whether nothing is to be settled of what is shown: it goes on, or is settled."""
-        return self._goes_on or self.client.result is None or self.client.settled
+    def cold_solved(self) -> bool:
+        """Whether no cold solve of the shown frame is due."""
+        return self._advancing or self.client.result is None or self.client.cold_solved
 
     @property
     def dropped(self) -> int:
-        """Frames left out on purpose since the source was opened."""
+        """Frames skipped since the source was opened."""
         return self.player.skipped + self.client.dropped
 
     @property
@@ -169,10 +173,10 @@ class Controller(QObject):
     def close(self) -> None:
         """Stop playback and the solver thread."""
         self.player.close()
-        self._stands.stop()
+        self._cold_solve_timer.stop()
         self.worker.close()
 
-    def follow(
+    def set_object(
         self,
         object_name: str | None,
         unit: Literal["m", "mm"] | None,
@@ -180,70 +184,72 @@ class Controller(QObject):
         *,
         fit: bool,
     ) -> None:
-        """Look for another object, or for none; `fit` it to the frame at the cursor at once."""
+        """Register another object, or none; with `fit` at once, in the frame at the cursor."""
         if self.state.facts is None:
             return
-        client, request = self.client, Followed(object_name, unit, fit)
-        fitted = client.framing(self.state.frame, self._pose_demand) if fit else None
+        client, request = self.client, ObjectChange(object_name, unit, fit)
+        fitted = client.frame_job(self.state.frame, self._pose_demand) if fit else None
 
         def function() -> tuple[RigidObject | None, Solved | None]:
-            obj = client.solver.follow(object_name, unit, start)
+            obj = client.solver.set_object(object_name, unit, start)
             return obj, None if fitted is None else fitted[0]()
 
         def then(answer: tuple[RigidObject | None, Solved | None]) -> None:
-            self.followed.emit(replace(request, obj=answer[0]))
+            self.object_changed.emit(replace(request, obj=answer[0]))
             if fitted is not None and answer[1] is not None:
                 fitted[1](answer[1])
 
-        client.worker.submit(function, then, key="follow", request=request)
+        client.worker.submit(function, then, key="object", request=request)
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
-        """Measure two settings, or none, on the frame at the cursor, in spare time."""
-        client, index, stands = self.client, self.state.frame, not self._goes_on
-        function = partial(client.solver.compare, index, settings, settled=stands)
+        """Measure two settings, or none, on the frame at the cursor while the solver is idle."""
+        client, index, cold = self.client, self.state.frame, not self._advancing
+        function = partial(client.solver.compare, index, settings, cold=cold)
         client.worker.submit(function, partial(self.compared.emit, settings), key="compare")
 
-    def collect(self) -> None:
-        """Find the contact-free colour images anew."""
+    def find_reference(self) -> None:
+        """Search the contact-free reference images again."""
         if self.state.facts is not None:
-            self.client.ask_frame(self.state.frame, Demand.of(self.state.settings), anew=True)
+            self.client.request_frame(
+                self.state.frame, Demand.of(self.state.settings), new_reference=True
+            )
 
-    def settle(self) -> None:
-        """Have the frame that is shown settled now; it is once one has stayed at it, too."""
-        self._stands.stop()
-        self.client.ask_settled()
+    def cold_solve(self) -> None:
+        """Request the cold solve of the shown frame now instead of after the delay."""
+        self._cold_solve_timer.stop()
+        self.client.request_cold_solve()
 
-    def turn_to(self, client: SensorClient) -> SensorClient:
-        """Have the panels show the other sensor of a session; gives back the one they showed."""
+    def switch_to(self, client: SensorClient) -> SensorClient:
+        """Show the other sensor of a session in the panels; returns the previous one."""
         before, self.client = self.client, client
         playing, frozen = self.state.playing, self.state.frozen
         self._listen(before, on=False)
         self._listen(client)
         self._present(playing=playing)
         self.state.freeze(frozen)
-        self._ask_frame()
+        self._request_frame()
         return before
 
     # -- the model changed --------------------------------------------------------------------
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        self._stands.stop()  # until the next frame is shown
+        self._cold_solve_timer.stop()  # until the next frame is shown
         if not (by_playback and self._grows):
-            self._ask_frame()
+            self._request_frame()
 
     def _on_playing(self, playing: bool) -> None:
-        left_out = bool(self.client.demand.diagnostics) or self.client.shown_thinned
-        if not playing and left_out and self.settled:
-            self._ask_frame()  # else they come with what is settled, and the pose is found once
-        self._wait_to_settle()
-        self._ask_newest()
+        incomplete = bool(self.client.demand.diagnostics) or self.client.shown_thinned
+        if not playing and incomplete and self.cold_solved:
+            self._request_frame()  # else the cold solve delivers them, with a single registration
+        self._schedule_cold_solve()
+        self._request_newest()
 
     def _on_frozen(self, frozen: bool) -> None:
-        left_out = self.client.look_is_old or self.client.shown_thinned
-        if frozen and left_out and self.settled:
-            self._ask_frame()
-        self._wait_to_settle()
-        self._ask_newest()
+        incomplete = self.client.diagnostics_outdated or self.client.shown_thinned
+        if frozen and incomplete and self.cold_solved:
+            self._request_frame()
+        self._schedule_cold_solve()
+        self._request_newest()
 
     def _on_settings(self, names: frozenset[str]) -> None:
         settings, sensor = self.state.settings, self.sensor
@@ -255,20 +261,20 @@ class Controller(QObject):
             or ("pose_track" in names and settings.pose_track)  # its poses may be outdated
             or not self.client.demand.covers(Demand.of(settings))
         ):
-            self._ask_frame()
+            self._request_frame()
         elif names & PATCH_SETTINGS:
-            self.client.ask_patch()
+            self.client.request_patch()
 
     # -- requests -----------------------------------------------------------------------------
 
     @property
-    def _goes_on(self) -> bool:
-        """Whether other frames come by themselves."""
+    def _advancing(self) -> bool:
+        """Whether the frame changes by playback or a live source."""
         return self.state.playing and not self.state.frozen
 
     @property
     def _pose_demand(self) -> Demand:
-        """What is visible, and the pose."""
+        """Demand of the visible layers and panels, and the pose."""
         demand = Demand.of(self.state.settings)
         return replace(
             demand, products=demand.products | PATCH | pose_products(self.state.settings)
@@ -278,22 +284,22 @@ class Controller(QObject):
     def _grows(self) -> bool:
         return self.state.facts is not None and self.state.facts.grows
 
-    def _ask_frame(self) -> None:
-        """Ask for the frame at the cursor, unless another source is just being taken."""
+    def _request_frame(self) -> None:
+        """Request the frame at the cursor, unless another source is being opened."""
         if self.state.facts is not None and self.state.facts is self.client.facts:
-            self.client.ask_frame(self.state.frame, Demand.of(self.state.settings))
+            self.client.request_frame(self.state.frame, Demand.of(self.state.settings))
 
-    def _ask_newest(self) -> None:
-        """Ask for the newest frame of a live source, unless nobody wants it now."""
+    def _request_newest(self) -> None:
+        """Request the newest frame of a live source, unless paused or frozen."""
         state = self.state
         if self._grows and state.playing and not state.frozen:
-            self.client.ask_newest(Demand.of(state.settings))
+            self.client.request_newest(Demand.of(state.settings))
 
     # -- answers ------------------------------------------------------------------------------
 
     def _listen(self, client: SensorClient, *, on: bool = True) -> None:
         for signal, slot in (
-            (client.turned, self._on_opened),
+            (client.opened_source, self._on_opened),
             (client.solved, self._on_solved),
             (client.patched, self._show),
             (client.paused, self._on_paused),
@@ -302,45 +308,45 @@ class Controller(QObject):
             signal.connect(slot) if on else signal.disconnect(slot)
 
     def _on_failed(self, failed: Failed) -> None:
-        self.opening.take(failed.request)
+        self.opening.finish(failed.request)
         if failed.key == "analyse":
             self.analysis.stop()
         self.failed.emit(failed)
 
     def _on_paused(self) -> None:
-        if self.client.look_is_old:
-            self._ask_frame()
-        self._ask_newest()
+        if self.client.diagnostics_outdated:
+            self._request_frame()
+        self._request_newest()
 
     def _on_solved(self, solved: Solved, newest: bool) -> None:
-        """Ask for what comes next before this is drawn, so that the solver has work meanwhile."""
+        """Request the next frame before drawing this one, which keeps the solver busy."""
         if newest and self.client.facts is not None:
             self.state.grow(self.client.facts)
-            self._ask_newest()
+            self._request_newest()
         else:
-            self.player.came(solved.result.frame.index)
+            self.player.on_result(solved.result.frame.index)
         self._show(solved.result)
         if solved.demand.patch_rule != self.state.settings.patch_rule:
-            self.client.ask_patch()
+            self.client.request_patch()
 
     def _on_opened(self, opened: Opened) -> None:
-        self.opening.take(opened.request)
+        self.opening.finish(opened.request)
         self._present(playing=opened.request.playing)
         settings, asked = self.state.settings, opened.request.demand
         if not asked.covers(Demand.of(settings)):
-            self._ask_frame()
+            self._request_frame()
         elif asked.patch_rule != settings.patch_rule:
-            self.client.ask_patch()
+            self.client.request_patch()
 
     def _present(self, *, playing: bool) -> None:
-        """Show what is open now: another source, or the other sensor."""
+        """Show the newly opened source, or the other sensor."""
         client = self.client
         opened, facts, result = client.opened, client.facts, client.result
         if opened is None or facts is None or result is None:
             raise RuntimeError("nothing is open yet")
-        self.opening.present = opened
+        self.opening.current = opened
         self.analysis.stop()
-        self.player.turn_to(result.frame.index)
+        self.player.reset_to(result.frame.index)
         client.dropped = 0
         self.opened.emit(opened)
         self.state.set_playing(False)
@@ -348,7 +354,7 @@ class Controller(QObject):
         self._show(result)
 
     def _show(self, result: Result) -> None:
-        """Draw a result that came, if the client shows it."""
+        """Draw a result if it belongs to the shown frame."""
         shown = self.client.result
         seen = shown is not None and shown.frame.index == result.frame.index
         if seen:
@@ -356,8 +362,8 @@ class Controller(QObject):
         self.state.history_changed.emit()
         if seen:
             self.shown.emit(shown)
-        self._wait_to_settle()
+        self._schedule_cold_solve()
 
-    def _wait_to_settle(self) -> None:
-        """Have the frame that is shown settled, once one has stayed at it for a moment."""
-        self._stands.stop() if self.settled else self._stands.start()
+    def _schedule_cold_solve(self) -> None:
+        """Start the delay of the cold solve if one is due."""
+        self._cold_solve_timer.stop() if self.cold_solved else self._cold_solve_timer.start()

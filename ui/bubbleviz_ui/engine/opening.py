@@ -1,4 +1,4 @@
-"""Opening: another source, another sensor, or the present ones in another form."""
+"""Opening of sources and sensors, and reopening with other options."""
 
 from __future__ import annotations
 
@@ -24,53 +24,51 @@ if TYPE_CHECKING:
 
 
 class Opening(QObject):
-    """Asks the solver thread to open things; what is open stays until that works.
+    """Opens sources in the solver thread; the current one stays open until that succeeds.
 
-    `ask`: Takes a request to the solver thread.
+    `ask`: Passes a request to the solver thread.
     """
 
-    # What is being opened or closed, in words; empty when it is, or is not going to be
-    changed = Signal(str)
+    changed = Signal(str)  # Progress text; empty when opening has ended
     notified = Signal(object)  # A `UserMessage`
-    # An `OpenRequest` before it is asked; whoever needs what is open may have it `cancelled`
-    wanted = Signal(object)
+    about_to_open = Signal(object)  # An `OpenRequest`, which a receiver may cancel
 
     def __init__(self, state: SessionState, ask: Callable[[OpenRequest], None]) -> None:
         super().__init__()
         self._state, self._ask = state, ask
-        self.present: Opened | None = None  # What is open
+        self.current: Opened | None = None
         self._waiting: OpenRequest | None = None
 
     @property
     def sensor(self) -> Sensor | None:
         """The sensor in use; None before the first."""
-        return None if self.present is None else self.present.sensor
+        return None if self.current is None else self.current.sensor
 
     @property
     def source(self) -> Source | None:
-        """What is open; None before the first."""
-        return None if self.present is None else self.present.request.source
+        """The open source; None before the first."""
+        return None if self.current is None else self.current.request.source
 
     @property
     def options(self) -> EstimatorOptions | None:
-        """Of what is open, or is being opened; None before the first."""
+        """Options of the open source, or of the one being opened; None before the first."""
         if self._waiting is not None:
             return self._waiting.options
-        return None if self.present is None else self.present.request.options
+        return None if self.current is None else self.current.request.options
 
     def open(
         self,
         source: Source,
         open_sensor: OpenSensor,
         *,
-        what: str = "",  # What to call it in a message; the source's title where not given
+        what: str = "",  # Name in the progress text; by default the source's title
         frame: int = 0,
         playing: bool = True,
-        first: Callable[[], None] | None = None,
+        before: Callable[[], None] | None = None,
     ) -> bool:
-        """Open a source with a sensor in the solver thread; whether that was not refused.
+        """Open a source with a sensor in the solver thread; False if a receiver cancelled it.
 
-        What is done `first`, unless it was, may make other settings.
+        `before` is called unless it was cancelled; it may change settings.
         """
         request = OpenRequest(
             source=source,
@@ -79,11 +77,11 @@ class Opening(QObject):
             demand=Demand.of(self._state.settings),
             playing=playing,
         )
-        self.wanted.emit(request)
+        self.about_to_open.emit(request)
         if request.cancelled.is_set():
             return False
-        if first is not None:
-            first()
+        if before is not None:
+            before()
         self.cancel()
         settings = self._state.settings
         demand, options = Demand.of(settings), settings.options
@@ -96,23 +94,23 @@ class Opening(QObject):
         return True
 
     def cancel(self) -> None:
-        """Open nothing; the solver stops at its next step."""
+        """Cancel the pending request; the solver stops at its next step."""
         if self._waiting is not None:
             self._waiting.cancelled.set()
             self._end()
 
-    def recording(
+    def open_recording(
         self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
     ) -> None:
-        """Open a recording with a sensor, with the present one, or with the preset that fits."""
+        """Open a recording with a sensor file, else the current sensor or a matching preset."""
         source, sensor = Source.of_recording(path, truth), self.sensor
         if sensor_file is not None:
             self.open(source, lambda: load_sensor(sensor_file))
         elif sensor is not None:
             self.open(source, lambda: sensor_for(path, sensor))
 
-    def truth(self, path: Path) -> None:
-        """Have the recording that is open, one of a simulation, known by its TRUTH.npz."""
+    def use_ground_truth(self, path: Path) -> None:
+        """Reopen the simulated recording that is open with its TRUTH.npz."""
         source, sensor = self.source, self.sensor
         if source is not None and source.path is not None and sensor is not None:
             self.reopen(path.name, lambda: sensor, Source.of_recording(source.path, path))
@@ -120,28 +118,28 @@ class Opening(QObject):
             problem = f"{path}: open the recording of that simulation first"
             self.notified.emit(UserMessage("error", problem))
 
-    def sensor_file(self, path: Path) -> None:
-        """Use the sensor of a file with the present source."""
+    def open_sensor_file(self, path: Path) -> None:
+        """Use the sensor of a file with the current source."""
         self.reopen(path.name, lambda: load_sensor(path))
 
     def use_sensor(self, sensor: Sensor) -> None:
-        """Use another sensor, which is loaded already, with the present source."""
+        """Use another sensor with the current source."""
         self.reopen(sensor.name, lambda: sensor)
 
     def reopen(self, what: str, open_sensor: OpenSensor, source: Source | None = None) -> None:
-        """Open the present source anew, or in another form, at the present frame."""
+        """Open the current source again, or `source` in its place, at the current frame."""
         state, source = self._state, source or self.source
         if source is not None and state.facts is not None:
             self.open(source, open_sensor, what=what, frame=state.frame, playing=state.playing)
 
-    def nothing(self) -> None:
-        """Close what is open; the sensor stays, at rest."""
+    def close_source(self) -> None:
+        """Close the source; the sensor stays, at rest."""
         sensor = self.sensor
         if sensor is not None:
             self.open(NO_SOURCE, lambda: sensor, playing=False)
 
-    def take(self, request: object) -> None:
-        """Notice that what was asked for has come, or has failed."""
+    def finish(self, request: object) -> None:
+        """A request has succeeded or failed."""
         if self._waiting is not None and request is self._waiting:
             self._end()
 

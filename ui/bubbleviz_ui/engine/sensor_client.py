@@ -1,4 +1,4 @@
-"""One sensor as the window knows it: submits work to its worker, keeps what came back."""
+"""One sensor in the window: submits work to its solver thread, holds the latest results."""
 
 from __future__ import annotations
 
@@ -22,111 +22,112 @@ from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 
-LOOK_EVERY_S = 0.15
-"""How often closer looks are taken while playing: nobody sees more."""
-SLACK_S = 0.004
-"""How long a result may wait for the window: a little, so that the window does not wait for it."""
-GAIN = 0.4  # of the delay's integral control; chosen
-MOST_S = 0.1  # s; longer delays are felt
+DIAGNOSTICS_EVERY_S = 0.15
+"""Period at which diagnostics are updated during playback."""
+TARGET_WAIT_S = 0.004
+"""Target time between a result and its drawing; above 0, so that the window never waits for it."""
+GAIN = 0.4  # of the integral control of the delay
+MAX_DELAY_S = 0.1  # longer delays are noticeable
 
 
 class RequestDelay:
-    """Delays requests while the window draws: a frame taken too early would be old by then."""
+    """Delays requests while the window draws, as a frame taken too early is old when drawn."""
 
     def __init__(self) -> None:
-        self.hold_s = 0.0  # How long after the last result the next frame is to be taken
+        self.delay_s = 0.0  # Between the last result and the next request
 
-    def waited(self, seconds: float) -> None:
-        """Take note of how long a result waited for the window."""
-        self.hold_s = min(max(self.hold_s + GAIN * (seconds - SLACK_S), 0.0), MOST_S)
+    def update(self, seconds: float) -> None:
+        """Adapt the delay to the time a result waited for the window."""
+        self.delay_s = min(max(self.delay_s + GAIN * (seconds - TARGET_WAIT_S), 0.0), MAX_DELAY_S)
 
 
 class SensorClient(QObject):
-    """What is open in a solver thread, and the newest that came of it.
+    """A sensor's solver thread, and the latest results from it.
 
-    The panels show one sensor; where a session has two, the other one is another client.
+    The panels show one sensor; the second one of a session has its own client.
     """
 
-    turned = Signal(object)  # An `Opened`: another source is open
-    solved = Signal(object, bool)  # A `Solved`, and whether it is the newest frame of a live source
-    patched = Signal(object)  # The shown frame has its patch at another κ
-    paused = Signal()  # No frame of a live source came while one was waited for
+    opened_source = Signal(object)  # An `Opened`
+    solved = Signal(object, bool)  # A `Solved`; True if it is the newest frame of a live source
+    patched = Signal(object)  # `Result` of the shown frame with its patch at another κ
+    paused = Signal()  # A live source sent no frame in time
     failed = Signal(object)  # A `Failed`
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.solver = Solver()  # Used in the worker's thread
         self.worker = Worker("solver", KEYS, self.solver.close)
-        self.dropped = 0  # Frames replaced by a newer one before their turn
-        self.session = object()  # Stands for the open source; another one for each
+        self.dropped = 0  # Requests replaced by a newer one before they ran
+        self.session = object()  # Identity of the open source
         self.opened: Opened | None = None  # None before the first source
-        self.facts: SourceFacts | None = None  # Of the source as it is now: a live one grows
+        self.facts: SourceFacts | None = None  # Updated as a live source grows
         self.history = FrameHistory(0)
         self.result: Result | None = None  # Shown last
-        self.inspection = Inspection()  # Closer look at that
-        self.demand = Demand(frozenset())  # What was asked for last
-        # Asked of every live frame besides what is visible
-        self.extra: frozenset[Product] = frozenset()
-        self.solves = RateMeter()  # Frames that came back from the solver
+        self.inspection = Inspection()  # Diagnostics of `result`
+        self.demand = Demand(frozenset())  # Of the last request
+        # Computed for every live frame in addition to what is visible
+        self.extra_products: frozenset[Product] = frozenset()
+        self.solve_rate = RateMeter()
         self._state = state
         self._awaiting = False
-        self._looked_s = 0.0
-        self._looked_at: Frame | None = None
-        self._settled: Frame | None = None
-        self._shown_as = self.demand
+        self._diagnosed_s = 0.0
+        self._diagnosed_frame: Frame | None = None
+        self._cold_solved: Frame | None = None
+        self._shown_demand = self.demand
         self._delay = RequestDelay()
         self.worker.failed.connect(self._on_failed)
 
     @property
-    def look_is_old(self) -> bool:
-        """Whether the closer look is at a frame before the one that is shown."""
+    def diagnostics_outdated(self) -> bool:
+        """Whether the diagnostics belong to an earlier frame than the one shown."""
         shown = None if self.result is None else self.result.frame
-        return bool(self.demand.diagnostics) and self._looked_at is not shown
+        return bool(self.demand.diagnostics) and self._diagnosed_frame is not shown
 
     @property
     def shown_thinned(self) -> bool:
-        """Whether what is shown has fewer points than were asked for, as one frame of many."""
-        return self._shown_as.options.cloud_points != self.demand.options.cloud_points
+        """Whether the cloud shown was thinned for playback."""
+        return self._shown_demand.options.cloud_points != self.demand.options.cloud_points
 
     @property
-    def settled(self) -> bool:
-        """Whether what is shown is the same whatever was looked at before it."""
+    def cold_solved(self) -> bool:
+        """Whether the frame shown was solved from rest."""
         result = self.result
-        return result is not None and (result.estimate is None or self._settled is result.frame)
+        return result is not None and (result.estimate is None or self._cold_solved is result.frame)
 
     def open(self, request: OpenRequest) -> None:
-        """Open a source in place of the present one."""
+        """Open a source in place of the current one."""
         self.worker.submit(
             partial(self.solver.open, request), self._take_opened, key=OPEN, request=request
         )
 
-    def ask_settled(self) -> None:
-        """Ask for the frame that is shown once more, settled; its pose is kept."""
+    def request_cold_solve(self) -> None:
+        """Request a cold solve of the shown frame; its pose is kept."""
         if self.result is not None:
             due = self._due(self.demand)
-            products = self._shown_as.products - OBJECT_PRODUCTS | due.diagnostics
+            products = self._shown_demand.products - OBJECT_PRODUCTS | due.diagnostics
             demand = replace(due, products=products, options=self._options)
-            function = partial(self.solver.frame, self.result.frame.index, demand, settled=True)
-            self.worker.submit(function, self._take_settled, key="settle")
+            function = partial(self.solver.frame, self.result.frame.index, demand, cold=True)
+            self.worker.submit(function, self._take_cold_solve, key="cold_solve")
 
-    def ask_frame(self, index: int, demand: Demand, *, anew: bool = False) -> None:
-        """Ask for a frame; `anew` with the contact-free colour images found anew."""
+    def request_frame(self, index: int, demand: Demand, *, new_reference: bool = False) -> None:
+        """Request a frame; `new_reference`: search the contact-free colour images again."""
         self.demand = demand
-        self.worker.drop("settle")  # of the frame that the user has left
-        key, work = "collect" if anew else "frame", self.framing(index, demand, anew=anew)
+        self.worker.drop("cold_solve")  # of the previous frame
+        work = self.frame_job(index, demand, new_reference=new_reference)
+        key = "reference" if new_reference else "frame"
         self.dropped += self.worker.submit(*work, key=key)
 
-    def framing(
-        self, index: int, demand: Demand, *, anew: bool = False
+    def frame_job(
+        self, index: int, demand: Demand, *, new_reference: bool = False
     ) -> tuple[Callable[[], Solved], Callable[[Solved], None]]:
-        """Function for the worker that solves a frame, and what takes its answer."""
-        function = partial(self.solver.frame, index, self._due(demand), anew=anew)
+        """Function for the worker that solves a frame, and receiver of its result."""
+        function = partial(self.solver.frame, index, self._due(demand), new_reference=new_reference)
         return function, partial(self._take_frame, time.perf_counter())
 
-    def ask_newest(self, demand: Demand, *, at_once: bool = False) -> None:
-        """Ask for the newest frame of a live source, unless that is asked for already.
+    def request_newest(self, demand: Demand, *, at_once: bool = False) -> None:
+        """Request the newest frame of a live source, unless that was done already.
 
-        Not `at_once`: when the window will have drawn the last one.
+        Unless `at_once`, the solver waits until the window has drawn the last one.
         """
         if self._awaiting:
             return
@@ -134,16 +135,16 @@ class SensorClient(QObject):
         wanted = self._due(demand)
         function = partial(
             self.solver.newest,
-            replace(wanted, products=wanted.products | self.extra),
-            partial(self.worker.urgent, "newest"),
+            replace(wanted, products=wanted.products | self.extra_products),
+            partial(self.worker.has_more_urgent, "newest"),
             needs_colour=demand.needs_colour,
         )
-        then = partial(self._take_newest, at_once=at_once, looks=bool(wanted.diagnostics))
-        due_s = 0.0 if at_once else time.perf_counter() + self._delay.hold_s
+        then = partial(self._take_newest, at_once=at_once, diagnosed=bool(wanted.diagnostics))
+        due_s = 0.0 if at_once else time.perf_counter() + self._delay.delay_s
         self.worker.submit(function, then, key="newest", due_s=due_s)
 
-    def ask_patch(self) -> None:
-        """Threshold the present result anew, where there is something to threshold."""
+    def request_patch(self) -> None:
+        """Request the patch of the shown result at the current κ."""
         result, asked = self.result, self.demand
         if result is None or result.estimate is None or "patch" not in asked.products:
             return
@@ -154,17 +155,17 @@ class SensorClient(QObject):
 
     @property
     def _options(self) -> FrameOptions:
-        """As chosen now; the patch's may have changed since a frame was asked for."""
+        """Current options; those of the patch may have changed since the last request."""
         return Demand.of(self._state.settings).options
 
     def _due(self, demand: Demand) -> Demand:
-        """What to ask for now: while playing fewer points, and no closer look at every frame."""
+        """The demand reduced for playback: fewer points, and diagnostics at a lower rate."""
         now = time.perf_counter()
         if self._state.playing and not self._state.frozen:
             demand = demand.thinned(self._state.cloud_decimation)
-            if now - self._looked_s < LOOK_EVERY_S:
+            if now - self._diagnosed_s < DIAGNOSTICS_EVERY_S:
                 return demand.with_diagnostics()
-        self._looked_s = now
+        self._diagnosed_s = now
         return demand
 
     # -- answers ------------------------------------------------------------------------------
@@ -179,31 +180,31 @@ class SensorClient(QObject):
         self.history = FrameHistory(opened.facts.frames)
         self._awaiting = False
         self.result, self.inspection = opened.result, _inspection(opened.result)
-        self._shown_as = self.demand.with_diagnostics()
-        self._looked_at = opened.result.frame
+        self._shown_demand = self.demand.with_diagnostics()
+        self._diagnosed_frame = opened.result.frame
         self._remember(opened.frame, opened.numbers, self.demand)
-        self.turned.emit(opened)
+        self.opened_source.emit(opened)
 
     def _take_frame(self, asked_s: float, solved: Solved) -> None:
         now = time.perf_counter()
-        self.solves.tick(now)
+        self.solve_rate.tick(now)
         index, numbers = solved.result.frame.index, solved.numbers
         numbers = replace(numbers, latency_ms=1e3 * (now - asked_s))
         self._remember(index, numbers, solved.demand)
         self._show(solved)
         self.solved.emit(solved, False)
 
-    def _take_newest(self, solved: Solved | None, *, at_once: bool, looks: bool) -> None:
+    def _take_newest(self, solved: Solved | None, *, at_once: bool, diagnosed: bool) -> None:
         self._awaiting = False
         if solved is None:
-            if looks:  # nothing was looked at
-                self._looked_s = 0.0
+            if diagnosed:  # no frame came: they are still due
+                self._diagnosed_s = 0.0
             self.paused.emit()
             return
         now, frame, numbers = time.perf_counter(), solved.result.frame, solved.numbers
-        self.solves.tick(now)
-        if not at_once:  # else it waited for the picture of another sensor
-            self._delay.waited(now - solved.done_s)
+        self.solve_rate.tick(now)
+        if not at_once:  # else it waited for the other sensor to be drawn
+            self._delay.update(now - solved.done_s)
         self._grow(frame.time_s, solved.outages)
         if frame.arrival_ns:
             numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
@@ -215,28 +216,28 @@ class SensorClient(QObject):
             self.failed.emit(Failed("newest", solved.remark))
 
     def _show(self, solved: Solved) -> None:
-        self.result, self._settled = solved.result, None
-        self._shown_as = solved.demand.with_diagnostics()
-        if solved.demand.diagnostics or not self.demand.diagnostics:  # else it was left out
+        self.result, self._cold_solved = solved.result, None
+        self._shown_demand = solved.demand.with_diagnostics()
+        if solved.demand.diagnostics or not self.demand.diagnostics:  # else keep the last ones
             self.inspection = _inspection(solved.result)
-            self._looked_at = solved.result.frame
+            self._diagnosed_frame = solved.result.frame
 
-    def _take_settled(self, solved: Solved) -> None:
-        self.solves.tick(time.perf_counter())
+    def _take_cold_solve(self, solved: Solved) -> None:
+        self.solve_rate.tick(time.perf_counter())
         shown, new, asked = self.result, solved.result, solved.demand
         self._remember(new.frame.index, solved.numbers, asked)
         same = shown is not None and shown.frame.index == new.frame.index
-        wanted = self._shown_as.products | self.demand.diagnostics
-        # else another frame, or more of this one, is looked at by now
+        wanted = self._shown_demand.products | self.demand.diagnostics
+        # else another frame, or more products of this one, are shown by now
         if shown is not None and same and wanted <= asked.products | OBJECT_PRODUCTS:
             pose, by_object = shown.pose, shown.object_patch
             self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
-            self._shown_as = replace(self._shown_as, options=asked.options)
+            self._shown_demand = replace(self._shown_demand, options=asked.options)
             self.inspection = _inspection(new)
-            self._settled = self._looked_at = shown.frame
+            self._cold_solved = self._diagnosed_frame = shown.frame
         self.solved.emit(solved, False)
         if solved.remark:
-            self.failed.emit(Failed("settle", solved.remark, warning=True))
+            self.failed.emit(Failed("cold_solve", solved.remark, warning=True))
 
     def _take_patch(self, demand: Demand, answer: tuple[Result, Numbers]) -> None:
         result, (patched, numbers) = self.result, answer
@@ -253,7 +254,7 @@ class SensorClient(QObject):
         self.history.record(index, numbers, patch=same_patch)
 
     def _grow(self, time_s: float, outages: tuple[Gap, ...]) -> None:
-        """Make room for one more frame of a live source."""
+        """Append a frame of a live source."""
         if self.facts is not None:
             count = self.facts.frames + 1
             times = grown(self.facts.times_s, count, np.nan)

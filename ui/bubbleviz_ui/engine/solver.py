@@ -1,4 +1,4 @@
-"""Opens sources and makes the products of their frames, in the solver thread. No Qt in here."""
+"""Work of the solver thread: opens sources and computes products of their frames. No Qt."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
 
 ComparedOptions = tuple[EstimatorOptions, FrameOptions]
-"""What makes the estimate and the patch of a setting."""
+"""Options of estimate and patch of a compared setting."""
 
 
 @dataclass(frozen=True)
@@ -50,17 +50,16 @@ class OpenRequest:
 
     source: Source
     open_sensor: Callable[[], Sensor]  # Called in the solver thread
-    frame: int  # Frame to show first; proof that the source can be used with the sensor
+    frame: int  # First frame to show; solving it checks that source and sensor match
     demand: Demand  # Of that frame
     options: EstimatorOptions = field(default_factory=EstimatorOptions)
     playing: bool = False  # Play once it is open
-    # Set: nobody waits for it any more
     cancelled: Event = field(default_factory=Event, compare=False)
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A source that is open, with its first frame."""
+    """An opened source with its first result."""
 
     request: OpenRequest
     facts: SourceFacts
@@ -74,10 +73,10 @@ class Opened:
 
 @dataclass(frozen=True)
 class Solved:
-    """A frame's products, its numbers, and when that was done.
+    """A frame's products, its numbers, and when they were completed.
 
-    `outages` are those of a live source so far; `remark` is what the user has to be told of how it
-    was solved, or of the sensor file.
+    `outages` are those of a live source so far; `remark` is a message for the user about solver or
+    sensor file, or empty.
     """
 
     demand: Demand
@@ -88,27 +87,27 @@ class Solved:
     remark: str = ""
 
 
-# Estimates of frames, kept so that another κ needs no solving. No Qt in here.
+# Estimates of frames, cached so that another κ needs no solving.
 
 
-MOST_BYTES = 256 * 2**20
-"""Some 6,000 frames of 1,000 nodes; chosen."""
+CACHE_BYTES = 256 * 2**20
+"""About 6,000 frames of 1,000 nodes."""
 
 
-class KeptEstimates:
-    """The estimates that were computed last, as many as fit."""
+class EstimateCache:
+    """Cache of the most recently computed estimates, limited by memory."""
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self._kept: OrderedDict[int, tuple[Numbers, Estimate]] = OrderedDict()
         self._sizes: dict[int, int] = {}
         self._most = most_bytes
 
     def get(self, frame: int) -> tuple[Numbers, Estimate] | None:
-        """Numbers and estimate of a frame; None where they are not kept."""
+        """Numbers and estimate of a frame; None if not cached."""
         return self._kept.get(frame)
 
     def keep(self, frame: int, numbers: Numbers, estimate: Estimate) -> None:
-        """Keep a frame's in place of what was kept of it, and let go of the oldest."""
+        """Cache those of a frame, and drop the oldest if memory is exceeded."""
         self._kept.pop(frame, None)
         self._kept[frame] = numbers, estimate
         self._sizes[frame] = _bytes(estimate)
@@ -118,29 +117,29 @@ class KeptEstimates:
 
 
 def _bytes(held: object) -> int:
-    """Memory of the arrays in something, and in what that holds."""
+    """Memory of all arrays in a nested dataclass."""
     if isinstance(held, np.ndarray):
         return held.nbytes
     return sum(map(_bytes, vars(held).values())) if is_dataclass(held) else 0
 
 
-WAIT_S, LOOK_S = 0.05, 0.005
-"""How long a frame of a live source is waited for before it counts as paused, and how often the
-worker looks meanwhile whether something more urgent waits."""
-SLICE_S = 0.03
-"""How long frames nobody looks at may keep the one somebody asks for waiting."""
-TOLD_PA = 50.0
-"""Zero of a recording's gas pressure below which nothing is said: 1 % of a usual gauge pressure."""
+LIVE_TIMEOUT_S, POLL_S = 0.05, 0.005
+"""Waiting time after which a live source counts as paused, and the period at which a more urgent
+request is checked for meanwhile."""
+ANALYSIS_SLICE_S = 0.03
+"""How long the analysis of all frames may delay a requested frame."""
+REPORTED_ZERO_PA = 50.0
+"""Smallest reported gas pressure offset of a recording: 1 % of a typical gauge pressure."""
 PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
-"""What a kept estimate tells at another κ."""
+"""Products that follow from a cached estimate at another κ."""
 
 
 @dataclass(frozen=True)
-class Session:
-    """An open source and what is made of its frames; only the solver thread changes it.
+class OpenSource:
+    """An open source and its pipeline; used only in the solver thread.
 
-    `beside` solves the newest frames of one of two cameras on another core; `zero` is that of a
-    recording's gas pressure.
+    `solver_process` solves the newest frames of one of two cameras on another core; `zero` is the
+    zero of a recording's gas pressure.
     """
 
     opened: Source
@@ -148,17 +147,17 @@ class Session:
     pipeline: Pipeline
     side_by_side: SettingsComparison
     shear: ShearReference = field(default_factory=ShearReference)
-    kept: KeptEstimates = field(default_factory=KeptEstimates)
-    beside: PipelineProcess | None = None
+    estimates: EstimateCache = field(default_factory=EstimateCache)
+    solver_process: PipelineProcess | None = None
     zero: PressureZero | None = None
 
     @property
     def recording(self) -> Recording | None:
-        """The source, where it is a recording of a sensor."""
+        """The source if it is a recording of a sensor, else None."""
         return self.source if isinstance(self.source, Recording) else None
 
     def frame(self, index: int) -> Frame:
-        """Frame of the source; a recorded one's gas pressure is zeroed."""
+        """Frame of the source; the gas pressure of a recording is zero-corrected."""
         frame = self.source[index]
         return frame if self.zero is None else self.zero.applied(frame)
 
@@ -167,27 +166,25 @@ class Session:
         frame: Frame,
         demand: Demand,
         *,
-        beside: PipelineProcess | None = None,
-        settled: bool = False,
+        solver_process: PipelineProcess | None = None,
+        cold: bool = False,
     ) -> Result:
-        """Products of a frame; a live one's gas pressure is zeroed. `NO_SOURCE` has none."""
+        """Products of a frame; the gas pressure of a live one is zero-corrected."""
         pipeline, stream = self.pipeline, self.opened.stream
         if self.opened is NO_SOURCE:
             return Result(frame)
         if stream is not None:
             frame = zeroed(frame, stream.zero, pipeline)
-        products = (
-            self.shear.products(self.source, pipeline, frame.index, demand) - DIAGNOSTICS.keys()
-        )
-        if settled:
-            pipeline.converge(frame)
-        result = (beside or pipeline).process(frame, products, demand.options)
+        products = self.shear.products(self.source, pipeline, frame.index, demand) - DIAGNOSTICS.keys()
+        if cold:
+            pipeline.settle(frame)
+        result = (solver_process or pipeline).process(frame, products, demand.options)
         if products & SHEAR:
             self.shear.collect(result)
         return result
 
-    def look(self, result: Result, demand: Demand) -> Result:
-        """The result looked at closer, beside the truth where the source knows it."""
+    def diagnose(self, result: Result, demand: Demand) -> Result:
+        """The result with its diagnostics, which use the ground truth if the source has it."""
         if self.opened is NO_SOURCE:
             return result
         wanted = "kappa_curve" in demand.diagnostics
@@ -198,162 +195,163 @@ class Session:
         return replace(result, inspection=seen)
 
     def numbers(self, result: Result) -> Numbers:
-        """Numbers of a result; its estimate is kept, unless it is of a live source that goes on."""
+        """Numbers of a result; its estimate is cached, except of a live source."""
         numbers = numbers_of(result, self.pipeline.model.gas)
         if result.estimate is not None and self.opened.stream is None:
-            self.kept.keep(result.frame.index, numbers, result.estimate)
+            self.estimates.keep(result.frame.index, numbers, result.estimate)
         return numbers
 
     def close(self) -> None:
-        """Let go of the source, and end the process beside."""
+        """Close the source and end the solver process."""
         self.source.close()
-        if self.beside is not None:
-            self.beside.close()
+        if self.solver_process is not None:
+            self.solver_process.close()
 
 
 class Solver:
-    """Keeps the open source and its pipeline; what fails changes nothing."""
+    """Holds the open source and its pipeline; a failed call leaves them unchanged."""
 
     def __init__(self) -> None:
-        self.session: Session | None = None
-        self._checked: Session | None = None  # whose sensor file was compared with its frames
+        self.current: OpenSource | None = None
+        self._checked: OpenSource | None = None  # its sensor file was compared with its frames
 
     @property
     def counts(self) -> dict[str, int]:
         """How often each stage has run for the open source."""
-        return dict(self.session.pipeline.counts) if self.session is not None else {}
+        return dict(self.current.pipeline.counts) if self.current is not None else {}
 
     @property
-    def _open(self) -> Session:
-        if self.session is None:
+    def _open(self) -> OpenSource:
+        if self.current is None:
             raise RuntimeError("nothing is open yet")
-        return self.session
+        return self.current
 
     def close(self) -> None:
-        """Let go of the open source."""
-        if self.session is not None:
-            self.session.close()
-            self.session = self._checked = None
+        """Close the open source."""
+        if self.current is not None:
+            self.current.close()
+            self.current = self._checked = None
 
     def frame(
-        self, index: int, demand: Demand, *, settled: bool = False, anew: bool = False
+        self, index: int, demand: Demand, *, cold: bool = False, new_reference: bool = False
     ) -> Solved:
         """Products of a frame.
 
-        `settled`: Solve it without the state of the frames before, so that it is always the same.
-        `anew`: Find the contact-free colour images anew.
+        `cold`: Solve from rest, independent of the frames before.
+        `new_reference`: Search the contact-free colour images again.
         """
-        session = self._open
-        frame = session.frame(index)
-        if anew:
-            session.shear.forget()
-        solved = self._solved(session, demand, frame, settled=settled)
-        if settled and self._checked is not session:  # in spare time: opening does not wait for it
-            self._checked = session
-            return replace(solved, remark=_misfit(session))
+        current = self._open
+        frame = current.frame(index)
+        if new_reference:
+            current.shear.forget()
+        solved = self._solved(current, demand, frame, cold=cold)
+        if cold and self._checked is not current:  # here, as it would delay opening
+            self._checked = current
+            return replace(solved, remark=_sensor_file_remark(current))
         return solved
 
     def newest(
-        self, demand: Demand, called_off: Callable[[], bool], *, needs_colour: bool = False
+        self, demand: Demand, cancelled: Callable[[], bool], *, needs_colour: bool = False
     ) -> Solved | None:
-        """Products of the newest frame of a live source; None if none comes.
+        """Products of the newest frame of a live source; None if none arrives.
 
-        `called_off`: Whether to stop waiting for a frame; `Deferred` is raised then.
-        `needs_colour`: Have colour images sent, also for diagnostics that not every frame gets.
+        `cancelled`: Whether to stop waiting for a frame; `Deferred` is raised then.
+        `needs_colour`: Subscribe to colour images, also for diagnostics that not every frame gets.
         """
-        session, end = self._open, time.perf_counter() + WAIT_S
-        stream, beside = session.opened.stream, session.beside
+        current, end = self._open, time.perf_counter() + LIVE_TIMEOUT_S
+        stream, process = current.opened.stream, current.solver_process
         if stream is None:
             return None
-        stream.follow_colour(needs_colour)
-        while (frame := stream.newest(LOOK_S)) is None:
-            if called_off():
+        stream.set_colour(needs_colour)
+        while (frame := stream.newest(POLL_S)) is None:
+            if cancelled():
                 raise Deferred
             if stream.ended or time.perf_counter() > end:
                 return None
-        known = "" if beside is None else beside.lost
-        solved = self._solved(session, demand, frame, beside=beside)
-        stream.tell(solved.result, session.pipeline.mesh)
-        remark = "" if beside is None or beside.lost == known else _lost(session, beside)
+        lost_before = "" if process is None else process.lost
+        solved = self._solved(current, demand, frame, solver_process=process)
+        stream.publish(solved.result, current.pipeline.mesh)
+        lost = "" if process is None else process.lost
+        remark = "" if lost == lost_before else _process_ended_remark(current, lost)
         return replace(solved, outages=stream.outages, remark=remark)
 
-    def follow(
+    def set_object(
         self, object_name: str | None, unit: Literal["m", "mm"] | None, start: np.ndarray | None
     ) -> RigidObject | None:
-        """Look for another object from now on, or for none.
+        """Register another object from now on, or none.
 
         `object_name`: Preset or mesh file.
-        `unit`: Of the file; None: by its name.
-        `start`: (4, 4) array or None: T_B_O to begin at; None to search.
+        `unit`: Of the file; None: from its name.
+        `start`: (4, 4) initial pose T_B_O; None: global search.
         """
         obj = None if object_name is None else load_object(object_name, unit)
         self._open.pipeline.track(obj, start)
         return obj
 
     def patch(self, result: Result, demand: Demand) -> tuple[Result, Numbers]:
-        """Threshold the estimate of a result anew at another κ, without solving."""
-        session, estimate = self._open, result.estimate
+        """Patch of a result at another κ, without solving."""
+        current, estimate = self._open, result.estimate
         if estimate is None:
             raise ValueError("no estimate to threshold")
         masked = "pixel_mask" in demand.products
-        patch = session.pipeline.patch(estimate, demand.options, pixel_mask=masked)
-        result = session.look(replace(result, patch=patch), demand)
-        return result, numbers_of(result, session.pipeline.model.gas)
+        patch = current.pipeline.patch(estimate, demand.options, pixel_mask=masked)
+        result = current.diagnose(replace(result, patch=patch), demand)
+        return result, numbers_of(result, current.pipeline.model.gas)
 
     def analyse(
-        self, frames: tuple[int, ...], demand: Demand, *, kept_only: bool
+        self, frames: tuple[int, ...], demand: Demand, *, cached_only: bool
     ) -> list[Numbers | None]:
-        """Numbers of as many frames as there is time for, and of one at least.
+        """Numbers of at least one frame, and of more within `ANALYSIS_SLICE_S`.
 
-        With `kept_only` None for a frame whose estimate is not kept.
+        With `cached_only` None for a frame whose estimate is not cached.
         """
-        session = self._open
-        end, numbers = time.perf_counter() + SLICE_S, list[Numbers | None]()
+        current = self._open
+        end, numbers = time.perf_counter() + ANALYSIS_SLICE_S, list[Numbers | None]()
         for index in frames:
-            numbers.append(_numbers(session, demand, index, kept_only=kept_only))
+            numbers.append(_numbers(current, demand, index, cached_only=cached_only))
             if time.perf_counter() > end:
                 break
         return numbers
 
     def compare(
-        self, index: int, settings: tuple[ComparedOptions, ...], *, settled: bool
-    ) -> tuple[ComparedResult | str, ...]:
-        """Measure settings on a frame; a text where one is impossible.
+        self, index: int, settings: tuple[ComparedOptions, ...], *, cold: bool
+    ) -> tuple[Measured | str, ...]:
+        """Measure settings on a frame; an error text for one that is impossible.
 
-        No settings: let go of what was built for that.
+        Without settings, the estimators built for the comparison are released.
         """
-        session = self._open
-        bench, measured = session.side_by_side, list[ComparedResult | str]()
+        current = self._open
+        bench, measured = current.side_by_side, list[Measured | str]()
         bench.keep([options for options, _ in settings])
         if not settings:
             return ()
-        frame, truth = session.frame(index), truth_of(session.source, index)
-        if session.opened.stream is not None:
-            frame = session.opened.stream.zero.applied(frame)
+        frame, truth = current.frame(index), truth_of(current.source, index)
+        if current.opened.stream is not None:
+            frame = current.opened.stream.zero.applied(frame)
         for options, rule in settings:
             try:
-                measured.append(bench.measure(options, frame, rule, truth, settled=settled))
+                measured.append(bench.measure(options, frame, rule, truth, settled=cold))
             except InputError as error:
                 measured.append(str(error))
         return tuple(measured)
 
     def _solved(
         self,
-        session: Session,
+        current: OpenSource,
         demand: Demand,
         frame: Frame,
         *,
-        beside: PipelineProcess | None = None,
-        settled: bool = False,
+        solver_process: PipelineProcess | None = None,
+        cold: bool = False,
     ) -> Solved:
-        result = session.process(frame, demand, beside=beside, settled=settled)
-        result = session.look(result, demand)
-        return Solved(demand, result, session.numbers(result), time.perf_counter())
+        result = current.process(frame, demand, solver_process=solver_process, cold=cold)
+        result = current.diagnose(result, demand)
+        return Solved(demand, result, current.numbers(result), time.perf_counter())
 
     def open(self, request: OpenRequest) -> Opened:
-        """Open a source in place of the present one.
+        """Open a source in place of the current one.
 
-        Raises InputError: It cannot be opened; the present one stays; Cancelled.
+        Raises InputError: It cannot be opened, and the current one stays; Cancelled.
         """
         if request.cancelled.is_set():
             raise Cancelled
@@ -367,17 +365,17 @@ class Solver:
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if stream is not None:
                 stream.zero.refer_to(pipeline.model.gas.P0)
-            settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
-            session = Session(request.source, source, pipeline, settings)
-            products = session.shear.products(source, pipeline, frame.index, request.demand)
-            pipeline.prepare(products)  # apart: says nothing about a frame
+            settings = SideBySide(sensor, pipeline.camera.intrinsics)
+            current = OpenSource(request.source, source, pipeline, settings)
+            products = current.shear.products(source, pipeline, frame.index, request.demand)
+            pipeline.prepare(products)  # not part of the frame's run time
             measured_pa = frame.gas_pressure_pa
-            if session.recording is not None:
-                session = replace(session, zero=zero_of(session.recording, pipeline))
-            if session.zero is not None:
-                frame = session.zero.applied(frame)
-                measured_pa = session.zero.rest_pa or measured_pa
-            result = session.process(frame, request.demand)
+            if current.recording is not None:
+                current = replace(current, zero=zero_of(current.recording, pipeline))
+            if current.zero is not None:
+                frame = current.zero.applied(frame)
+                measured_pa = current.zero.rest_pa or measured_pa
+            result = current.process(frame, request.demand)
             if request.cancelled.is_set():
                 raise Cancelled
         except BaseException:
@@ -386,21 +384,20 @@ class Solver:
                 raise Cancelled from None
             raise
         self.close()
-        self.session = session = replace(session, beside=_beside(stream, pipeline))
-        numbers, result = session.numbers(result), session.look(result, request.demand)
-        facts, camera, mesh = _facts(session, sensor, measured_pa), pipeline.camera, pipeline.mesh
+        self.current = current = replace(current, solver_process=_solver_process(stream, pipeline))
+        numbers, result = current.numbers(result), current.diagnose(result, request.demand)
+        facts, camera, mesh = _facts(current, sensor, measured_pa), pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers)
 
 
-def _facts(session: Session, sensor: Sensor, measured_pa: float | None) -> SourceFacts:
-    """What the window says about a source that was opened."""
-    opened, source, zero = session.opened, session.source, session.zero
-    stream, recording = opened.stream, session.recording
-    # recordings have a remark
-    remarks = [str(getattr(source, "remark", "")), contradiction(sensor)]
-    if stream is None:  # else its zero tells, once it is known
-        remarks.append(gas_warning(measured_pa, session.pipeline.model.gas.P0))
-        remarks.append(_told(zero))
+def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> SourceFacts:
+    """Properties of an opened source."""
+    opened, source, zero = current.opened, current.source, current.zero
+    stream, recording = opened.stream, current.recording
+    remarks = [str(getattr(source, "remark", ""))]  # recordings have one
+    if stream is None:  # a live source reports its zero later
+        remarks.append(gas_warning(measured_pa, current.pipeline.model.gas.P0))
+        remarks.append(_zero_remark(zero))
     return SourceFacts(
         source.name,
         sensor.name,
@@ -409,7 +406,7 @@ def _facts(session: Session, sensor: Sensor, measured_pa: float | None) -> Sourc
         grows=stream is not None,
         remark=" ".join(f"{text}." for text in remarks if text),
         marks=() if recording is None else recording.marks(),
-        # a live source that does not grow is the press that the window loops
+        # a live source that does not grow is the looped synthetic press
         simulated=opened.live if stream is None else stream.simulated,
         outages=() if stream is None else stream.outages,
         path="" if opened.path is None else str(opened.path.resolve()),
@@ -417,56 +414,58 @@ def _facts(session: Session, sensor: Sensor, measured_pa: float | None) -> Sourc
     )
 
 
-def _numbers(session: Session, demand: Demand, index: int, *, kept_only: bool) -> Numbers | None:
-    """Numbers of a frame, the patch alone found anew where its estimate is kept."""
-    pipeline = session.pipeline
-    kept = session.kept.get(index)
+def _numbers(
+    current: OpenSource, demand: Demand, index: int, *, cached_only: bool
+) -> Numbers | None:
+    """Numbers of a frame; of a cached estimate only the patch is recomputed."""
+    pipeline = current.pipeline
+    kept = current.estimates.get(index)
     if kept is not None and demand.products <= PATCHED:
         known, estimate = kept
         patch = pipeline.patch(estimate, demand.options)
         return replace(known, **patch_numbers(patch, trusted=estimate.trusted))
-    if kept_only:
+    if cached_only:
         return None
     try:
-        frame = session.frame(index)
-        result = session.process(frame, demand)
+        frame = current.frame(index)
+        result = current.process(frame, demand)
     except InputError:
-        return Numbers()  # it says so when somebody looks at it
-    return session.numbers(result)
+        return Numbers()  # the error is reported when the frame is shown
+    return current.numbers(result)
 
 
-def _beside(stream: LiveFrames | None, pipeline: Pipeline) -> PipelineProcess | None:
-    """A process for the frames of one of two cameras: one alone leaves a core to its solver thread.
+def _solver_process(stream: LiveFrames | None, pipeline: Pipeline) -> PipelineProcess | None:
+    """A process for the frames of one of two cameras; a single one can use the solver thread.
 
-    A simulation has no images to hurry for.
+    A simulation needs none, as it has no real-time images.
     """
     if stream is None or stream.simulated or not stream.paired:
         return None
-    beside = PipelineProcess(pipeline)
-    stream.at_end(beside.end)
-    return beside
+    process = PipelineProcess(pipeline)
+    stream.at_end(process.end)
+    return process
 
 
-def _lost(session: Session, beside: PipelineProcess) -> str:
+def _process_ended_remark(current: OpenSource, reason: str) -> str:
     return (
-        f"{session.source.name}: its solver process has ended ({beside.lost}); its frames are now "
+        f"{current.source.name}: its solver process has ended ({reason}); its frames are now "
         "solved in the window's process, which may be slower"
     )
 
 
-def _told(zero: PressureZero | None) -> str:
-    """What to say of a recording's zero; nothing of one that the sensor's noise would explain."""
-    if zero is None or (zero.offset_pa is not None and abs(zero.offset_pa) < TOLD_PA):
+def _zero_remark(zero: PressureZero | None) -> str:
+    """Remark on a recording's zero; empty if its offset is within the sensor's noise."""
+    if zero is None or (zero.offset_pa is not None and abs(zero.offset_pa) < REPORTED_ZERO_PA):
         return ""
     return zero.words
 
 
-def _misfit(session: Session) -> str:
-    """What the first frames of a recording say against the sensor file; nothing where touched."""
-    source, model = session.recording, session.pipeline.model
+def _sensor_file_remark(current: OpenSource) -> str:
+    """Warning if the first contact-free frames of a recording contradict the sensor file."""
+    source, model = current.recording, current.pipeline.model
     if source is None:
         return ""
-    # what the window starts without
+    # not at start
     from bubbleviz.calibration import check_sensor
     from bubbleviz.pressure_zero import ZERO_FRAMES
     from bubbleviz.recordings import find_contact_free

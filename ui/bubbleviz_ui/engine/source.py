@@ -1,4 +1,4 @@
-"""What the window can open: recordings, live streams, the looped press. They differ in data."""
+"""Sources that the window can open: recordings, live streams, the looped synthetic press."""
 
 from __future__ import annotations
 
@@ -26,39 +26,39 @@ from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
-"""As file dialogs offer them."""
-LIVE_NODE_RATIO = 2
-"""Nodes of the live simulation's mesh for one of the estimator's: frames are made in 15 ms."""
+"""Filter of file dialogs."""
+LIVE_MESH_FACTOR = 2
+"""Ratio of mesh nodes, simulation to estimator; a frame is simulated in 15 ms."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Something to open; two are never equal, as each stands for one opening."""
+    """Something to open; compared by identity."""
 
-    title: str  # What to call it in a message
+    title: str  # Name in messages
     open: Callable[[Sensor], FrameSource]  # Called in the solver thread
     path: Path | None = None  # Of a recording
-    truth: Path | None = None  # Its TRUTH.npz where that is not beside it under its name
-    stream: LiveFrames | None = None  # Frames that come already, and more of them
-    live: bool = False  # It goes on like a live sensor
-    name: str | None = None  # In session files; None where it cannot be opened by name
+    truth: Path | None = None  # TRUTH.npz, if not next to the recording with the same name
+    stream: LiveFrames | None = None  # Of a live sensor
+    live: bool = False  # Behaves like a live sensor
+    name: str | None = None  # In session files; None if it cannot be opened by name
 
     @classmethod
     def of_recording(cls, path: Path, truth: Path | None = None) -> Source:
-        """A recording, which may be of a simulation."""
+        """A recording, real or simulated."""
         name, function = str(path.absolute()), partial(_recording, path, truth)
         return cls(path.name, function, path=path, truth=truth, name=name)
 
     @classmethod
     def of_stream(cls, frames: LiveFrames) -> Source:
-        """Frames of a live sensor, for any sensor file of their camera."""
+        """Frames of a live sensor, with any sensor file for its camera."""
         return cls(frames.name, lambda _: frames, stream=frames, live=True)
 
 
 def _recording(path: Path, truth: Path | None, sensor: Sensor) -> FrameSource:
-    """Open a recording, with the truth behind it where it is of a simulation and that is known.
+    """Open a recording, with its ground truth if it is simulated and has one.
 
-    Raises InputError: It cannot be opened, does not fit the sensor, or the truth is not its own.
+    Raises InputError: It cannot be opened, or does not fit the sensor or the ground truth.
     """
     opened = open_recording(path)
     try:
@@ -72,7 +72,7 @@ def _recording(path: Path, truth: Path | None, sensor: Sensor) -> FrameSource:
 
 
 def sensor_for(path: Path, present: Sensor) -> Sensor:
-    """Sensor to open a recording with: the present one if it fits, else the preset that does."""
+    """Sensor for a recording: the current one if it fits, else the matching preset."""
     with closing(open_recording(path)) as opened:
         if image_size(opened) == (present.camera.width, present.camera.height):
             return present
@@ -82,13 +82,13 @@ def sensor_for(path: Path, present: Sensor) -> Sensor:
 def _synthetic(sensor: Sensor) -> FrameSource:
     """Open the built-in synthetic press, which the window loops as a live sensor.
 
-    All its frames are made now, within seconds: a live sensor does not stutter in its first round.
-    Only the noise is new in every round.
+    All frames are simulated in advance, within seconds, so that the first loop does not stutter.
+    Only the noise differs between loops.
     """
-    # a recording is opened without the simulator
+    # not at start: opening a recording needs no simulator
     from bubbleviz.simulation import SyntheticSource, default_press
 
-    press, nodes = default_press(sensor), LIVE_NODE_RATIO * sensor.membrane.nodes
+    press, nodes = default_press(sensor), LIVE_MESH_FACTOR * sensor.membrane.nodes
     source = CachedSource(
         SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
     )
@@ -98,7 +98,7 @@ def _synthetic(sensor: Sensor) -> FrameSource:
 
 
 class _EmptySource:
-    """What is there while nothing is open: one image in which no pixel has a return."""
+    """Source while none is open: one depth image without returns."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.name, self.times_s = NOTHING_OPEN, np.zeros(1)
@@ -111,11 +111,11 @@ class _EmptySource:
         return Frame(index, 0.0, np.full(self._size, np.nan, np.float32))
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to close."""
 
 
 class CachedSource:
-    """Keeps the frames of a short source that computes them, so a loop costs them once."""
+    """Caches the frames of a short simulated source, so that a loop computes them once."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
@@ -132,7 +132,7 @@ class CachedSource:
         return self._frames[index]
 
     def truth(self, index: int) -> Truth | None:
-        """What is true of a frame."""
+        """Ground truth of a frame, or None."""
         return truth_of(self._source, index)
 
     def close(self) -> None:
@@ -142,4 +142,4 @@ class CachedSource:
 
 SYNTHETIC = Source("synthetic press", _synthetic, live=True, name="synthetic:")
 NO_SOURCE = Source("the sensor at rest", _EmptySource)
-"""What is open while nothing is."""
+"""Open while no other source is."""

@@ -1,6 +1,7 @@
-"""Garbage is looked for in the GUI thread only: another one may not delete Qt objects found in it.
+"""Upkeep of the process: garbage collection in the GUI thread, release of memory, signals.
 
-Qt may be handing an event to such an object while it waits for Python, and crashes.
+Another thread must not delete Qt objects found in garbage: Qt may be delivering an event to one
+while it waits for Python, and would crash.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ EVERY_MS = 50
 
 
 class GarbageCollector(QObject):
-    """Does what Python would do in whichever thread makes an object, as often as Python would.
+    """Collects garbage in the GUI thread, at Python's own thresholds.
 
-    `application`: Keeps the collector; garbage stays where its event loop does not run.
+    `application`: Owner; without its event loop no garbage is collected.
     """
 
     def __init__(self, application: QCoreApplication) -> None:
@@ -37,23 +38,23 @@ class GarbageCollector(QObject):
 
 
 def _collect() -> None:
-    """Collect the oldest generation that is due, and the younger ones with it."""
+    """Collect the oldest generation that is due, including younger ones."""
     for generation in (2, 1, 0):
         if gc.get_count()[generation] > gc.get_threshold()[generation]:
             gc.collect(generation)
             return
 
 
-# Unused memory goes back to the system: images come and go for hours.
+# Release of unused memory to the system.
 
 
-REST_MS = 3000
+IDLE_MS = 3000
 LIVE_EVERY_S = 10.0
-"""Of a live source, which may never rest: at 60 Hz some 3 MB a second are held for nothing."""
+"""Period for a live source, which may never be idle; at 60 Hz about 3 MB/s accumulate."""
 
 
 def release_memory() -> None:
-    """Have the C library let go of what it holds for nothing, where it knows how (glibc)."""
+    """Return unused memory of the C library to the system (glibc only)."""
     if sys.platform.startswith("linux"):
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
@@ -61,67 +62,66 @@ def release_memory() -> None:
 
 
 class MemoryRelease(QObject):
-    """Lets go of unused memory when the window has come to rest, in a thread.
+    """Releases unused memory in a thread when the window is idle.
 
-    Not while a recording plays: who wants memory meanwhile waits, for longer than a picture takes.
+    Not during playback: allocations block meanwhile, for longer than one picture.
     """
 
     def __init__(
         self,
         state: SessionState,
-        release: Callable[[], None] = release_memory,  # Gives memory back; called in a thread
-        rest_ms: int = REST_MS,  # How long nothing may happen before it is called
+        release: Callable[[], None] = release_memory,  # Called in a thread
+        idle_ms: int = IDLE_MS,
     ) -> None:
         super().__init__()
         self._state, self._release = state, release
-        self._used, self._last_s = True, time.monotonic()
+        self._active, self._last_s = True, time.monotonic()
         self._worker = Worker("memory")
         self._timer = QTimer(self)
         self._timer.timeout.connect(lambda: self._on_tick())
-        self._timer.start(rest_ms)
+        self._timer.start(idle_ms)
         for changed in (state.source_changed, state.settings_changed, state.frame_changed,
                         state.history_changed, state.playing_changed):  # fmt: skip
             changed.connect(self._on_changed)
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop the timer and the thread."""
         self._timer.stop()
         self._worker.close()
 
     def _on_changed(self) -> None:
-        self._used = True
+        self._active = True
 
     def _on_tick(self) -> None:
         facts, now = self._state.facts, time.monotonic()
         live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
-        if self._used and (live or not self._state.playing):
-            self._used, self._last_s = False, now
+        if self._active and (live or not self._state.playing):
+            self._active, self._last_s = False, now
             self._worker.submit(self._release)
 
 
-# ^C and SIGTERM as events of Qt's event loop.
+# ^C and SIGTERM as events of the Qt event loop.
 
 
 EXIT_CODE = 130
-"""What shells report of a program that ^C ended."""
+"""Exit code after ^C, as shells report it."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupt:
-    """Ends the event loop that runs after ^C or SIGTERM, between two events.
+    """Ends the Qt event loop after ^C or SIGTERM, between two events.
 
-    Without one nothing is ended: whoever handles events by a loop of one's own looks at `came`. Qt
-    would remember it, and end the loop that runs next.
+    A custom event loop must check `received` itself; ending Qt's loop then would end the next one.
 
-    Python runs a signal handler wherever the main thread happens to be. An exception in the middle
-    of an import of Qt or VTK, or a window that is closed while VTK draws, ends in a crash. So the
-    handler only remembers it, from before these are imported on; Python also writes a byte to a
-    socket, which wakes the event loop up. Signals that are ignored (`nohup`) stay ignored. Does
-    nothing outside the main thread, where Python handles no signals.
+    Python runs a signal handler at any point of the main thread. An exception during the import of
+    Qt or VTK, or closing the window while VTK draws, would crash. So the handler, installed before
+    these imports, only sets a flag; Python also writes a byte to a socket, which wakes the event
+    loop. Ignored signals (`nohup`) stay ignored. Does nothing outside the main thread, where Python
+    handles no signals.
     """
 
     def __init__(self) -> None:
-        self.came = False  # Whether there was one
+        self.received = False
         self._former: dict[signal.Signals, object] = {}
         handled = [k for k in _SIGNALS if signal.getsignal(k) is not signal.SIG_IGN]
         if not handled or threading.current_thread() is not threading.main_thread():
@@ -133,8 +133,8 @@ class Interrupt:
         self._former = {number: signal.signal(number, self._remember) for number in handled}
 
     def end(self, application: QCoreApplication) -> None:
-        """From now on, end this application's event loop."""
-        from PySide6.QtCore import QSocketNotifier  # the handlers are there before Qt is
+        """End this application's event loop on the next signal."""
+        from PySide6.QtCore import QSocketNotifier  # handlers are installed before the import of Qt
 
         if not self._former:
             return
@@ -143,7 +143,7 @@ class Interrupt:
         self._notifier.activated.connect(self._wake)
 
     def close(self) -> None:
-        """Give the signals back to who had them."""
+        """Restore the previous signal handlers."""
         if not self._former:
             return
         for number, handler in self._former.items():
@@ -155,9 +155,9 @@ class Interrupt:
         self._write.close()
 
     def _remember(self, *_: object) -> None:
-        self.came = True
+        self.received = True
 
     def _wake(self) -> None:
         self._read.recv(64)  # Python runs the handler before this line
-        if self.came and self._application.thread().loopLevel() > 0:
+        if self.received and self._application.thread().loopLevel() > 0:
             self._application.exit(EXIT_CODE)

@@ -1,4 +1,4 @@
-"""A thread for what the window must not wait for: its functions, their progress and their ends."""
+"""Worker thread with priorities, progress and cancellation."""
 
 from __future__ import annotations
 
@@ -17,23 +17,22 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.progress import Cancelled
 
 OPEN = "open"
-KEYS = (OPEN, "follow", "collect", "patch", "frame", "newest", "settle", "compare", "analyse")
-"""Of what the solver's thread does, most urgent first."""
-TELL_EVERY_S = 0.05
-"""Nobody reads faster."""
-PATIENCE_S = 10.0
-"""How long a window that closes waits for a step that cannot be interrupted; chosen."""
+KEYS = (OPEN, "object", "reference", "patch", "frame", "newest", "cold_solve", "compare", "analyse")
+"""Jobs of the solver thread, most urgent first."""
+PROGRESS_EVERY_S = 0.05
+CLOSE_TIMEOUT_S = 10.0
+"""How long closing a window waits for a step that cannot be interrupted."""
 
 
 class Deferred(Exception):  # noqa: N818 - not an error
-    """Raised by a function that is to run again after the more urgent ones."""
+    """Raised by a function to run again after more urgent ones."""
 
 
 @dataclass(frozen=True)
 class Failed:
-    """A function that failed: one line for the user, and the traceback if it is a bug.
+    """A failed function: one line for the user, and the traceback if it is a bug.
 
-    A `warning` came with an answer. `request` is the one given to `Worker.submit`.
+    A `warning` accompanies a result. `request` is the one given to `Worker.submit`.
     """
 
     key: str
@@ -44,7 +43,7 @@ class Failed:
 
 
 def _ignore(_: Any) -> None:
-    """Nothing is to be done."""
+    pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +51,7 @@ class _Job:
     function: Callable[[], Any]
     then: Callable[[Any], None]
     failed: Callable[[Failed], None]
-    unwanted: Callable[[Any], None]
+    discard: Callable[[Any], None]
     key: str
     due_s: float
     request: object
@@ -60,29 +59,29 @@ class _Job:
 
 
 class Worker(QObject):
-    """Runs submitted functions in its own thread, which is made with the first.
+    """Runs submitted functions one after the other in its own thread, started on demand.
 
-    One after the other; with `keys` the most urgent first, and of each key only the latest.
-    A successful `OPEN` starts a new generation then: what was submitted before its answer was
-    delivered is dropped, as it was meant for the previous source.
+    With `keys` the most urgent runs first, and of each key only the latest. A successful `OPEN`
+    starts a new generation: functions submitted before its result was delivered are dropped, as
+    they were meant for the previous source.
     """
 
-    progressed = Signal(str, float)  # Step in plain words, and the share of it that is done
-    failed = Signal(object)  # A `Failed` that nobody else is told
+    progressed = Signal(str, float)  # Description of the step, and its completed share
+    failed = Signal(object)  # A `Failed` of a function submitted without `failed`
     _ready = Signal(object)
 
     def __init__(
         self,
         name: str,
-        keys: tuple[str, ...] = (),  # Most urgent first; empty: in order, and nothing is replaced
-        at_end: Callable[[], None] = lambda: None,  # Called last in the thread
+        keys: tuple[str, ...] = (),  # Most urgent first; empty: first in, first out
+        at_end: Callable[[], None] = lambda: None,  # Called in the thread before it ends
     ) -> None:
         super().__init__()
         self._name, self._keys, self._at_end = name, keys, at_end
         self._waiting: list[_Job] = []
         self._wanted: set[_Job] = set()
         self._job: _Job | None = None
-        self._told_s = 0.0
+        self._progress_s = 0.0
         self._changed = Condition()
         self._generation = self._running = 0  # in the GUI thread, and in this one
         self._executor: ThreadPoolExecutor | None = None
@@ -91,25 +90,25 @@ class Worker(QObject):
 
     @property
     def busy(self) -> bool:
-        """A function runs or waits whose end is still wanted."""
+        """Whether a function that was not cancelled is running or waiting."""
         return bool(self._wanted)
 
     def submit(
         self,
         function: Callable[[], Any],  # Runs in the thread
-        then: Callable[[Any], None] = _ignore,  # Gets its return value in the GUI thread
-        failed: Callable[[Failed], None] | None = None,  # Is told there why there is none
+        then: Callable[[Any], None] = _ignore,  # Receives its return value in the GUI thread
+        failed: Callable[[Failed], None] | None = None,  # Receives a failure in the GUI thread
         *,
-        key: str = "",  # One of the keys, where there are some
-        unwanted: Callable[[Any], None] = _ignore,  # Lets go of an answer that comes too late
+        key: str = "",  # One of `keys`, if there are any
+        discard: Callable[[Any], None] = _ignore,  # Releases the return value of a cancelled call
         due_s: float = 0.0,  # Earliest start, by `time.perf_counter`
         request: object = None,  # Passed on in a `Failed`
     ) -> bool:
-        """Run a function; whether it replaces one that waits under the same key."""
+        """Run a function; returns whether it replaces a waiting one of the same key."""
         if self._end is not None:
             return False
         failed = failed or self.failed.emit
-        job = _Job(function, then, failed, unwanted, key, due_s, request, self._generation)
+        job = _Job(function, then, failed, discard, key, due_s, request, self._generation)
         replaced = bool(self._keys) and self.drop(key)
         with self._changed:
             self._waiting.append(job)
@@ -121,7 +120,7 @@ class Worker(QObject):
         return replaced
 
     def drop(self, key: str) -> bool:
-        """Forget what waits under a key; whether something did."""
+        """Drop the waiting function of a key; returns whether there was one."""
         with self._changed:
             dropped = [job for job in self._waiting if job.key == key]
             self._waiting = [job for job in self._waiting if job.key != key]
@@ -129,32 +128,32 @@ class Worker(QObject):
         return bool(dropped)
 
     def cancel(self) -> None:
-        """Stop everything; nothing more is heard of it."""
+        """Cancel all functions; their results are not delivered."""
         with self._changed:
             self._waiting.clear()
             self._wanted.clear()
             self._changed.notify()
 
-    def urgent(self, key: str) -> bool:
-        """Whether something more urgent than this key waits."""
+    def has_more_urgent(self, key: str) -> bool:
+        """Whether a more urgent function than those of this key is waiting."""
         return any(self._rank(job) < self._keys.index(key) for job in self._waiting)
 
     def progress(self, step: str, done: float) -> None:
-        """Tell how far the function is that calls this; it raises `Cancelled` if nobody waits."""
+        """Report progress of the calling function; raises `Cancelled` if it was cancelled."""
         job = self._job
         if job not in self._wanted:
             raise Cancelled
         now = time.monotonic()
-        if now - self._told_s >= TELL_EVERY_S:
-            self._told_s = now
-            self._ready.emit(partial(self._tell, job, step, done))
+        if now - self._progress_s >= PROGRESS_EVERY_S:
+            self._progress_s = now
+            self._ready.emit(partial(self._show_progress, job, step, done))
 
-    def close(self, timeout_s: float = PATIENCE_S) -> bool:
-        """Wait until all that is wanted is done, and end the thread; whether it has ended.
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+        """Finish all functions and end the thread; returns whether it has ended in time.
 
-        With keys nothing is wanted but what runs now. A function that takes longer goes on, and the
-        process waits for it before it ends: SciPy's factorisations of a thread that is still there
-        would change the exit code (scipy#25404).
+        With keys, waiting functions are cancelled. A function that takes longer continues, and the
+        process waits for it at exit: SciPy factorisations in a thread still running then would
+        change the exit code (scipy#25404).
         """
         if self._keys:
             self.cancel()
@@ -164,7 +163,7 @@ class Worker(QObject):
             self._end = self._executor.submit(self._at_end)
         ended = bool(wait([self._end], timeout_s).done)
         self._executor.shutdown(wait=ended)
-        if not ended:  # or the thread would be the last to hold this object, and delete it there
+        if not ended:  # else the thread, holding the last reference, would delete this object
             self.setParent(QCoreApplication.instance())
         return ended
 
@@ -174,7 +173,7 @@ class Worker(QObject):
         return self._keys.index(job.key) if self._keys else 0
 
     def _take(self) -> _Job | None:
-        """Wait for the most urgent function to be due; None where there is none any more."""
+        """Wait until the most urgent function is due; None if none is left."""
         with self._changed:
             while self._waiting:
                 job = min(self._waiting, key=self._rank)
@@ -189,7 +188,7 @@ class Worker(QObject):
         job = self._take()
         if job is None or self._is_stale(job):
             return
-        self._job, self._told_s = job, 0.0
+        self._job, self._progress_s = job, 0.0
         try:
             answer = job.function()
         except Deferred:
@@ -204,11 +203,11 @@ class Worker(QObject):
         else:
             if job.key == OPEN:
                 self._running += 1
-                self._ready.emit(partial(self._renew, self._running))
+                self._ready.emit(partial(self._start_generation, self._running))
             if job in self._wanted:
-                self._ready.emit(partial(self._over, job, answer))
+                self._ready.emit(partial(self._succeed, job, answer))
             else:
-                job.unwanted(answer)
+                job.discard(answer)
 
     def _is_stale(self, job: _Job) -> bool:
         stale = job.key in self._keys[1:] and not 0 < job.generation == self._running
@@ -226,28 +225,28 @@ class Worker(QObject):
 
     def _fail(self, job: _Job, message: str, details: str = "") -> None:
         failed = Failed(job.key, message, details, request=job.request)
-        self._ready.emit(partial(self._refuse, job, failed))
+        self._ready.emit(partial(self._report_failure, job, failed))
 
     # -- in the GUI thread --------------------------------------------------------------------
 
     def _deliver(self, call: Callable[[], None]) -> None:
         call()
 
-    def _renew(self, generation: int) -> None:
+    def _start_generation(self, generation: int) -> None:
         self._generation = generation
 
-    def _tell(self, job: _Job, step: str, share: float) -> None:
+    def _show_progress(self, job: _Job, step: str, share: float) -> None:
         if job in self._wanted:
             self.progressed.emit(step, share)
 
-    def _refuse(self, job: _Job, failed: Failed) -> None:
+    def _report_failure(self, job: _Job, failed: Failed) -> None:
         if job in self._wanted:
             self._wanted.discard(job)
             job.failed(failed)
 
-    def _over(self, job: _Job, answer: Any) -> None:
+    def _succeed(self, job: _Job, answer: Any) -> None:
         if job in self._wanted:
             self._wanted.discard(job)
             job.then(answer)
         else:
-            job.unwanted(answer)
+            job.discard(answer)

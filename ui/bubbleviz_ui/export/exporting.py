@@ -161,10 +161,10 @@ class VideoExport(QObject):
             self._state.set_playing(False)
             self._state.seek(wanted)
             return
-        if not self._controller.settled:
+        if not self._controller.cold_solved:
             if self._settling is not result.frame:
                 self._settling = result.frame
-                self._controller.settle()
+                self._controller.cold_solve()
             return
         try:
             self._pictures.put_nowait(self._still(wanted))

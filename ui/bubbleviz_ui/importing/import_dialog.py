@@ -275,7 +275,7 @@ class ImportDialog(QDialog):
         self._tell(None, "")
         beside = self.images.beside if is_image_folder(path) else {}
         function = partial(_imported, path, self.out_path, beside, self._worker.progress)
-        self._worker.submit(function, self._on_done, self._on_failed, unwanted=_discard)
+        self._worker.submit(function, self._on_done, self._on_failed, discard=_discard)
         self._on_progress("opening", 0.0)
         self._show()
 

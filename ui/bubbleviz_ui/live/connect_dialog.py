@@ -70,7 +70,7 @@ class Discovery(QObject):
         """Look at a source, given as `--source`."""
         self.stop()
         function = partial(_begin, text, sensor)
-        self._worker.submit(function, self._take, self._refuse, unwanted=LiveSource.stop)
+        self._worker.submit(function, self._take, self._refuse, discard=LiveSource.stop)
 
     def stop(self) -> None:
         """Look at nothing."""

@@ -52,7 +52,7 @@ class Connection(QObject):
     def start(self) -> None:
         """Begin."""
         self._worker.submit(
-            self._connected, self.ready.emit, self.failed.emit, unwanted=LiveRun.close
+            self._connected, self.ready.emit, self.failed.emit, discard=LiveRun.close
         )
 
     def cancel(self) -> None:

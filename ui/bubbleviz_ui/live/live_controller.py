@@ -184,7 +184,7 @@ class LiveController(QObject):
 
     def _on_rendered(self) -> None:
         """Notice that the first frame of what is connected has been drawn."""
-        present = self._controller.opening.present
+        present = self._controller.opening.current
         if not self._drawn and present is not None and self._is_ours(present.request):
             self._drawn = True
             self._look()

@@ -99,7 +99,7 @@ class LiveFrames:
         self._epoch_ns = epoch_ns
         self._take(first)
 
-    def follow_colour(self, on: bool) -> None:
+    def set_colour(self, on: bool) -> None:
         """Have the frames from now on with colour images, or without: only who asks gets them."""
         let_go = self._let_go_of_colour
         if on and let_go is None:
@@ -138,7 +138,7 @@ class LiveFrames:
 
         return forget
 
-    def tell(self, result: Result, mesh: MembraneMesh) -> None:
+    def publish(self, result: Result, mesh: MembraneMesh) -> None:
         """Pass a new result on."""
         for listener in self._listeners:
             listener(result, mesh)

@@ -64,7 +64,7 @@ class SensorPair(QObject):
             self.drawing = SecondScene(self._view, state.units, self._scene.ranges)
         sensor, frames = run.session.sensors[1].sensor, run.frames[1]
         self.second = second = SensorClient(state)
-        second.extra = self._controller.client.extra
+        second.extra_products = self._controller.client.extra_products
         self._listen(second)
         second.open(
             OpenRequest(
@@ -91,7 +91,7 @@ class SensorPair(QObject):
         self._listen(other, on=False)
         self.chosen, self.second = number, self._controller.client
         self._place()
-        self._controller.turn_to(other)
+        self._controller.switch_to(other)
         self._listen(self.second)
         self._draw_second()
         self._follow()
@@ -101,9 +101,9 @@ class SensorPair(QObject):
 
     def ask_besides(self, products: frozenset[Product]) -> None:
         """Have both sensors make what goes out, too."""
-        self._controller.client.extra = products
+        self._controller.client.extra_products = products
         if self.second is not None:
-            self.second.extra = products
+            self.second.extra_products = products
 
     def end(self) -> None:
         """One sensor again, or none; the other one's solver thread ends by itself."""
@@ -137,14 +137,14 @@ class SensorPair(QObject):
         if second is None or second.opened is None or run is None or facts is None:
             return
         if self._playing:
-            second.ask_newest(self._demand, at_once=True)
+            second.request_newest(self._demand, at_once=True)
         else:
             time_s = float(facts.times_s[self._state.frame])
-            second.ask_frame(run.frames[1 - self.chosen].at(time_s), self._demand)
+            second.request_frame(run.frames[1 - self.chosen].at(time_s), self._demand)
 
     def _listen(self, client: SensorClient, *, on: bool = True) -> None:
         for signal, slot in (
-            (client.turned, self._on_second_open),
+            (client.opened_source, self._on_second_open),
             (client.solved, self._on_second_solved),
             (client.paused, self._on_second_paused),
             (client.failed, self.failed),

@@ -100,12 +100,12 @@ class Player(QObject):
         state.range_changed.connect(self._wind)
         state.settings_changed.connect(self._on_settings)
 
-    def came(self, frame: int) -> None:
+    def on_result(self, frame: int) -> None:
         """A frame is there to be drawn: the next one may be due soon."""
         self._came = frame
         self._tick(AHEAD_S)
 
-    def turn_to(self, frame: int) -> None:
+    def reset_to(self, frame: int) -> None:
         """Another source is open, and this frame of it is shown."""
         self.skipped, self._came = 0, frame
 

@@ -17,7 +17,7 @@ from bubbleviz.pose import open_axes
 from bubbleviz.result import ObjectPatch, Pose, Result, Stage
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.controller import Controller, Followed
+from bubbleviz_ui.engine.controller import Controller, ObjectChange
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.settings import POSE_SETTINGS
@@ -160,7 +160,7 @@ class PoseSession(QObject):
         # `PoseRow` by frame: every pose since the object was chosen
         self.rows: dict[int, PoseRow] = {}
         controller.opened.connect(self._on_opened)
-        controller.followed.connect(self._on_followed)
+        controller.object_changed.connect(self._on_object_changed)
         controller.failed.connect(self._on_failed)
         controller.shown.connect(self._on_shown)
         self._state.source_changed.connect(self._on_source)
@@ -219,7 +219,7 @@ class PoseSession(QObject):
         if found.track and known_pose(pose):
             start = pose.T_B_O
         settings = self._state.settings
-        self._controller.follow(settings.pose_object, settings.pose_unit, start, fit=False)
+        self._controller.set_object(settings.pose_object, settings.pose_unit, start, fit=False)
         self._state.change(pose_track=found.track)
         self.changed.emit()  # last: the choice has the last result drawn once more, with its pose
 
@@ -240,7 +240,7 @@ class PoseSession(QObject):
 
     def _follow(self, *, fit: bool) -> None:
         settings = self._state.settings
-        self._controller.follow(settings.pose_object, settings.pose_unit, self.start, fit=fit)
+        self._controller.set_object(settings.pose_object, settings.pose_unit, self.start, fit=fit)
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
@@ -266,7 +266,7 @@ class PoseSession(QObject):
         except InputError:  # of a session that somebody has edited
             self.start = None
 
-    def _on_followed(self, followed: Followed) -> None:
+    def _on_object_changed(self, followed: ObjectChange) -> None:
         asked = (followed.object_name, followed.unit)
         if self.obj is None or asked != self._loaded:  # the same one stays the same
             self.obj, self._loaded = followed.obj, asked
@@ -277,10 +277,10 @@ class PoseSession(QObject):
     def _on_failed(self, failed: Failed) -> None:
         """An object that cannot be used stays chosen, for undo and for the next source."""
         request = failed.request
-        if isinstance(request, Followed):
+        if isinstance(request, ObjectChange):
             self.busy = False
             if request.object_name == self.object_name and not request.fitted:
-                self._controller.follow(None, None, None, fit=False)
+                self._controller.set_object(None, None, None, fit=False)
             self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:

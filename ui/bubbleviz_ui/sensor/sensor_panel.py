@@ -316,7 +316,7 @@ class SensorPanel(QWidget):
             return
         self.notified.emit(UserMessage("notice", f"Saved {path}", file=path, topic="sensor file"))
         self._end()
-        self._opening.sensor_file(path)
+        self._opening.open_sensor_file(path)
 
     # -- the file -----------------------------------------------------------------------------
 
@@ -326,7 +326,7 @@ class SensorPanel(QWidget):
         return Path() if sensor is None else sensor.resolve(sensor.file).absolute()
 
     def _reload(self) -> None:
-        self._opening.sensor_file(self._opened_file)
+        self._opening.open_sensor_file(self._opened_file)
 
     def _on_opened(self, opened: Opened) -> None:
         self.difference.clear()

@@ -246,7 +246,7 @@ class SessionSaver(QObject):
             self._sensor_opener(source, sensor),
             frame=saved.frame,
             playing=source.live,
-            first=begin,
+            before=begin,
         )
 
     def expect(self, saved: SavedSession, path: Path) -> None:

@@ -203,7 +203,7 @@ class ShearPanel(QWidget):
             self._mu.show(MU)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._write)
-        self.collect.clicked.connect(controller.collect)
+        self.collect.clicked.connect(controller.find_reference)
         self.copy.clicked.connect(self._copy)
         controller.shown.connect(self._later)
         state.settings_changed.connect(self._on_settings)

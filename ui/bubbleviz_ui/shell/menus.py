@@ -333,28 +333,28 @@ class Menus:
             self._bar, "Open recording", RECORDINGS, of="recording", by_default=folder
         )
         if path is not None:
-            self._window.controller.opening.recording(path)
+            self._window.controller.opening.open_recording(path)
 
     def _open_folder(self) -> None:
         path = folder_to_open(self._bar, "Open recording folder", of="recording")
         if path is not None:
-            self._window.controller.opening.recording(path)
+            self._window.controller.opening.open_recording(path)
 
     def _open_sensor(self) -> None:
         path = file_to_open(self._bar, "Open sensor", SENSOR_FILES, of="sensor")
         if path is not None:
-            self._window.controller.opening.sensor_file(path)
+            self._window.controller.opening.open_sensor_file(path)
 
     def _open_truth(self) -> None:
         kinds = "Ground truth (*.npz);;All files (*)"
         path = file_to_open(self._bar, "Open ground truth", kinds, of="recording")
         if path is not None:
-            self._window.controller.opening.truth(path)
+            self._window.controller.opening.use_ground_truth(path)
 
     def _close(self) -> None:
         """Close the recording or the live source; what is being recorded is whole then."""
         self._window.live_controller.disconnect_all()
-        self._window.controller.opening.nothing()
+        self._window.controller.opening.close_source()
 
     def _open_session(self) -> None:
         path = file_to_open(self._bar, "Open session", SESSIONS, of="session")

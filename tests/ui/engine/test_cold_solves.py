@@ -16,7 +16,7 @@ from bubbleviz_ui.model.session_state import SessionState
 
 def settled_by_itself(driver):
     """Wait until the window has settled the frame at the cursor."""
-    driver.wait(lambda: driver.at_the_cursor() and driver.window.controller.settled)
+    driver.wait(lambda: driver.at_the_cursor() and driver.window.controller.cold_solved)
 
 
 def shown(driver):
@@ -68,7 +68,7 @@ def test_a_paused_frame_has_its_pose_found_once(drive):
     client.solved.connect(note)
     play_past(driver, CONTACT)
     settled_by_itself(driver)
-    assert client.demand.diagnostics and not client.look_is_old
+    assert client.demand.diagnostics and not client.diagnostics_outdated
     assert driver.result.pose is not None
     assert found[driver.state.frame] == 1
 
@@ -83,14 +83,14 @@ def test_a_frame_is_settled_with_what_was_chosen_since(drive):
         areas.append(answer.result.patch.area_m2)
 
     controller.client.solved.connect(note)
-    controller.settle()
+    controller.cold_solve()
     driver.wait(lambda: bool(areas))
     assert areas == [0.0]
     controller.client.solved.disconnect(note)
     # a panel that opens while the frame is being settled has its look at it
     for frame in (CONTACT + 1, CONTACT + 2):
         driver.state.seek(frame)
-        controller.settle()
+        controller.cold_solve()
         driver.show("threshold")
         driver.wait(lambda: controller.inspection.kappa_curve is not None)
         settled_by_itself(driver)
@@ -141,21 +141,21 @@ def client(qtbot, sensor, state):
 
 
 def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
-    client.ask_settled()
-    client.ask_frame(3, WITH_DIAGNOSTICS)
+    client.request_cold_solve()
+    client.request_frame(3, WITH_DIAGNOSTICS)
     client.worker.run(-1)
     client.worker.run(-2)
-    assert client.inspection.kappa_curve is not None and not client.settled
-    client.ask_settled()
+    assert client.inspection.kappa_curve is not None and not client.cold_solved
+    client.request_cold_solve()
     client.worker.run(-1)
-    assert client.inspection.kappa_curve is not None and client.settled
+    assert client.inspection.kappa_curve is not None and client.cold_solved
 
 
 def test_a_diagnostic_that_did_not_arrive_is_requested_again(client, state):
     """Looks are left out of most frames while playing, but not because of one that never came."""
     state.open(client.facts, 3, playing=True, history=client.history)
-    client.ask_newest(WITH_DIAGNOSTICS)
+    client.request_newest(WITH_DIAGNOSTICS)
     client.worker.run(-1)  # there is none: the source does not grow
-    client.ask_frame(3, WITH_DIAGNOSTICS)
+    client.request_frame(3, WITH_DIAGNOSTICS)
     client.worker.run(-1)
     assert client.inspection.kappa_curve is not None
