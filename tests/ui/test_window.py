@@ -27,7 +27,7 @@ from bubbleviz_ui.model.demand import STAGES
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
-from bubbleviz_ui.view3d.text import beside_bars
+from bubbleviz_ui.view3d.text import left_of_bars
 
 
 def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
@@ -328,7 +328,7 @@ def test_a_small_screen_holds_the_window_and_the_force(drive):
     assert window.playback.mapTo(window, window.playback.rect().bottomRight()).x() <= 675
     assert window.layers.visibleRegion().boundingRect().height() > 50
     assert window.view.width() > 350 and window.view.height() > 150
-    bars = window.view.width() * beside_bars(window.view.width())
+    bars = window.view.width() * left_of_bars(window.view.width())
     (rest,) = (text for text in written(driver) if text.GetInput().startswith("peak"))
     assert 0.3 * bars < right_end(driver, rest) < bars
     window.resize(1200, 700)

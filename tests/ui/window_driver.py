@@ -267,7 +267,7 @@ def axes_corner(pixels):
 
 def in_view(driver, point_m):
     """Where a point in B is drawn, in Qt's pixels."""
-    return driver.window.view.place_of(point_m).toPoint()
+    return driver.window.view.screen_position(point_m).toPoint()
 
 
 def props(driver):

@@ -277,7 +277,7 @@ class MainWindow(QMainWindow):
         self._numbers_timer.stop()
         self.state.blockSignals(True)  # receivers are being deleted
         for host in self.findChildren(PlotHost):
-            host.let_go()
+            host.close_canvas()
         self.calibration.close_all()
         self.exporting.close()
         for worker in (self.importing, self._reading, self.pose.loading, self.compare.other.worker):
@@ -385,7 +385,7 @@ class MainWindow(QMainWindow):
             self.undo_recorder.watch_box(text, box)
         self.playback.timeline.range_drawn.connect(self._play_range)
         self.calibration.painted.connect(self._paint)
-        self.status.asked.connect(self.show_performance)
+        self.status.clicked.connect(self.show_performance)
         self._rates_timer.timeout.connect(self.show_rates)
         self._rates_timer.start()
         self.view.follow_theme(lambda _: self.scene.apply(self.state.settings))
@@ -532,6 +532,8 @@ class MainWindow(QMainWindow):
         now = time.perf_counter()
         controller, view = self.controller, self.view
         self.status.show_rates(
-            controller.client.solve_rate.rate_hz(now), view.renders.rate_hz(now), controller.dropped
+            controller.client.solve_rate.rate_hz(now),
+            view.render_rate.rate_hz(now),
+            controller.dropped,
         )
         self.status.show_latency(self.picture_age.report())

@@ -46,7 +46,7 @@ def opened(drive, sensor, path):
 
 def says_iou(driver):
     curve = driver.window.threshold.curve
-    return curve is not None and "IoU" in curve.frame.words.text
+    return curve is not None and "IoU" in curve.frame.label.text
 
 
 def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(drive, sensor, files):

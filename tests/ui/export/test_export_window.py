@@ -17,7 +17,7 @@ from bubbleviz.simulation import default_press
 from bubbleviz_ui.export import export_dialog, exporting as video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.model.messages import UserMessage
-from bubbleviz_ui.view3d.tools import still
+from bubbleviz_ui.view3d.tools import picture_of
 
 
 class Bench(Driver):
@@ -170,9 +170,9 @@ def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, m
 
     def watched(*args):
         drawn.append([text for text in texts(driver) if text.startswith("frame")])
-        return still(*args)
+        return picture_of(*args)
 
-    monkeypatch.setattr(video_export, "still", watched)
+    monkeypatch.setattr(video_export, "picture_of", watched)
     driver.state.change(picture_size=(320, 240))
     driver.state.set_range((2, 3))
     bench.export("Video of the view", tmp_path / "said.mp4")
@@ -196,9 +196,9 @@ def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tm
     def watched(*args):
         result = driver.result
         drawn.append((result.frame.index, result.patch.area_m2))
-        return still(*args)
+        return picture_of(*args)
 
-    monkeypatch.setattr(video_export, "still", watched)
+    monkeypatch.setattr(video_export, "picture_of", watched)
     driver.state.change(picture_size=(320, 240))
     driver.state.set_range((73, 76))
     driver.state.set_playing(True)

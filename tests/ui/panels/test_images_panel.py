@@ -131,7 +131,7 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     QApplication.processEvents()
     assert not clipped(panel) and all(label.text() for label in panel.lines)
     for cell in panel.cells.values():
-        assert cell.words.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
+        assert cell.label.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
     assert driver.window.width() == 1280
     # residuals have the colours of the 3-D view in both themes
     cells = opened(driver, "residual", "change", "depth").cells

@@ -179,7 +179,7 @@ def test_nothing_is_clipped(drive):
     assert not clipped(panel)
     panel = threshold(driver)
     for plot in (panel.histogram, panel.curve):
-        words = plot.frame.words
+        words = plot.frame.label
         assert words.item.boundingRect().width() + words.pos().x() <= canvas(panel).width() + 8
     driver.show("tools", "layers")
     QApplication.processEvents()

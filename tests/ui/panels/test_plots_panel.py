@@ -186,7 +186,7 @@ def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
     for plot in panel.plots.values():
-        at, words = plot.frame.item.sceneBoundingRect(), plot.frame.words
+        at, words = plot.frame.item.sceneBoundingRect(), plot.frame.label
         width = words.item.boundingRect().width() + words.pos().x()
         assert width <= at.width() + 8, plot.frame.text
         assert plot.box.height() > 40

@@ -120,7 +120,7 @@ def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
     bench.bot.keyClick(box, Qt.Key.Key_Down)
     box.activated.emit(box.currentIndex())
     bench.settle()
-    assert np.array_equal(bench.window.scene.object.place, pose.stage_one.T_B_O)
+    assert np.array_equal(bench.window.scene.object.T_B_O, pose.stage_one.T_B_O)
     # it is read in numbers of the chosen units, selected and copied
     bench.undo()
     panel = bench.panel
@@ -175,7 +175,7 @@ def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     bench.settle()
     moved = bench.panel.session.start
     assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
-    assert np.allclose(bench.window.scene.object.place, moved)
+    assert np.allclose(bench.window.scene.object.T_B_O, moved)
     bench.click(bench.panel.move_it)
     assert not gizmo.on
     for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
@@ -184,7 +184,7 @@ def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     assert np.allclose(panel.session.start[:3, 3], [5e-3, 1e-3, 38e-3], atol=1e-5)
     bench.fit()
     assert bench.text("state") == FLAT
-    place = bench.window.scene.object.place
+    place = bench.window.scene.object.T_B_O
     assert place is not None and np.linalg.norm(place[:3, 3] - TRUE) < 3e-3
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     assert panel.session.pose is None
@@ -221,7 +221,7 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
     assert "exists already" in bench.window.message.label.text()
     # poses that were forgotten are brought back
     stack, rows = bench.window.undo_stack, dict(session.rows)
-    steps, place = stack.index(), bench.window.scene.object.place
+    steps, place = stack.index(), bench.window.scene.object.T_B_O
     bench.key(Qt.Key.Key_X)  # beside Z: no key of anything
     assert stack.index() == steps and session.rows == rows
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
@@ -230,7 +230,7 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
     assert bench.drawn() == GAP and stack.index() == steps + 1  # above the membrane, not found
     bench.key(Qt.Key.Key_Z, CTRL)
     assert session.rows == rows and bench.panel.track.isChecked()
-    assert np.array_equal(bench.window.scene.object.place, place)
+    assert np.array_equal(bench.window.scene.object.T_B_O, place)
     bench.seek(0)  # tracked on
     bench.wait(lambda: 0 in session.rows)
     assert session.rows[0]["status"] == "ok"

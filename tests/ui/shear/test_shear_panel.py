@@ -224,4 +224,4 @@ def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     np.testing.assert_allclose(np.stack(plot.force.getData()), [[0, 200], [0, 200]])
     plot.draw(None, Unit("mN", 1e3, 0))
     assert plot.force.getData()[0] is None or not len(plot.force.getData()[0])
-    plot.let_go()
+    plot.close_canvas()

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QApplication
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from window_driver import axes_corner, in_view, props, texts
 
-from bubbleviz_ui.view3d.text import LOWEST, TEXT, WIDTH
+from bubbleviz_ui.view3d.text import MIN_HEIGHT, TEXT, WIDTH
 
 
 def seen_of_axes(driver):
@@ -43,7 +43,7 @@ def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_
     view = window.view
     for size, nearer in (((1280, 800), 1.0), ((1280, 800), 8.0), ((800, 500), 30.0)):
         window.resize(*size)
-        window.scene.look("top")
+        window.scene.look_from("top")
         view.camera.Dolly(nearer)
         seen = seen_of_axes(driver)
         corner = axes_corner(seen)
@@ -73,7 +73,7 @@ def test_the_membrane_is_beside_the_colour_bars_and_the_scale_bar_as_long_as_it_
         counts.append(int(np.count_nonzero(np.diff(rows, axis=1) <= TEXT)))
     of_a_title = 2  # the other one's rows touch
     assert counts == [10 + of_a_title, 6 + of_a_title, 4 + of_a_title]
-    assert window.view.height() == LOWEST
+    assert window.view.height() == MIN_HEIGHT
     # scales end at round numbers in every unit
     driver.seek(11)
     bars = [prop for prop in props(driver) if isinstance(prop, vtkScalarBarActor)]

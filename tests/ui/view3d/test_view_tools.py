@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QApplication, QLabel, QTabBar
 from window_driver import CONTACT, drawn_points, hover, idle, in_view, near, texts
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
-from bubbleviz_ui.view3d.tools import still
+from bubbleviz_ui.view3d.tools import picture_of
 
 
 def opened(driver):
@@ -50,7 +50,7 @@ def test_views_exaggeration_vectors_and_colour_maps(drive):
     drawn = drawn_points(driver.window.scene.layers["membrane"])
     np.testing.assert_allclose(drawn, mesh.deformed(3.0 * estimate.displacement_m), atol=1e-7)
     k = int(np.argmin(estimate.displacement_m))
-    driver.window.scene.look("top")
+    driver.window.scene.look_from("top")
     driver.settle()
     place, true = in_view(driver, drawn[k]), mesh.deformed(estimate.displacement_m)[k]
     picked = driver.window.scene.pick(place.x(), place.y())
@@ -90,7 +90,7 @@ def test_places_and_distances_by_clicks(drive):
     driver.click(tools.tools["probe"])
     driver.drag(view, middle, middle + QPoint(40, 0))
     assert tools.picked.place is None  # dragging is no click
-    driver.window.scene.look("top")
+    driver.window.scene.look_from("top")
     driver.settle()
     node = hottest(driver)
     driver.click(view, in_view(driver, node))
@@ -120,7 +120,7 @@ def test_places_and_distances_by_clicks(drive):
     assert driver.window.tools.picked.place is None and not written()
 
     driver.seek(3)
-    driver.window.scene.look("top")
+    driver.window.scene.look_from("top")
     driver.settle()
     driver.act("View › Measure a distance")
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
@@ -142,7 +142,7 @@ def test_places_and_distances_by_clicks(drive):
     assert not measured("m", true_m)
     driver.state.change(length_unit="mm")
     opened(driver)
-    driver.window.scene.look("top")
+    driver.window.scene.look_from("top")
     driver.settle()
     driver.click(tools.tools["distance"])
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
@@ -167,7 +167,7 @@ def test_places_and_distances_by_clicks(drive):
 def test_a_section_cuts_the_scene_open_and_what_is_cut_away_is_not_pointed_at(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
-    driver.window.scene.look("top")
+    driver.window.scene.look_from("top")
     driver.settle()
     view = driver.window.view
     background = view.pixels()[5, 5]
@@ -221,9 +221,9 @@ def test_a_picture_of_any_size_is_saved_without_what_the_mouse_points_at(drive, 
     assert (image.width(), image.height()) == (1800, 700)
     driver.click(driver.window.notice.dismiss)
     height, width = before.shape[:2]
-    same = still(driver.window.view, width, height)
+    same = picture_of(driver.window.view, width, height)
     assert np.abs(same.astype(int) - before).mean() < 1.0
-    large = still(driver.window.view, 1800, 700)
+    large = picture_of(driver.window.view, 1800, 700)
     red, green, blue = (large[:, :1500, k].astype(int) for k in range(3))
     assert np.count_nonzero((red > 130) & (red > 2 * blue) & (red > green + 30)) > 200
     driver.settle()
@@ -235,16 +235,16 @@ def test_a_picture_of_any_size_is_saved_without_what_the_mouse_points_at(drive, 
     view = driver.window.view
     driver.wait(lambda: bool(driver.inspection.images))
     driver.settle()
-    before, size = still(view, 640, 400), view.size()
+    before, size = picture_of(view, 640, 400), view.size()
     hover(view, in_view(driver, driver.nodes()[int(np.argmax(driver.nodes()[:, 2]))]))
     numbers = lambda: [text for text in texts(driver) if "node" in text]  # noqa: E731
     driver.wait(lambda: bool(numbers()))
     assert view.size() == size
-    np.testing.assert_array_equal(still(view, 640, 400), before)
+    np.testing.assert_array_equal(picture_of(view, 640, 400), before)
     assert numbers()
     driver.window.tools.use_tool("probe")
     driver.click(view, view.rect().center())
-    assert np.any(still(view, 640, 400) != before)  # what was asked for by a click stays
+    assert np.any(picture_of(view, 640, 400) != before)  # what was asked for by a click stays
 
 
 def test_the_turntable_texts_and_tabs_of_the_tools(drive):

@@ -18,7 +18,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.view3d.text import text_at
-from bubbleviz_ui.view3d.tools import still
+from bubbleviz_ui.view3d.tools import picture_of
 
 if TYPE_CHECKING:
     from bubbleviz.output import PoseRow
@@ -177,12 +177,12 @@ class VideoExport(QObject):
         """Picture of the view, with its frame and time where they are wanted."""
         caption, facts = self._caption, self._state.facts
         if caption is None or facts is None:
-            return still(self._view, *self._size)
+            return picture_of(self._view, *self._size)
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         caption.SetInput(f"frame {frame} · {time_text}")
         self._view.renderer.AddViewProp(caption)
         try:
-            return still(self._view, *self._size)
+            return picture_of(self._view, *self._size)
         finally:
             self._view.renderer.RemoveViewProp(caption)
 
@@ -300,7 +300,7 @@ class Exporting(QObject):
 
     def _on_failed(self, failed: Failed) -> None:
         """A frame of a video that cannot be shown ends it; the window says why."""
-        if self._video is not None and failed.key in {"frame", "settle"} and not failed.warning:
+        if self._video is not None and failed.key in {"frame", "cold_solve"} and not failed.warning:
             self.cancel()
 
     def _on_opened(self, _: object) -> None:

@@ -262,7 +262,7 @@ class Settings(_SettingsBase):
         False, "other side", "Show the part on the other side of the plane"
     )
     # pressure_max_pa, residual_max_m: Upper ends of the colour ranges; None: from the frames shown
-    # so far, see `HeldRanges`
+    # so far, see `GrowingRanges`
     pressure_max_pa: float | None = _setting(
         None,
         "Maximum pressure",

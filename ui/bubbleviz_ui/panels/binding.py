@@ -1,4 +1,4 @@
-"""Controls of settings: made from what `Settings` says of each, and bound to it."""
+"""Controls of settings, created from their `SettingInfo` and bound to `Settings`."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ Box = QAbstractButton | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
 Control = Box | QAction
 
 
-def _same(value: Any) -> Any:
+def _identity(value: Any) -> Any:
     return value
 
 
 class Binding(QObject):
-    """A control and its field of the settings, see `bind`; it lives as long as the control."""
+    """Two-way binding of a control and a settings field; owned by the control."""
 
     def __init__(
         self,
@@ -55,11 +55,11 @@ class Binding(QObject):
         state.settings_changed.connect(self._on_settings)
 
     def refresh(self) -> None:
-        """Show the present choice: the control means something else by it now."""
+        """Show the current value again, after the control's scale has changed."""
         self.show(getattr(self._state.settings, self._field))
 
     def show(self, value: Any) -> None:
-        """Show a value, which is not chosen by that."""
+        """Show a value without setting it."""
         self._showing = True
         _put(self._control, self._shown(value))
         self._showing = False
@@ -77,16 +77,16 @@ def bind(
     control: Control,  # The items of a combo box have the values as their data
     state: SessionState,
     field: str,  # Of `Settings`
-    # What the control shows of a value; None leaves a button or a number as it is
-    shown: Callable[[Any], Any] = _same,
-    chosen: Callable[[Any], Any] = _same,  # Value to choose for what the user has set
+    # Control value of a settings value; None leaves a button or number unchanged
+    shown: Callable[[Any], Any] = _identity,
+    chosen: Callable[[Any], Any] = _identity,  # Settings value of a control value
 ) -> Binding:
-    """Keep a control and a field of the settings the same."""
+    """Bind a control to a field of the settings, in both directions."""
     return Binding(control, state, field, shown, chosen)
 
 
-def bind_member(control: Control, state: SessionState, field: str, name: str) -> None:
-    """Have a button or action say whether a name is in a field that is a set."""
+def bind_membership(control: Control, state: SessionState, field: str, name: str) -> None:
+    """Bind a checkable button or action to the membership of a name in a set."""
 
     def chosen(on: bool) -> frozenset[str]:
         names: frozenset[str] = getattr(state.settings, field)
@@ -95,8 +95,8 @@ def bind_member(control: Control, state: SessionState, field: str, name: str) ->
     bind(control, state, field, lambda names: name in names, chosen)
 
 
-def bind_option(control: Control, state: SessionState, field: str, option: str) -> None:
-    """Have one of several exclusive buttons or actions stand for one value of a field."""
+def bind_exclusive(control: Control, state: SessionState, field: str, option: str) -> None:
+    """Bind one of several exclusive buttons or actions to a value of a field."""
 
     def chosen(on: bool) -> str:
         return option if on else getattr(state.settings, field)
@@ -107,24 +107,24 @@ def bind_option(control: Control, state: SessionState, field: str, option: str) 
 def control(
     state: SessionState,
     field: str,  # Of `Settings`
-    info: SettingInfo | None = None,  # Where it is of another setting, which is in the field
-    inside: Callable[[Any], Any] = _same,  # That setting of the field's value
-    around: Callable[[Any], Any] = _same,  # Value of the field with that setting changed
+    info: SettingInfo | None = None,  # Of a part of the field, if the control edits only that
+    get_part: Callable[[Any], Any] = _identity,  # Part of the field's value
+    with_part: Callable[[Any], Any] = _identity,  # Field's value with the part changed
 ) -> Any:
-    """Control of a setting, as `SettingInfo` describes it, bound to it."""
+    """Create the control of a setting and bind it."""
     info = Settings.info(field) if info is None else info
     box = widget(info)
     is_number = isinstance(box, QSpinBox | QDoubleSpinBox)
     number_for_none = info.low if info.number_for_none is None else info.number_for_none
-    optional = getattr(Settings(), field) is None or inside is not _same
+    optional = getattr(Settings(), field) is None or get_part is not _identity
 
     def shown(value: Any) -> Any:
-        value = inside(value)
+        value = get_part(value)
         if info.slider:
             return round(value / info.step)
         if not is_number:
             return value
-        unit = _fitted(box, info, state.units)
+        unit = _apply_unit(box, info, state.units)
         return unit.from_si(number_for_none if value is None else value)
 
     def chosen(value: Any) -> Any:
@@ -134,14 +134,14 @@ def control(
             value = _unit(info, state.units).to_si(value)
             value = round(value) if isinstance(box, QSpinBox) else value
             value = None if optional and value == number_for_none else value
-        return around(value)
+        return with_part(value)
 
     bind(box, state, field, shown, chosen)
     return box
 
 
 def widget(info: SettingInfo) -> Box:
-    """Control of a setting, not bound to it: a choice of titles, a number, or yes and no."""
+    """Unbound control of a setting: combo box, slider, number box or check box."""
     box: Box
     if info.titles is not None:
         box = options(QComboBox(), info.titles)
@@ -160,7 +160,7 @@ def widget(info: SettingInfo) -> Box:
 
 
 def form(*controls: QWidget) -> QFormLayout:
-    """Controls one under the other, each beside its label."""
+    """Form of controls with their labels."""
     rows = QFormLayout()
     for box in controls:
         rows.addRow("" if isinstance(box, QCheckBox) else box.accessibleName(), box)
@@ -172,8 +172,8 @@ def _unit(info: SettingInfo, units: Units) -> Unit:
     return unit
 
 
-def _fitted(box: Any, info: SettingInfo, units: Units) -> Unit:
-    """Give a box of numbers the ends, the step and the unit that it has among the operator's."""
+def _apply_unit(box: Any, info: SettingInfo, units: Units) -> Unit:
+    """Set range, step and suffix of a number box in the current unit."""
     unit = _unit(info, units)
     if isinstance(box, QDoubleSpinBox):
         box.setDecimals(unit.digits)
@@ -185,7 +185,7 @@ def _fitted(box: Any, info: SettingInfo, units: Units) -> Unit:
 
 
 def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str, QAction]]:
-    """Button with a menu whose actions say which names are in a field that is a set."""
+    """Button with a menu of check marks, bound to the names in a set."""
     info, actions = Settings.info(field), dict[str, QAction]()
     button = tool_button(info.label, info.tip)
     button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
@@ -193,13 +193,13 @@ def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str,
     for name, title in (info.titles or {}).items():
         actions[name] = action = menu.addAction(title)
         action.setCheckable(True)
-        bind_member(action, state, field, name)
+        bind_membership(action, state, field, name)
     button.setMenu(menu)
     return button, actions
 
 
 def tool_button(text: str, tip: str, *, checkable: bool = False, slim: bool = False) -> QToolButton:
-    """Button for a row of them; a slim one has less room around its text."""
+    """Tool button; a slim one has smaller margins."""
     button = QToolButton()
     button.setText(text)
     button.setToolTip(tip)
@@ -210,7 +210,7 @@ def tool_button(text: str, tip: str, *, checkable: bool = False, slim: bool = Fa
 
 
 def options(box: QComboBox, titles: Mapping[Any, str]) -> QComboBox:
-    """Fill a combo box with values by their titles."""
+    """Fill a combo box with titles and values."""
     for value, title in titles.items():
         box.addItem(title, value)
     return box
@@ -231,36 +231,36 @@ def _get(control: Control) -> Any:
 def _put(control: Control, value: Any) -> None:
     if isinstance(control, QComboBox):
         control.setCurrentIndex(control.findData(value))
-    elif value is not None and value != _get(control):  # else what is being typed stays
+    elif value is not None and value != _get(control):  # else keep what is being typed
         control.setChecked(value) if isinstance(control, _SWITCHES) else control.setValue(value)
 
 
 _SWITCHES = (QAbstractButton, QAction)
 
 
-# Keys and wheel of a panel's controls.
+# Keys and mouse wheel of a panel's controls.
 #
-# A control reached by Tab keeps its own keys; else they play and seek. One without the focus leaves
-# the wheel to what scrolls the panel: a setting must not change because somebody scrolled past it.
+# A control focused by Tab keeps its own keys; otherwise they play and seek. A control without focus
+# ignores the wheel, so that scrolling a panel changes no setting.
 
 
 BUTTON_KEYS = frozenset({Qt.Key.Key_Space})
-STEPPED = (QAbstractSpinBox, QSlider, QComboBox)
+WHEEL_CONTROLS = (QAbstractSpinBox, QSlider, QComboBox)
 """Controls whose value the wheel changes."""
 SLIDER_KEYS = frozenset({Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Home, Qt.Key.Key_End})
 
 
 class ControlInput(QObject):
-    """Event filter: focused controls get their keys before shortcuts do, others leave the wheel."""
+    """Event filter: a focused control gets its keys before shortcuts; others ignore the wheel."""
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Claim the keys that the watched control understands, and refuse a wheel without focus."""
-        if event.type() == QEvent.Type.Wheel and isinstance(watched, STEPPED):
+        """Claim the keys of the focused control, and reject the wheel without focus."""
+        if event.type() == QEvent.Type.Wheel and isinstance(watched, WHEEL_CONTROLS):
             event.setAccepted(watched.hasFocus())
             return not watched.hasFocus()
         if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
             if isinstance(watched, QAbstractSpinBox | QLineEdit):
-                return _leaves_to_the_window(event)
+                return _is_window_undo(event)
             keys = BUTTON_KEYS if isinstance(watched, QAbstractButton) else SLIDER_KEYS
             if event.key() in keys:
                 event.accept()
@@ -268,8 +268,8 @@ class ControlInput(QObject):
         return False
 
 
-def _leaves_to_the_window(event: QKeyEvent) -> bool:
-    """Text boxes have an undo of their own, which would hide the window's."""
+def _is_window_undo(event: QKeyEvent) -> bool:
+    """Whether it is undo or redo, which text boxes must leave to the window."""
     undo, redo = QKeySequence.StandardKey.Undo, QKeySequence.StandardKey.Redo
     if event.matches(undo) or event.matches(redo):
         event.ignore()
@@ -278,9 +278,9 @@ def _leaves_to_the_window(event: QKeyEvent) -> bool:
 
 
 def watch_controls(panel: QWidget) -> None:
-    """Let every control of a panel be reached by Tab, and settings be changed on purpose alone.
+    """Make every control of a panel reachable by Tab, and prevent accidental changes.
 
-    Buttons, sliders and settings do not take the focus on a click, number boxes not from the wheel.
+    Buttons, sliders and combo boxes take no focus on a click, number boxes none from the wheel.
     """
     control_input = ControlInput(panel)
     for kind in (QAbstractButton, QSlider, QComboBox):

@@ -1,4 +1,4 @@
-"""Images panel: what the camera measured and what came of it, pixel by pixel."""
+"""Images panel: depth image and derived images, with a probe."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button, watch_controls
-from bubbleviz_ui.panels.plot_host import HEAD, Part, PlotHost
+from bubbleviz_ui.panels.plot_host import HEADING, Part, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.theme import NODE
 from bubbleviz_ui.view3d.colours import residual_colours, rounded_up
 
-# One image of numbers in the images panel: colours, their scale, and the marked place.
+# One image with its colour scale and the marked pixel.
 
 
 Kind = Literal["range", "around zero", "mask", "colour"]
 MAPS = {"range": "viridis", "mask": "CET-L1", "colour": "CET-L1"}
 """Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
-NARROW = 18
+LINE_LETTERS = 18
 """Letters in a line of the narrowest cell."""
-REACH = 2
-"""How far beside an image one can look, in its widths and heights."""
-BLOCKS = 5
-"""Squares of colour that stand for the scale in the text above."""
+PAN_LIMIT = 2
+"""How far an image can be panned or zoomed out, in its widths and heights."""
+SCALE_STEPS = 5
+"""Colour squares of the scale in the heading."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An image by its title, its unit among the operator's, and how it is coloured."""
+    """Title, colouring and unit of an image."""
 
     title: str
     kind: Kind
@@ -64,12 +64,12 @@ PICTURES = MappingProxyType(
         "flow": Picture(IMAGES["flow"], "range", lambda u: u.pixels),
     }
 )
-"""What the panel can show, by name."""
+"""Images of the panel, by name."""
 
 
 def colour_map(kind: Kind, colours: theme.Colours) -> Any:
-    """Map of pyqtgraph; what is around zero has the colours of residuals in the 3-D view."""
-    import pyqtgraph as pg  # 0.2 s later than the window
+    """Colour map of pyqtgraph; signed images have the residual colours of the 3-D view."""
+    import pyqtgraph as pg  # not at start
 
     if kind == "around zero":
         return pg.ColorMap(None, residual_colours(colours.cloud))
@@ -77,21 +77,21 @@ def colour_map(kind: Kind, colours: theme.Colours) -> Any:
 
 
 class ImageCell:
-    """An image with a line of text above and marks on it.
+    """An image with a heading and marks.
 
-    `head`: Room for the text, screen pixels.
+    `head`: Height of the heading, screen pixels.
     """
 
-    def __init__(self, picture: Picture, head: float = 2 * HEAD - 3) -> None:
+    def __init__(self, picture: Picture, head: float = 2 * HEADING - 3) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
         self.picture = picture
         self.image: np.ndarray | None = None
-        self._held: tuple[float, float] | None = None
+        self._range_so_far: tuple[float, float] | None = None
         self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         self.item = pg.ImageItem(axisOrder="row-major")
-        self.map = colour_map(picture.kind, theme.DARK)  # In the theme's colours
+        self.map = colour_map(picture.kind, theme.DARK)
         self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
         self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
@@ -100,14 +100,14 @@ class ImageCell:
         self.frame: Any = pg.GraphicsLayout()
         self.frame.layout.setContentsMargins(0, head, 0, 0)
         self.frame.addItem(self.box, 0, 0)
-        self.words = pg.LabelItem(justify="left", size="9pt")
-        self.words.setParentItem(self.frame)
-        self.words.setPos(0.0, -2.0)
+        self.label = pg.LabelItem(justify="left", size="9pt")
+        self.label.setParentItem(self.frame)
+        self.label.setPos(0.0, -2.0)
         self.text = ""
 
     def forget_range(self) -> None:
-        """Find the colours' range anew, for another source."""
-        self._held = None
+        """Reset the colour range, for another source."""
+        self._range_so_far = None
 
     def draw(
         self,
@@ -116,10 +116,10 @@ class ImageCell:
         units: Units,
         why: str = "",
     ) -> None:
-        """Show an image (H, W) in SI whose usual values lie between two ends, or why none."""
+        """Show an image (H, W) in SI with a colour range `ends`, or the reason for none."""
         if image is None:
             self.clear()
-            lines = [self.picture.title, *textwrap.wrap(why, NARROW)]
+            lines = [self.picture.title, *textwrap.wrap(why, LINE_LETTERS)]
             self._write("<br>".join(lines) if why else f"{self.picture.title}: {DASH}")
             return
         low, high = self._range(ends)
@@ -129,28 +129,28 @@ class ImageCell:
         self._write(f"{self.picture.title}<br>{self.legend(*self._scale)}")
 
     def clear(self) -> None:
-        """Show nothing."""
+        """Remove the image."""
         self.image = None
         self.item.clear()
         self._write("")
 
     def show(self, image: np.ndarray, low: float, high: float) -> None:
-        """Show an image (H, W) in SI with its colours from `low` to `high`."""
+        """Show an image (H, W) in SI with colours from `low` to `high`."""
         self._put(image, image.astype(np.float32), levels=(low, high))
 
     def _put(self, image: np.ndarray, drawn: np.ndarray, **how: Any) -> None:
-        """Draw an image; all of it is in sight where its size is another."""
+        """Draw an image; one of another size is fitted into the view."""
         new = self.image is None or self.image.shape != image.shape
         self.image = image
         self.item.setImage(drawn, **how)
         if new:
             height, width = image.shape[:2]
-            x, y = REACH * width, REACH * height  # else the wheel makes a dot of it
+            x, y = PAN_LIMIT * width, PAN_LIMIT * height
             self.box.setLimits(xMin=-x, xMax=width + x, yMin=-y, yMax=height + y)
             self.box.setRange(self.item.boundingRect(), padding=0.01)
 
     def mark(self, place: Probed | None) -> None:
-        """Mark a place's pixel and where the camera sees its node."""
+        """Mark the pixel of a probed place and the projection of its node."""
         pixel = place.pixel if place is not None else None
         ring = ([], []) if pixel is None else ([pixel[1] + 0.5], [pixel[0] + 0.5])
         for item in (self.halo, self.pixel):
@@ -162,29 +162,29 @@ class ImageCell:
             self.node.setData([column + 0.5], [row + 0.5])
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.map = colour_map(self.picture.kind, theme.with_text(text))
         self.item.setLookupTable(self.map.getLookupTable(nPts=256))
-        self.words.setAttr("color", text.name())
+        self.label.setAttr("color", text.name())
         if self._scale is not None and self.image is not None:
             self._write(f"{self.picture.title}<br>{self.legend(*self._scale)}")
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
-        """Ends of the colours: they grow with the data and never shrink."""
+        """Colour range, which grows with the data and never shrinks."""
         if self.picture.kind == "mask" or ends is None:
             return 0.0, 1.0
         low, high = ends
         if self.picture.kind == "around zero":
             high = rounded_up(max(abs(low), abs(high), 1e-6))
             low = -high
-        if self._held is not None:
-            low, high = min(low, self._held[0]), max(high, self._held[1])
-        self._held = (low, high if high > low else low + 1e-6)
-        return self._held
+        if self._range_so_far is not None:
+            low, high = min(low, self._range_so_far[0]), max(high, self._range_so_far[1])
+        self._range_so_far = (low, high if high > low else low + 1e-6)
+        return self._range_so_far
 
     def legend(self, low: float, high: float, unit: Unit | None) -> str:
-        """Scale of the colours, as HTML; yes and no without a unit."""
-        colours = self.map.getLookupTable(nPts=BLOCKS)[:, :3]
+        """Colour scale as HTML; yes and no for a mask."""
+        colours = self.map.getLookupTable(nPts=SCALE_STEPS)[:, :3]
         blocks = "".join(f'<span style="color:rgb({r},{g},{b})">█</span>' for r, g, b in colours)
         if unit is None:
             no, yes = (f"rgb({','.join(map(str, colours[k]))})" for k in (0, -1))
@@ -195,45 +195,45 @@ class ImageCell:
 
     def _write(self, text: str) -> None:
         self.text = text
-        self.words.setText(text)
+        self.label.setText(text)
 
 
 class ColourCell(ImageCell):
-    """An image cell without a scale; says in words why there is no image."""
+    """An image cell without a scale; shows the reason if there is no image."""
 
-    def take(self, seen: SeenColour | None) -> None:
-        """Show what the colour camera saw; None where nobody has looked yet."""
+    def show_colour(self, seen: SeenColour | None) -> None:
+        """Show a colour image; None if it was not requested yet."""
         if seen is None or seen.rgb is None:
             self.clear()
-            why = [DASH] if seen is None else textwrap.wrap(seen.reason, NARROW)
+            why = [DASH] if seen is None else textwrap.wrap(seen.reason, LINE_LETTERS)
             self._write("<br>".join([self.picture.title, *why]))
             return
         self._put(seen.rgb, seen.rgb, autoLevels=False)
         self._write(self.picture.title)
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colour of text."""
-        self.words.setAttr("color", text.name())
+        """Apply the theme's text colour."""
+        self.label.setAttr("color", text.name())
         self._write(self.text)
 
 
 def _digits(span: float) -> int:
-    """Decimals that tell the ends of a span apart."""
+    """Decimals that distinguish the ends of a span."""
     return max(0, 1 - math.floor(math.log10(span))) if span > 0 else 0
 
 
 EVERY_MS = 150
-"""While playing: colouring a large image takes some ms."""
+"""Redraw period during playback; colouring a large image takes some ms."""
 ASPECT = 4 / 3
 NARROWEST = 130
-"""Column in which the scale above an image is whole, screen pixels."""
+"""Smallest column in which the colour scale fits, screen pixels."""
 LEAST_WIDTH, SIZE = 290, QSize(360, 260)
 HEADER = 65
-"""Height of what is above the images, screen pixels."""
+"""Height of the text above the images, screen pixels."""
 
 
 class ImagesPanel(QWidget):
-    """Chosen images in a grid; the place under the mouse is marked in all of them and in 3-D."""
+    """Chosen images in a grid; the place under the mouse is marked in all images and in 3-D."""
 
     def __init__(self, state: SessionState, controller: Controller, hover: Hover) -> None:
         super().__init__()
@@ -243,8 +243,8 @@ class ImagesPanel(QWidget):
         self._host.seen.connect(self._draw)
         self._arranged: list[tuple[str, int]] | None = None
         self.cells: dict[str, ImageCell] = {}
-        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._due.timeout.connect(self._draw)
+        self._redraw_timer = QTimer(self, singleShot=True, interval=EVERY_MS)
+        self._redraw_timer.timeout.connect(self._draw)
         self.choose, self.boxes = menu_button(state, "images")
         self.lines = [Elided(Qt.TextElideMode.ElideRight) for _ in range(3)]
         self._lay_out()
@@ -276,26 +276,26 @@ class ImagesPanel(QWidget):
     def _on_shown(self, _: object) -> None:
         if not self._state.playing:
             self._draw()
-        elif not self._due.isActive():
-            self._due.start()
+        elif not self._redraw_timer.isActive():
+            self._redraw_timer.start()
 
     def _on_hover(self, place: Probed | None) -> None:
-        for label, line in zip(self.lines, words(place, self._state.units), strict=True):
+        for label, line in zip(self.lines, probe_lines(place, self._state.units), strict=True):
             label.setText(line)
         for name, cell in self.cells.items():
-            cell.mark(place if self._has_pixels_of_depth(name) else None)
+            cell.mark(place if self._has_depth_pixels(name) else None)
 
     def sizeHint(self) -> QSize:
-        """Room for a row of images."""
+        """Size of one row of images."""
         return SIZE
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """As large as the images can be."""
+        """Rearrange the images to be as large as possible."""
         super().resizeEvent(event)
         self._arrange()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Notice that the mouse has left the images."""
+        """Clear the mark when the mouse leaves the images."""
         if event.type() == QEvent.Type.Leave:
             self._hover.leave()
         return False
@@ -313,7 +313,7 @@ class ImagesPanel(QWidget):
         return list(self.cells.values())
 
     def _arrange(self) -> None:
-        """Put the chosen images into the grid that shows them largest."""
+        """Arrange the chosen images in the grid that shows them largest."""
         if self._host.canvas is None:
             return
         shown = [name for name in PICTURES if name in self._state.settings.images]
@@ -335,7 +335,7 @@ class ImagesPanel(QWidget):
         for name in self._state.settings.images:
             cell = self.cells[name]
             if isinstance(cell, ColourCell):
-                cell.take(inspection.colour)
+                cell.show_colour(inspection.colour)
                 continue
             ends = inspection.ends.get(name)
             why = (inspection.no_flow or inspection.reference) if name == "flow" else ""
@@ -344,14 +344,14 @@ class ImagesPanel(QWidget):
     def _on_mouse(self, place: QPointF) -> None:
         for name in self._state.settings.images:
             box = self.cells[name].box
-            if box.sceneBoundingRect().contains(place) and self._has_pixels_of_depth(name):
+            if box.sceneBoundingRect().contains(place) and self._has_depth_pixels(name):
                 at = box.mapSceneToView(place)
                 self._hover.at_pixel(math.floor(at.y()), math.floor(at.x()))
                 return
         self._hover.leave()
 
-    def _has_pixels_of_depth(self, name: str) -> bool:
-        """Whether a pixel of an image is the one of the depth image."""
+    def _has_depth_pixels(self, name: str) -> bool:
+        """Whether the pixels of an image coincide with those of the depth image."""
         if name == "flow":
             return False
         opened, colour = self._controller.client.opened, self._controller.inspection.colour
@@ -360,8 +360,8 @@ class ImagesPanel(QWidget):
         return opened is not None and colour is not None and colour.aligned(opened.camera)
 
 
-def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
-    """Three lines about a place, in the operator's units."""
+def probe_lines(place: Probed | None, units: Units) -> tuple[str, str, str]:
+    """Three lines of text about a probed place."""
     if place is None:
         return "Point at an image or the membrane:", "the same place is marked everywhere", ""
     length = units.length
@@ -376,7 +376,7 @@ def words(place: Probed | None, units: Units) -> tuple[str, str, str]:
 
 
 def best_columns(count: int, width: int, height: int) -> int:
-    """Columns of a grid in which images of 4:3 are largest; 1 for none."""
+    """Number of columns for which images of 4:3 are largest; 1 without images."""
     count = max(count, 1)
 
     def size(columns: int) -> float:

@@ -1,4 +1,4 @@
-"""Contact patch panel: where the patch begins, what that makes of it, and who solves."""
+"""Contact patch panel: threshold κ, resulting patch area and force, choice of the solver."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 STEPS_PER_DECADE = 100
-BEFORE = 3.0
-"""κ to begin with where the threshold was automatic."""
+INITIAL_KAPPA = 3.0
+"""First κ offered after the automatic threshold."""
 
 
 class KappaPanel(QWidget):
-    """Slider (logarithmic) and box for κ; the patch follows without another solve."""
+    """Logarithmic slider and box for κ; the patch is updated without solving again."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -104,22 +104,22 @@ class KappaPanel(QWidget):
             bind(self.slider, state, "kappa", _to_steps, _to_kappa),
             bind(self.box, state, "kappa"),
         )
-        state.settings_changed.connect(self._show_rule)
-        self._show_rule()
+        state.settings_changed.connect(self._show_kappa_controls)
+        self._show_kappa_controls()
         if state.settings.kappa is None:
             for each in self._kappa:
-                each.show(BEFORE)
+                each.show(INITIAL_KAPPA)
 
     def _automatic(self, on: bool) -> float | None:
         return None if on else self.box.value()
 
-    def _show_rule(self, names: frozenset[str] = frozenset({"kappa"})) -> None:
-        """One rule draws the outline, and only its controls are there."""
+    def _show_kappa_controls(self, names: frozenset[str] = frozenset({"kappa"})) -> None:
+        """Show the controls of κ unless the threshold is automatic."""
         if "kappa" in names:
             self.by_kappa.setVisible(self._state.settings.kappa is not None)
 
     def show_result(self, result: Result | None) -> None:
-        """Write the numbers of the patch; none without a result."""
+        """Show the numbers of the patch; dashes without a result."""
         units, patch = self._state.units, None if result is None else result.trusted_patch
         threshold_pa = patch.threshold_pa if patch else None
         automatic = self._state.settings.kappa is None
@@ -148,26 +148,26 @@ def _to_kappa(steps: int) -> float:
     return round(10.0 ** (steps / STEPS_PER_DECADE), 2)
 
 
-# Plots over κ with the threshold as a line to drag: areas of pressure, and of the patch.
+# Plots over κ with the threshold as a draggable line.
 #
-# pyqtgraph is imported with the first plot: the window starts 0.2 s earlier.
+# pyqtgraph is imported with the first plot, which saves 0.2 s at start.
 
 
-class OverKappa:
+class KappaAxisPlot:
     """A plot over log10 κ."""
 
     def __init__(self, line_width: int = 1) -> None:
-        import pyqtgraph as pg  # with the first plot
+        import pyqtgraph as pg  # not at start
 
         self.frame = PlotFrame("logarithm")
         self.box = self.frame.box
         self.box.setMouseEnabled(x=False, y=False)
-        self.line = pg.InfiniteLine(movable=True)  # At log10 κ; can be dragged
+        self.line = pg.InfiniteLine(movable=True)  # At log10 κ
         self.box.addItem(self.line, ignoreBounds=True)
         self._line_width = line_width
 
-    def put_line(self, kappa: float | None) -> None:
-        """Put the line at κ without telling it was moved; away without κ."""
+    def set_line(self, kappa: float | None) -> None:
+        """Move the line to κ without emitting its signals; hide it if κ is None."""
         self.line.setVisible(kappa is not None)
         if kappa is not None:
             self.line.blockSignals(True)
@@ -175,18 +175,18 @@ class OverKappa:
             self.line.blockSignals(False)
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.frame.paint(dim, text)
         self.line.setPen(text, width=self._line_width)
 
 
 def kappa_at(line: Any) -> float:
-    """κ at which a line was put down."""
+    """κ at the position of a line."""
     return round(float(10.0 ** line.value()), 2)
 
 
-class KappaHistogram(OverKappa):
-    """Area of the membrane by its contact pressure, in multiples of the mean one."""
+class KappaHistogram(KappaAxisPlot):
+    """Histogram of membrane area over contact pressure, as a multiple of its mean."""
 
     def __init__(self) -> None:
         import pyqtgraph as pg  # with the first plot
@@ -196,7 +196,7 @@ class KappaHistogram(OverKappa):
         self.box.addItem(self.bars)
 
     def draw(self, curve: KappaCurve | None, kappa: float | None, units: Units) -> None:
-        """Draw the histogram of a frame and the line at κ; none while that is automatic."""
+        """Draw the histogram of a frame and the line at κ (None: automatic threshold)."""
         if curve is None:
             self.bars.setOpts(x=[0.0], height=[0.0], width=0.05)
         else:
@@ -206,12 +206,12 @@ class KappaHistogram(OverKappa):
                 height=units.area.from_si(1.0) * curve.histogram_m2,
                 width=0.9 * (edges[1] - edges[0]),
             )
-        self.put_line(kappa)
+        self.set_line(kappa)
         self.frame.write(f"Area by p_c / mean p_c ({units.area.symbol})")
 
 
-class KappaPlot(OverKappa):
-    """Patch area that another κ would make of the frame; in a simulation the IoU, too."""
+class KappaPlot(KappaAxisPlot):
+    """Patch area of the frame over κ; also the IoU if the ground truth is known."""
 
     def __init__(self) -> None:
         import pyqtgraph as pg  # with the first plot
@@ -225,15 +225,15 @@ class KappaPlot(OverKappa):
     def draw(
         self, curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
     ) -> None:
-        """Draw the curve of a frame and the line at κ; none while that is automatic."""
+        """Draw the curve of a frame and the line at κ (None: automatic threshold)."""
         self.curve.setData([], [])
         self.iou.setData([], [])
         if curve is not None:
             area = units.area.from_si(1.0) * curve.area_m2
             self.curve.setData(np.log10(curve.kappa), area)
-            if curve.iou is not None:  # as high as the areas: the two share the axis
+            if curve.iou is not None:  # scaled to the areas, as both share the axis
                 self.iou.setData(np.log10(curve.kappa), float(area.max()) * curve.iou)
-        self.put_line(kappa)
+        self.set_line(kappa)
         text = _heading(curve, result, kappa, units)
         if curve is not None and curve.iou is not None:
             best = int(np.argmax(curve.iou))
@@ -247,25 +247,25 @@ class KappaPlot(OverKappa):
 def _heading(
     curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
 ) -> str:
-    """The curve's area at κ and what is kept of it without small parts; or the automatic area."""
+    """Area at κ and what remains of it without small parts, or the automatic area."""
     patch = None if result is None else result.trusted_patch
     area_m2 = None if patch is None else patch.area_m2
     if kappa is None:
         return f"auto {units.area.text(area_m2)}"
-    whole_m2 = None if curve is None else curve.area_at(kappa)
-    if area_m2 is not None and whole_m2 is not None and area_m2 < 0.98 * whole_m2:
-        kept = units.area.text(area_m2).split()[0]
-        return f"{kept} of {units.area.text(whole_m2)}"
-    return f"{units.area.text(whole_m2)} at κ"
+    total_m2 = None if curve is None else curve.area_at(kappa)
+    if area_m2 is not None and total_m2 is not None and area_m2 < 0.98 * total_m2:
+        remaining = units.area.text(area_m2).split()[0]
+        return f"{remaining} of {units.area.text(total_m2)}"
+    return f"{units.area.text(total_m2)} at κ"
 
 
-# Threshold panel: where κ cuts the pressure, what that costs, and which parts are too small.
+# Threshold panel: pressure histogram, κ-curve and parts of the patch.
 
 
 ROW = 20
-"""Height of a row of the table, screen pixels."""
+"""Height of a table row, screen pixels."""
 HEIGHT = 300
-"""Of both plots, screen pixels."""
+"""Height of both plots, screen pixels."""
 COLUMNS = ("Area", "Force", "Peak pressure", "")
 TIPS = {
     "Force": "Magnitude of the force on the part, friction included; the force vectors of all "

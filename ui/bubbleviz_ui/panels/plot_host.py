@@ -1,4 +1,4 @@
-"""Where plots and images are drawn."""
+"""Widgets that hold pyqtgraph plots and images."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ class Part(Protocol):
     """A plot or an image."""
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours of text."""
+        """Apply the theme's text colours."""
 
 
 def import_plots() -> None:
-    """Import pyqtgraph, which makes nothing of Qt by that: in a thread before the first plot."""
-    import pyqtgraph  # noqa: F401  the window starts without
+    """Import pyqtgraph in advance; creates no Qt objects, so a thread may do it."""
+    import pyqtgraph  # noqa: F401  not at start
 
 
 class PlotHost(QWidget):
-    """A canvas of pyqtgraph, made when it is seen first.
+    """A pyqtgraph canvas, created when it is first shown.
 
-    `make`: Makes the parts, once.
+    `make`: Creates the parts, once.
     `spacing`: Between them, screen pixels.
     """
 
-    seen = Signal()  # It is on the screen from now on
+    seen = Signal()  # The canvas became visible
 
     def __init__(self, make: Callable[[], Sequence[Part]], spacing: int = 2) -> None:
         super().__init__()
@@ -41,13 +41,13 @@ class PlotHost(QWidget):
 
     @property
     def ready(self) -> bool:
-        """Whether there is something to draw on, on the screen."""
+        """Whether the canvas exists and is visible."""
         return self.canvas is not None and self.isVisible()
 
     def prepare(self) -> None:
-        """Make the canvas and what is on it now."""
+        """Create the canvas and its parts."""
         if self.canvas is None:
-            import pyqtgraph as pg  # 0.2 s later than the window
+            import pyqtgraph as pg  # not at start
 
             self.canvas = pg.GraphicsLayoutWidget()
             self.canvas.ci.layout.setSpacing(self._spacing)
@@ -57,19 +57,19 @@ class PlotHost(QWidget):
             self._paint()
 
     def arrange(self, items: Sequence[Any], columns: int = 1) -> None:
-        """Put these items, and no others, into a grid."""
+        """Arrange the items in a grid, replacing all others."""
         self.canvas.ci.clear()
         for k, item in enumerate(items):
             self.canvas.ci.addItem(item, k // columns, k % columns)
 
-    def let_go(self) -> None:
-        """Close what would outlive the window, such as the menus of colour bars."""
+    def close_canvas(self) -> None:
+        """Close items that would outlive the window, such as menus of colour bars."""
         canvas, self.canvas = self.canvas, None
         for item in () if canvas is None else tuple(canvas.ci.items):
             item.close()
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Load the plotting library when it is needed first."""
+        """Create the canvas when first shown."""
         super().showEvent(event)
         self.prepare()
         self.seen.emit()
@@ -87,36 +87,36 @@ class PlotHost(QWidget):
             part.paint(palette.color(roles.PlaceholderText), palette.color(roles.Text))
 
 
-# What every plot looks like: axes, grid, and a line of text above.
+# Common style of all plots: axes, grid, and a heading.
 #
-# pyqtgraph is imported with the first plot: the window starts 0.2 s earlier.
+# pyqtgraph is imported with the first plot, which saves 0.2 s at start.
 
 
-LEFT, BOTTOM, HEAD = 46, 20, 17
-"""Room for the axes and the text, screen pixels."""
-TICK = 56
-"""Room for a time with its unit below a plot, screen pixels."""
+LEFT, BOTTOM, HEADING = 46, 20, 17
+"""Space for the axes and the heading, screen pixels."""
+TICK_SPACING = 56
+"""Smallest distance of time ticks, screen pixels."""
 
 
 class PlotFrame:
-    """A plot that keeps its place whatever its text says.
+    """A plot of fixed layout with axes, grid and heading.
 
-    Of pyqtgraph's parts, without its `PlotItem`, which makes a dozen menus that outlive a window.
+    Built without pyqtgraph's `PlotItem`, which creates a dozen menus that outlive a window.
 
-    `below`: What the axis below has.
+    `below`: Quantity of the bottom axis.
     """
 
     def __init__(self, below: Literal["seconds", "logarithm", "number"]) -> None:
-        import pyqtgraph as pg  # with the first plot
+        import pyqtgraph as pg  # not at start
 
-        self.box = pg.ViewBox(enableMenu=False)  # To put curves into
+        self.box = pg.ViewBox(enableMenu=False)  # Holds the curves
         timed = below == "seconds"
         self._axes = [pg.AxisItem("left"), _seconds() if timed else pg.AxisItem("bottom")]
         self._axes[1].setLogMode(below == "logarithm")
-        self.item = pg.GraphicsLayout()  # To put into a scene
-        self.item.setContentsMargins(0, HEAD, 4, 0)
+        self.item = pg.GraphicsLayout()
+        self.item.setContentsMargins(0, HEADING, 4, 0)
         self.item.layout.setSpacing(0)
-        self.item.layout.setContentsMargins(0, HEAD, 4, 0)
+        self.item.layout.setContentsMargins(0, HEADING, 4, 0)
         self.item.addItem(self._axes[0], 0, 0)
         self.item.addItem(self.box, 0, 1)
         self.item.addItem(self._axes[1], 1, 1)
@@ -126,33 +126,33 @@ class PlotFrame:
             axis.setGrid(40)
         self._axes[0].setWidth(LEFT)
         self._axes[1].setHeight(BOTTOM)
-        self.text = ""  # What is written above, as HTML
-        self.words = pg.LabelItem(justify="left", size="9pt")
-        self.words.setParentItem(self.item)
-        self.words.setPos(LEFT - 6.0, -2.0)
+        self.text = ""  # Heading, as HTML
+        self.label = pg.LabelItem(justify="left", size="9pt")
+        self.label.setParentItem(self.item)
+        self.label.setPos(LEFT - 6.0, -2.0)
 
     def write(self, text: str) -> None:
-        """Write above the plot."""
+        """Set the heading."""
         self.text = text
-        self.words.setText(text)
+        self.label.setText(text)
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         for axis in self._axes:
             axis.setPen(dim)
             axis.setTextPen(dim)
-        self.words.setAttr("color", text.name())
+        self.label.setAttr("color", text.name())
         self.write(self.text)
 
 
 def _seconds() -> Any:
-    """Axis whose ticks say that they are seconds."""
-    import pyqtgraph as pg  # with the first plot
+    """Time axis with ticks in s."""
+    import pyqtgraph as pg  # not at start
 
     class Seconds(pg.AxisItem):  # type: ignore[misc]
         def tickSpacing(self, first: float, last: float, size: float) -> list[tuple[float, float]]:
             (step, offset), *finer = super().tickSpacing(first, last, size)
-            needed = TICK * (last - first) / max(size, 1.0)
+            needed = TICK_SPACING * (last - first) / max(size, 1.0)
             wide = next((n * step for n in (1, 2, 5, 10) if n * step >= needed), 10 * step)
             return [(wide, offset), *finer]
 

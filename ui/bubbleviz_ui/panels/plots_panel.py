@@ -1,4 +1,4 @@
-"""Plots panel: numbers of every frame computed so far over time, with one cursor through all."""
+"""Plots panel: quantities of all computed frames over time, with a common cursor."""
 
 from __future__ import annotations
 
@@ -22,26 +22,25 @@ if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import Beside
 
 EVERY_MS = 200
-"""Curves take some ms to draw, and nobody reads faster."""
+"""Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
-"""Width and height of a plot with room to read it, screen pixels."""
-FOLLOWED_S = 20.0
-"""How much of a live source is in sight."""
+"""Smallest width and height of a plot, screen pixels."""
+LIVE_WINDOW_S = 20.0
+"""Time span shown of a live source."""
 
 
 class PlotsPanel(QWidget):
-    """Chosen plots in a grid; clicking one seeks. What is not chosen is not asked for."""
+    """Chosen plots in a grid; a click seeks. Only chosen quantities are computed."""
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
         self.setObjectName("plots")
         self._state, self._controller = state, controller
-        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._due.timeout.connect(lambda: self._draw())
+        self._redraw_timer = QTimer(self, singleShot=True, interval=EVERY_MS)
+        self._redraw_timer.timeout.connect(lambda: self._draw())
         self._host = PlotHost(self._make)
         self._arranged: list[tuple[int, int, int]] | None = None
-        self._pointed: tuple[str, float] | None = None
-        self._beside: Beside | None = None
+        self._hovered: tuple[str, float] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
         self.choose, self.boxes = menu_button(state, "plots")
@@ -51,13 +50,13 @@ class PlotsPanel(QWidget):
         self.cancel.setToolTip("Stop and keep the frames computed so far")
         self.progress = QProgressBar()
         self.statistics = RangeTable()
-        self.hint = QLabel("Click in a plot to go to that time")
+        self.hint = QLabel("Click in a plot to seek that time")
         self.hint.setObjectName("dim")
         self._lay_out()
         self._connect()
         watch_controls(self)
         state.frame_changed.connect(self._on_frame)
-        state.history_changed.connect(self._later)
+        state.history_changed.connect(self._draw_soon)
         state.range_changed.connect(self._show_statistics)
         state.source_changed.connect(self._on_source)
         state.settings_changed.connect(self._on_settings)
@@ -100,7 +99,7 @@ class PlotsPanel(QWidget):
     # -- events -------------------------------------------------------------------------------
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        self._later() if by_playback else self._draw_cursor()
+        self._draw_soon() if by_playback else self._draw_cursor()
 
     def _on_source(self) -> None:
         self._show_all_time()
@@ -111,10 +110,10 @@ class PlotsPanel(QWidget):
             self._arrange()
         self._draw()
 
-    def _later(self) -> None:
-        """Draw soon, once for all that changes until then."""
-        if self._host.ready and not self._due.isActive():
-            self._due.start()
+    def _draw_soon(self) -> None:
+        """Schedule one redraw for all changes until then."""
+        if self._host.ready and not self._redraw_timer.isActive():
+            self._redraw_timer.start()
 
     def _show_all_time(self) -> None:
         facts = self._state.facts
@@ -137,13 +136,13 @@ class PlotsPanel(QWidget):
         self._show_kappa()
 
     def sizeHint(self) -> QSize:
-        """Room for two rows of plots, before there are any; less is scrolled."""
+        """Two rows of plots, even before any exist; a smaller panel scrolls."""
         width, height = CELL
         header = self.choose.sizeHint().height() + self._column.spacing()
         return QSize(2 * width, 2 * height + header).grownBy(self._column.contentsMargins())
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """As many plots side by side as have room."""
+        """Adapt the number of columns."""
         super().resizeEvent(event)
         self._arrange()
 
@@ -152,7 +151,7 @@ class PlotsPanel(QWidget):
     def _make(self) -> list[Part]:
         for name, trace in TRACES.items():
             self.plots[name] = plot = TimePlot(trace)
-            plot.box.sigXRangeChanged.connect(self._later)
+            plot.box.sigXRangeChanged.connect(self._draw_soon)
             plot.cursor.sigDragged.connect(self._on_dragged)
         self.kappa = KappaPlot()
         self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
@@ -167,7 +166,7 @@ class PlotsPanel(QWidget):
         return [plot for name, plot in everything.items() if name in self._state.settings.plots]
 
     def _arrange(self) -> None:
-        """Put the chosen plots into a grid."""
+        """Arrange the chosen plots in a grid."""
         if self._host.canvas is None:
             return
         shown = self._shown()
@@ -184,12 +183,12 @@ class PlotsPanel(QWidget):
             plot.box.setXLink(timed[0].box)
 
     def _draw(self) -> None:
-        """Draw all curves anew."""
+        """Redraw all curves."""
         facts = self._state.facts
         if not self._host.ready or facts is None:
             return
         if facts.grows and not self._state.frozen:
-            self._follow(float(facts.times_s[-1]))
+            self._show_last(float(facts.times_s[-1]))
         for name, plot in self.plots.items():
             if name in self._state.settings.plots:
                 plot.draw(facts, self._state.history, self._state.units)
@@ -197,10 +196,10 @@ class PlotsPanel(QWidget):
         self._draw_cursor()
         self._show_statistics()
 
-    def _follow(self, now_s: float) -> None:
-        """Keep the last seconds of a live source in sight."""
+    def _show_last(self, now_s: float) -> None:
+        """Show the last `LIVE_WINDOW_S` of a live source."""
         for plot in self.plots.values():
-            plot.show_last(now_s, FOLLOWED_S)
+            plot.show_last(now_s, LIVE_WINDOW_S)
 
     def _draw_cursor(self) -> None:
         facts = self._state.facts
@@ -210,14 +209,14 @@ class PlotsPanel(QWidget):
         for name, plot in self.plots.items():
             if name in self._state.settings.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
-        if self._pointed is not None:
-            name, time_s = self._pointed
+        if self._hovered is not None:
+            name, time_s = self._hovered
             frame = _nearest(facts.times_s, time_s)
             time_s = float(facts.times_s[frame])
-            self.plots[name].show_pointed(frame, time_s, self._state.units)
+            self.plots[name].show_hovered(frame, time_s, self._state.units)
 
     def _show_statistics(self) -> None:
-        """Write the numbers of the range on the timeline, where there is one."""
+        """Show statistics of the range chosen on the timeline, if any."""
         if not self._host.ready:
             return
         state, curves = self._state, list[Curve]()
@@ -247,19 +246,19 @@ class PlotsPanel(QWidget):
             event.accept()
 
     def _on_mouse(self, place: QPointF) -> None:
-        """Write the numbers under the mouse above its plot."""
-        self._pointed = self._under(place)
+        """Show the values under the mouse in the heading of the plot."""
+        self._hovered = self._under(place)
         self._draw_cursor()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Notice that the mouse has left the plots."""
+        """Clear the values when the mouse leaves the plots."""
         if event.type() == QEvent.Type.Leave:
-            self._pointed = None
+            self._hovered = None
             self._draw_cursor()
         return False
 
     def _under(self, place: QPointF) -> tuple[str, float] | None:
-        """Plot at a place of the canvas, and the time there, s."""
+        """Plot at a position of the canvas, and its time there, s."""
         for name, plot in self.plots.items():
             inside = plot.box.sceneBoundingRect().contains(place)
             if inside and name in self._state.settings.plots:

@@ -1,4 +1,4 @@
-"""Status bar: the facts of the sensor and of the frame that is shown, each with its unit."""
+"""Status bar: sensor, numbers of the frame shown, frame rates; performance pop-up."""
 
 from __future__ import annotations
 
@@ -51,16 +51,26 @@ TIPS = {
 }
 
 
-MEASURED = ("solve", "render", "dropped")
-"""What the window measures about itself; a click tells more."""
+CLICKABLE = ("solve", "render", "dropped")
+"""Labels that open the performance pop-up on a click."""
 
-SPACING = 12  # px between labels, as QStatusBar has it at most
-LEAVING = ("dropped", "render", "camera", "solve", "residual", "gas", "latency", "area", "sensor")
-"""What a narrow window leaves out, in this order; the panels have it, too."""
+SPACING = 12  # px, largest distance of labels in a QStatusBar
+HIDING_ORDER = (
+    "dropped",
+    "render",
+    "camera",
+    "solve",
+    "residual",
+    "gas",
+    "latency",
+    "area",
+    "sensor",
+)
+"""Labels hidden in a narrow window, first to last; the panels show the same numbers."""
 
 
-def widest(units: Units) -> dict[str, str]:
-    """The longest text of each label that one can expect."""
+def widest_texts(units: Units) -> dict[str, str]:
+    """The longest text to expect of each label."""
     return {
         "sensor": "soft-bubble 75 mm (preset)",
         "frame": "frame 888/888 · 88.888 s",
@@ -77,12 +87,12 @@ def widest(units: Units) -> dict[str, str]:
 
 
 class StatusBar(QStatusBar):
-    """One label a fact, each as wide as its widest text, so nothing jumps.
+    """One label per quantity, as wide as its longest text, so that none moves.
 
-    A narrow window has the more important ones.
+    A narrow window shows only the more important ones.
     """
 
-    asked = Signal()  # A click on what the window measures about itself
+    clicked = Signal()  # On a label of `CLICKABLE`
 
     def __init__(self, units: Units) -> None:
         super().__init__()
@@ -92,31 +102,31 @@ class StatusBar(QStatusBar):
         self.labels = {name: self._label(name) for name in TIPS}
         for name, label in self.labels.items():
             self.addWidget(label, 1 if name == "sensor" else 0)
-        self._there = set(TIPS) - {"latency"}
+        self._available = set(TIPS) - {"latency"}
         self.fit_units()
 
     def fit_units(self) -> None:
-        """Make each label as wide as its widest text in the operator's units."""
-        for name, text in widest(self._units).items():
+        """Make each label as wide as its longest text in the current units."""
+        for name, text in widest_texts(self._units).items():
             label = self.labels[name]
             label.setMinimumWidth(label.fontMetrics().horizontalAdvance(text) + 6)
         self._fit()
 
     def show_source(self, facts: SourceFacts, sensor: str) -> None:
-        """Write what does not change from frame to frame; the sensor by its name and file."""
+        """Show what is constant for a source; `sensor`: its name and file."""
         self._sensor = sensor
         self._show_sensor()
         self.labels["sensor"].setToolTip(f"Sensor: {sensor}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
         zero = f"\n{facts.gas_zero}" if facts.gas_zero else ""
         self.labels["gas"].setToolTip(TIPS["gas"] + zero)
-        # the live bar has some of a stream
-        self._there = set(TIPS) - ({"camera", "dropped"} if facts.grows else {"latency"})
+        # the live bar shows these numbers of a stream
+        self._available = set(TIPS) - ({"camera", "dropped"} if facts.grows else {"latency"})
         self._fit()
         self.show_latency(None)
 
     def show_result(self, result: Result, facts: SourceFacts, history: FrameHistory) -> None:
-        """Write the numbers of the frame that is shown."""
+        """Show the numbers of a result."""
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
@@ -137,7 +147,7 @@ class StatusBar(QStatusBar):
         self._solve_ms = result.times_ms.get("total")
 
     def show_rates(self, solve_hz: float, render_hz: float, dropped: int) -> None:
-        """Write how fast the window is, and how many frames it has left out."""
+        """Show frame rates and the number of dropped frames."""
         units = self._units
         solve = f"{units.duration.text(self._solve_ms)} · {units.rate.text(solve_hz)}"
         self.labels["solve"].setText(f"solve {solve}")
@@ -145,35 +155,35 @@ class StatusBar(QStatusBar):
         self.labels["dropped"].setText(f"dropped {count_of(dropped, 'frame')}")
 
     def show_latency(self, report: LatencyReport | None) -> None:
-        """Write how old live frames are when their pictures are drawn."""
+        """Show the latency from time stamp to display."""
         text = self._units.duration.text
         median, p95 = (None, None) if report is None else (report.median_s, report.p95_s)
         ms = [None if s is None else 1e3 * s for s in (median, p95)]
         self.labels["latency"].setText(f"latency {text(ms[0])}, {text(ms[1])}")
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Say that somebody wants to know more."""
+        """Emit `clicked` for labels of `CLICKABLE`."""
         child = self.childAt(event.position().toPoint())
-        if child in [self.labels[name] for name in MEASURED]:
-            self.asked.emit()
+        if child in [self.labels[name] for name in CLICKABLE]:
+            self.clicked.emit()
         super().mousePressEvent(event)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """The sensor's name takes what is left."""
+        """Give the sensor's name the remaining width."""
         super().resizeEvent(event)
         self._fit()
         self._show_sensor()
 
     def minimumSizeHint(self) -> QSize:
-        """Any width will do."""
+        """No minimum width."""
         return QSize(0, super().minimumSizeHint().height())
 
     def _fit(self) -> None:
-        """Show what there is room for."""
+        """Hide labels that do not fit."""
         margins = self.contentsMargins()
         room = self.width() - margins.left() - margins.right()
-        shown = set(self._there)
-        for name in LEAVING:
+        shown = set(self._available)
+        for name in HIDING_ORDER:
             if sum(self.labels[each].minimumWidth() + SPACING for each in shown) <= room:
                 break
             shown.discard(name)
@@ -183,11 +193,11 @@ class StatusBar(QStatusBar):
     def _show_sensor(self) -> None:
         label = self.labels["sensor"]
         room = max(label.width(), label.minimumWidth())
-        elide = Qt.TextElideMode.ElideMiddle  # begin of the name, end of the file
+        elide = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file
         label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
 
     def _gas_text(self, frame: int, history: FrameHistory) -> str:
-        """Gas pressure change of a frame, as in the plot: measured, else by the gas law."""
+        """Gas pressure change of a frame: measured, else from the gas law."""
         curves = [history.quantity(name) for name in ("gas_measured_pa", "gas_law_pa")]
         known = [float(curve[frame]) for curve in curves if frame < len(curve)]
         change = next((value for value in known if math.isfinite(value)), None)
@@ -206,17 +216,17 @@ class StatusBar(QStatusBar):
         return label
 
 
-# Pop-up of the status bar: which stages run, how long they take, and what needs them.
+# Performance pop-up: run time of each stage, and the layers and panels that need it.
 
 
-EVERY_MS = 500  # twice a second, as can be read
+EVERY_MS = 500
 COLUMNS = ("Stage", "last", "median", "runs", "Why it runs")
 WIDTH = 860  # px: all columns
 IDLE = "idle: nothing needs it"
 
 
 class PerformancePopup(QFrame):
-    """Table of the stages; follows while it is open."""
+    """Table of the stages, updated while it is open."""
 
     def __init__(
         self,
@@ -248,14 +258,14 @@ class PerformancePopup(QFrame):
         self.refresh()
 
     def open_over(self, bar: QWidget) -> None:
-        """Appear above the right end of the status bar."""
+        """Open above the right end of the status bar."""
         corner = bar.mapToGlobal(QPoint(bar.width(), 0))
         self.adjustSize()
         self.move(corner.x() - self.width() - 8, corner.y() - self.height() - 4)
         self.show()
 
     def refresh(self) -> None:
-        """Write the numbers of now."""
+        """Update the numbers."""
         analysing = self._controller.analysis.busy
         counts = self._controller.client.solver.counts
         lines = self._stage_times.table(self._state.settings, counts, analysing=analysing)
@@ -310,7 +320,7 @@ class PerformancePopup(QFrame):
 
 
 def _title(name: str) -> str:
-    """What a layer or panel that asks is called."""
+    """Title of a layer or panel."""
     if name in LAYERS:
         return LAYERS[name].title
     panel = RESULT_PANELS.get(name)

@@ -1,4 +1,4 @@
-"""One plot over time: its quantities, their curves, the cursor and the numbers there."""
+"""One plot over time: curves, confidence bands, cursor and values."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Trace:
-    """What a plot shows."""
+    """Contents of a plot."""
 
     title: str
-    unit: Callable[[Units], Unit]  # Its unit among the operator's
+    unit: Callable[[Units], Unit]
     curves: dict[str, str]  # Colour by quantity of the history
-    words: tuple[str, ...] = ("",)  # What the curves are called; empty for a single one
-    # Half of the 95 % interval by quantity, drawn as a band around its curve
+    labels: tuple[str, ...] = ("",)  # Of the curves; empty for a single one
+    # Quantity with half the 95 % interval, drawn as a band, by quantity
     bands: Mapping[str, str] = field(default_factory=dict)
-    short: str = ""  # Title above the plot, where the whole one has no room
+    short: str = ""  # Title in the heading, if the full one is too long
 
     @property
     def titles(self) -> dict[str, str]:
-        """What each of its quantities is called apart from the plot."""
-        named = zip(self.curves, self.words, strict=True)
+        """Full title of each quantity."""
+        named = zip(self.curves, self.labels, strict=True)
         return {name: f"{self.title}, {word}" if word else self.title for name, word in named}
 
 
@@ -107,7 +107,7 @@ class TimePlot:
             name: pg.PlotDataItem(pen=pg.mkPen(colour, width=1), connect="finite")
             for name, colour in trace.curves.items()
         }
-        # Frames that no line shows, by quantity
+        # Isolated frames, which no line shows, by quantity
         self.dots = {
             name: pg.ScatterPlotItem(size=4, brush=colour, pen=None)
             for name, colour in trace.curves.items()
@@ -121,7 +121,7 @@ class TimePlot:
         self.box.addItem(self.cursor, ignoreBounds=True)
 
     def draw(self, facts: SourceFacts, history: FrameHistory, units: Units) -> None:
-        """Draw what is known, in the operator's unit."""
+        """Draw all known values, in the chosen unit."""
         self._history = history
         scale = self.trace.unit(units).from_si(1.0)
         for name, curve in self.curves.items():
@@ -129,8 +129,8 @@ class TimePlot:
             known = history.quantity(name)
             times, values = decimated(facts.times_s, known, (low, high), facts.gaps)
             curve.setData(times, values * scale)
-            lone = alone(values)
-            self.dots[name].setData(times[lone], values[lone] * scale)
+            single = isolated(values)
+            self.dots[name].setData(times[single], values[single] * scale)
             if name in self.bands:
                 half = history.quantity(self.trace.bands[name])
                 self.bands[name].draw(facts, known * scale, half * scale, (low, high))
@@ -153,30 +153,30 @@ class TimePlot:
             self.beside[name].setData(times, values * scale)
 
     def show_all(self, times_s: np.ndarray) -> None:
-        """Show all of time."""
+        """Show the full time range."""
         end = float(times_s[-1])
         self.box.setXRange(float(times_s[0]), end if end > times_s[0] else 1.0, padding=0.01)
 
     def show_last(self, now_s: float, seconds: float) -> None:
-        """Show the time before a moment."""
+        """Show the last seconds before `now_s`."""
         self.box.setXRange(max(now_s - seconds, 0.0), max(now_s, 1.0), padding=0.0)
 
     def show_cursor(self, frame: int, time_s: float, units: Units) -> None:
-        """Put the cursor on a frame and write its numbers."""
+        """Move the cursor to a frame and show its values."""
         self.cursor.blockSignals(True)
         self.cursor.setValue(time_s)
         self.cursor.blockSignals(False)
         title = self.trace.short or self.trace.title
         self.frame.write(f"{title}: {self._numbers(frame, units)}")
 
-    def show_pointed(self, frame: int, time_s: float, units: Units) -> None:
-        """Write the numbers of a frame that one points at."""
+    def show_hovered(self, frame: int, time_s: float, units: Units) -> None:
+        """Show the values of the frame under the mouse."""
         self.frame.write(f"at {units.time.text(time_s)}: {self._numbers(frame, units)}")
 
     def _numbers(self, frame: int, units: Units) -> str:
-        """Numbers of all curves at a frame, in their colours, and their unit."""
+        """Values of all curves at a frame, in their colours, and the unit."""
         unit, parts = self.trace.unit(units), []
-        for (name, colour), word in zip(self.trace.curves.items(), self.trace.words, strict=True):
+        for (name, colour), word in zip(self.trace.curves.items(), self.trace.labels, strict=True):
             if name == MEASURED_FORCE and math.isnan(self._at(name, frame)):
                 continue  # most recordings have no wrench
             band = self.trace.bands.get(name)
@@ -192,13 +192,13 @@ class TimePlot:
         return math.nan if self._history is None else float(self._history.quantity(name)[frame])
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.frame.paint(dim, text)
         self.cursor.setPen(text)
 
     @property
     def data(self) -> dict[str, tuple[Any, Any]]:
-        """Times in s and values in the operator's unit of each curve, as drawn."""
+        """Times in s and values in the chosen unit of each curve, as drawn."""
         return {name: curve.getOriginalDataset() for name, curve in self.curves.items()}
 
 
@@ -210,9 +210,8 @@ class Band:
 
         shade = QColor(colour)
         shade.setAlpha(70)
-        # low, high: Its edges
         self.low, self.high = (pg.PlotDataItem(pen=shade, connect="finite") for _ in range(2))
-        # What lies between them. FillBetweenItem would fill gaps beside a single known frame
+        # FillBetweenItem would fill gaps next to an isolated frame
         self.fill = QGraphicsPathItem()
         self.fill.setBrush(shade)
         self.fill.setPen(Qt.PenStyle.NoPen)
@@ -226,7 +225,7 @@ class Band:
         half: np.ndarray,
         window_s: tuple[float, float],
     ) -> None:
-        """Draw values ± half widths, (F,), in the operator's unit."""
+        """Draw values ± half widths, (F,), in the chosen unit."""
         import pyqtgraph as pg  # 0.2 s later than the window
 
         times, low = decimated(facts.times_s, values - half, window_s, facts.gaps)
@@ -242,7 +241,7 @@ class Band:
         self.fill.setPath(path)
 
 
-def alone(values: np.ndarray) -> np.ndarray:
-    """Frames (F,) bool that no line shows: known, with neighbours that are not."""
+def isolated(values: np.ndarray) -> np.ndarray:
+    """Known frames without known neighbours, (F,) bool; no line shows them."""
     known = np.pad(np.isfinite(values), 1)
     return known[1:-1] & ~known[:-2] & ~known[2:]

@@ -116,7 +116,7 @@ class PoseOverlay:
         if (session.start is not self._start and session.start is not None) or session.pose is None:
             self._put_start(session.start)
         elif session.pose is not self._pose:
-            layer.put_pose(session.pose, self._panel.stage.currentData())
+            layer.show_pose(session.pose, self._panel.stage.currentData())
         self._start, self._pose = session.start, session.pose
         self._view.refresh()
 
@@ -132,7 +132,7 @@ class PoseOverlay:
         if not on or session.obj is None:
             self.gizmo.hide()
             return
-        place = self._scene.object.place
+        place = self._scene.object.T_B_O
         T = self._above(session.obj) if place is None else place
         self._panel.use_start(T)
         self.gizmo.show(session.obj, T)

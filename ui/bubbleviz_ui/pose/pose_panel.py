@@ -30,9 +30,9 @@ from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import bind_member, control, watch_controls
+from bubbleviz_ui.panels.binding import bind_membership, control, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
-from bubbleviz_ui.panels.time_plot import alone
+from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, copied_pose, known_pose, pose_words
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save
@@ -123,7 +123,7 @@ class Curve:
 
     def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
         """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
-        symbol = "o" if alone(values).any() else None
+        symbol = "o" if isolated(values).any() else None
         self.line.setData(x, unit.from_si(1.0) * values, symbol=symbol)
         top = self._top or float(np.nanmax(values, initial=0.0))
         if top > 0.0:
@@ -329,7 +329,7 @@ class PosePanel(QWidget):
     def _connect(self) -> None:
         session, state = self.session, self._state
         self.object.activated.connect(lambda _: self._on_object())
-        bind_member(self.patch, state, "layers", "object_patch")
+        bind_membership(self.patch, state, "layers", "object_patch")
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)
         self.move_it.toggled.connect(self.gizmo)

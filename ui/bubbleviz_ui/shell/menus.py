@@ -21,7 +21,7 @@ from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES
-from bubbleviz_ui.panels.binding import bind, bind_member, bind_option
+from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, file_to_save, folder_to_open
@@ -189,7 +189,7 @@ class Menus:
         self._add(menu, "&Reset view", window.scene.reset_view, "R")
         look = menu.addMenu("&View from")
         for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
-            self._add(look, title, partial(window.scene.look, viewpoint), f"Ctrl+{number}")
+            self._add(look, title, partial(window.scene.look_from, viewpoint), f"Ctrl+{number}")
         turn = window.tools.turn
         turntable = self._switch(menu, "T&urntable", "T")
         CheckMark(turntable, turn.isChecked, turn.setChecked, turn.toggled)
@@ -223,7 +223,7 @@ class Menus:
 
     def _layers(self, menu: QMenu) -> None:
         for name, kind in LAYERS.items():
-            bind_member(self._switch(menu, kind.title), self._window.state, "layers", name)
+            bind_membership(self._switch(menu, kind.title), self._window.state, "layers", name)
 
     def _tool(self, menu: QMenu, name: str, title: str) -> None:
         """What a click in the 3-D view does; nothing but rotating where it is unchecked."""
@@ -247,7 +247,7 @@ class Menus:
             for value, title in (Settings.info(field).titles or {}).items():
                 action = group.addAction(menu.addAction(title))
                 action.setCheckable(True)
-                bind_option(action, self._window.state, field, value)
+                bind_exclusive(action, self._window.state, field, value)
             menu.addSeparator()
 
     def _add(

@@ -1,1 +1,1 @@
-"""The 3-D view: VTK in Qt, the scene and its layers, and tools in it."""
+"""3-D view: VTK in Qt, scene, layers and tools."""

@@ -1,4 +1,4 @@
-"""Colour maps of the 3-D view."""
+"""Colour maps and colour ranges of the 3-D view."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from bubbleviz_ui.shell import theme
 
 ENTRIES = 256
 NEUTRAL_ENTRIES = 5
-"""Lowest entries of the pressure map that stay neutral: no contact is not a colour."""
+"""Lowest entries of the pressure map, neutral for no contact."""
 BLEND_ENTRIES = 20
 DARKEST = 0.28
-"""Share of a map that is too dark to be told from the shadows of the membrane."""
+"""Share of a map omitted because it is as dark as shadows on the membrane."""
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -31,7 +31,7 @@ def rgb(colour: str) -> tuple[int, int, int]:
 
 
 def pressure_colours(name: str) -> np.ndarray:
-    """Entries (256, 4) uint8: neutral at zero, then a uniform map: brighter is stronger."""
+    """Entries (256, 4) uint8: neutral at zero, then a perceptually uniform map."""
     sampled = colormaps[name](np.linspace(DARKEST, 1.0, ENTRIES))
     values = np.asarray(sampled * 255.0).astype(np.uint8)
     neutral = np.array([*rgb(theme.NEUTRAL), 255], float)
@@ -45,8 +45,8 @@ def pressure_colours(name: str) -> np.ndarray:
 def residual_colours(middle: str) -> np.ndarray:
     """Entries (256, 4) uint8: blue where measured nearer than modelled, green where farther.
 
-    `middle` is between. Neither end is a colour of the pressure map, so the two are never mistaken
-    for each other.
+    `middle` is the colour of zero. Neither end is in the pressure map, so that the two cannot be
+    confused.
     """
     ends = (theme.NEARER, middle, theme.FARTHER)
     nearer, between, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
@@ -56,24 +56,24 @@ def residual_colours(middle: str) -> np.ndarray:
 
 
 def lookup_table(values: np.ndarray) -> Any:
-    """Table of VTK with such entries (256, 4) uint8."""
+    """VTK lookup table of entries (256, 4) uint8."""
     table = pv.LookupTable()
     table.values = values
     table.nan_color = theme.UNKNOWN
     return table
 
 
-# Ends of the colour and length scales: the user's, else by what was seen, rounded up.
+# Upper ends of the colour and length scales: set by the user, else from the data.
 
 
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
-"""The pressure scale starts at this share of the gauge pressure: noise must not look strong."""
+"""Smallest end of the pressure scale over the gauge pressure, so that noise stays dark."""
 OUTLIERS = 2
-"""Frames whose pressure may be beyond the scale while others are shown."""
+"""Frames with the highest pressures that do not extend the scale of other frames."""
 RESIDUAL_TIMES_RMS = 3.0  # covers 99.7 % of Gaussian noise
-SMALLEST_FORCE_N = 2.0  # N, end of the axis before there is any contact
-SMALLEST_RESIDUAL_M = 1e-4  # m, a depth camera's noise
+SMALLEST_FORCE_N = 2.0
+SMALLEST_RESIDUAL_M = 1e-4  # noise of a depth camera
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,11 @@ def rounded_up(value: float) -> float:
     return next(step for step in STEPS if step * power >= value * (1 - 1e-9)) * power
 
 
-class HeldRanges:
-    """Scales that grow with the data and never shrink, so colours stay comparable.
+class GrowingRanges:
+    """Scales that grow with the data and never shrink, so that colours stay comparable.
 
-    That of pressure covers the frames that are shown, and all that were seen but the highest two.
-    All sensors of a view are drawn on the same. Ends are round in the operator's units.
+    The pressure scale covers the frames being shown, and all previous ones except the two highest.
+    All sensors of a view share the scales. Ends are round numbers in the displayed units.
     """
 
     def __init__(self, units: Units) -> None:
@@ -105,13 +105,13 @@ class HeldRanges:
         self._shown_pa: dict[object, float] = {}
 
     def set_sensor(self, sensor: Sensor) -> None:
-        """Begin anew for another source; what other sensors of the view show stays covered."""
+        """Reset for another source; frames shown of other sensors stay covered."""
         start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
         self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
         self._peaks_pa = {}
 
-    def take(self, who: object, result: Result) -> None:
-        """Cover what one of the sensors shows."""
+    def include(self, who: object, result: Result) -> None:
+        """Extend the scales to the result shown of a sensor."""
         pressure, residual, force = 0.0, 0.0, 0.0
         estimate, patch = result.trusted_estimate, result.trusted_patch
         if estimate is not None:
@@ -122,17 +122,19 @@ class HeldRanges:
             force = float(np.linalg.norm(patch.force_n))
         held, self._shown_pa[who] = self._held, pressure
         self._held = Ranges(
-            _grown(held.pressure_pa, self._usual_peak((who, result.frame.index), pressure)),
+            _grown(
+                held.pressure_pa, self._peak_without_outliers((who, result.frame.index), pressure)
+            ),
             _grown(held.residual_m, residual),
             _grown(held.force_n, force),
         )
 
-    def leave(self, who: object) -> None:
-        """Forget what a sensor showed that shows nothing any more."""
+    def forget(self, who: object) -> None:
+        """Drop the result shown of a sensor."""
         self._shown_pa.pop(who, None)
 
     def of(self, settings: Settings) -> Ranges:
-        """Scales to draw with."""
+        """Current scales."""
         pressure = self._held.pressure_pa
         for shown in self._shown_pa.values():
             pressure = _grown(pressure, shown)
@@ -143,8 +145,8 @@ class HeldRanges:
             held.force_n,
         )
 
-    def _usual_peak(self, frame: tuple[object, int], peak_pa: float) -> float:
-        """Highest pressure of the frames seen, Pa, the `OUTLIERS` highest left out."""
+    def _peak_without_outliers(self, frame: tuple[object, int], peak_pa: float) -> float:
+        """Highest pressure of all frames except the `OUTLIERS` highest, Pa."""
         if math.isfinite(peak_pa):
             self._peaks_pa[frame] = max(peak_pa, self._peaks_pa.get(frame, 0.0))
         highest = sorted(self._peaks_pa.items(), key=itemgetter(1))[-1 - OUTLIERS :]
@@ -157,5 +159,5 @@ def _grown(held: float, seen: float) -> float:
 
 
 def _round_in(unit: Unit, si: float) -> float:
-    """A value not below `si`, in SI, that is round in a unit."""
+    """`si` rounded up to a round number in a unit."""
     return rounded_up(unit.from_si(si)) / unit.from_si(1.0)

@@ -1,4 +1,4 @@
-"""The membrane, coloured by contact pressure; neutral where nothing touches it."""
+"""Layers of the contact: membrane, outlines, force, readout, traction, texture."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from bubbleviz_ui.view3d.layer import (
     Layer,
     Picture,
     Surface,
-    hatch,
-    in_front,
-    light_plainly,
+    draw_hatched,
+    draw_in_front,
+    light_without_highlights,
     pairs,
 )
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.text import ColourBar, beside_bars, text_at
+from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, text_at
 
 
 class MembraneLayer(Layer):
-    """The deformed surface with a colour bar in the operator's pressure unit.
+    """The deformed membrane, coloured by contact pressure, with a colour bar.
 
-    One colour of its own, at rest, while the estimate is not to be trusted; hatched where pressure
-    is no evidence of contact.
+    In one colour while the estimate is untrusted; hatched where pressure is not evidence of
+    contact.
     """
 
-    name, cut = "membrane", True
+    name, clipped = "membrane", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
@@ -55,18 +55,18 @@ class MembraneLayer(Layer):
             diffuse=0.75,
             specular=0.0,  # a highlight would look like pressure
         )
-        light_plainly(actor)
-        actor.prop.interpolation = "Phong"  # by the normals of the mesh, not by VTK's facets
-        actor.prop.color = theme.UNTRUSTED  # seen while the pressure is not to be trusted
+        light_without_highlights(actor)
+        actor.prop.interpolation = "Phong"  # by the normals of the mesh
+        actor.prop.color = theme.UNTRUSTED  # visible while the estimate is untrusted
         self._unexplained = pv.Triangle()  # an empty mesh cannot be added
         self._hatching = self.add(self._unexplained, color=theme.UNTRUSTED, lighting=False)
         self._hatching.SetPickable(False)
-        in_front(self._hatching, -90.0)
-        hatch(self._hatching)
+        draw_in_front(self._hatching, -90.0)
+        draw_hatched(self._hatching)
         self._bar = ColourBar(canvas.view, self._table, "contact pressure", upper=True)
 
     def draw(self, picture: Picture) -> None:
-        """Take the colour range and the opacity; the surface itself is shared."""
+        """Update colours, opacity and hatching; the surface itself is shared."""
         unit = self.canvas.units.pressure
         high = unit.from_si(picture.ranges.pressure_pa)
         self._bar.set_range(0.0, high, unit)
@@ -81,7 +81,7 @@ class MembraneLayer(Layer):
         there = unexplained is not None and bool(unexplained.any())
         self._hatching.SetVisibility(there)
         if unexplained is not None and there:
-            self._unexplained.copy_from(self.canvas.surface.around(unexplained > 0.0))
+            self._unexplained.copy_from(self.canvas.surface.triangles_at(unexplained > 0.0))
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the surface and its bar."""
@@ -90,9 +90,9 @@ class MembraneLayer(Layer):
 
 
 class WireframeLayer(Layer):
-    """The edges of the mesh."""
+    """Edges of the mesh."""
 
-    name, cut = "wireframe", True
+    name, clipped = "wireframe", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
@@ -103,75 +103,75 @@ class WireframeLayer(Layer):
             line_width=1,
             lighting=False,
         )
-        in_front(edges, -60.0)
+        draw_in_front(edges, -60.0)
 
 
-# Outlines of contact patches: of the one that is shown, and of settings that are compared.
+# Outlines of contact patches.
 
 
 CHUNK = 256
-"""Lines have room for a multiple of so many pieces: VTK is slower where their number changes."""
+"""Line buffers grow in this step, as VTK is slower when the number of lines changes."""
 
 
 class ContourLayer(Layer):
-    """Contour lines on the displayed surface.
+    """Outline of the patch on the displayed surface.
 
-    A thick line is the edge of the patch, thin ones are the band that holds the true edge.
+    A thick line is the edge of the patch; thin lines bound the uncertainty of the edge.
     """
 
-    name, cut = "contour", True
+    name, clipped = "contour", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._edge = _Line(self, theme.LINE, line_width=3)
         self._band = _Line(self, theme.FAINT_LINE, line_width=1)
-        self._has(False)
+        self._set_drawn(False)
 
     def draw(self, picture: Picture) -> None:
-        """Trace the edge of the patch and its band; nothing without contact."""
+        """Draw the edge of the patch and its band; nothing without contact."""
         patch, estimate = picture.result.trusted_patch, picture.result.estimate
         if patch is not None and patch.area_m2 > 0:
             surface, band = self.canvas.surface, patch.edge_half_width_m
             self._edge.draw(surface.edge(estimate, patch))
             levels = () if math.isnan(band) else (band, -band)
             self._band.draw(surface.edge(estimate, patch, levels))
-        self._has(patch is not None and patch.area_m2 > 0)
+        self._set_drawn(patch is not None and patch.area_m2 > 0)
 
 
 class ObjectPatchLayer(Layer):
-    """The edge of the patch by the object; nothing where its pose is lost."""
+    """Outline of the patch by the object; nothing while its pose is lost."""
 
-    name, cut = "object_patch", True
+    name, clipped = "object_patch", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._edge = _Line(self, theme.OBJECT_PATCH, -250.0, line_width=3)
-        self._has(False)
+        self._set_drawn(False)
 
     def draw(self, picture: Picture) -> None:
-        """Trace the edge, where there is one."""
+        """Draw the edge, if any."""
         patch = picture.result.object_patch
         if patch is not None:
             self._edge.draw(self.canvas.surface.line(patch.level))
-        self._has(patch is not None)
+        self._set_drawn(patch is not None)
 
 
 class ComparedLayer(Layer):
-    """Outlines of settings that are compared, in pictures of the frame that they were tried on."""
+    """Outlines of compared settings, while the frame they were measured on is shown."""
 
-    name, cut = "compared", True
+    name, clipped = "compared", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._outlines = [_Outline(self, colour) for colour in theme.COMPARED]
         self._measured: tuple[ComparedResult | str | None, ...] = (None, None)
 
-    def take(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
-        """Take what A and B were measured to be; anything but a `ComparedResult` for none."""
+    def set_measured(self, measured: tuple[Measured | str | None, ...]) -> None:
+        """Set the measurements of A and B; anything but a `Measured` means none."""
         self._measured = measured
 
     def draw(self, picture: Picture) -> None:
-        """Trace the patches of A and B, unless they are of another frame."""
+        """Draw the patches of A and B, unless they belong to another frame."""
         shown, larger = picture.result.frame.index, picture.settings.exaggeration
         for outline, one in zip(self._outlines, self._measured, strict=True):
             there = one if isinstance(one, ComparedResult) else None
@@ -181,7 +181,7 @@ class ComparedLayer(Layer):
 
 
 class _Outline:
-    """The edge of a patch on the shape that its own setting found."""
+    """Edge of a patch on the shape estimated with the same setting."""
 
     def __init__(self, layer: Layer, colour: str) -> None:
         self._surface = Surface(layer.canvas.units)
@@ -203,16 +203,16 @@ class _Outline:
 
 
 class _Line:
-    """Straight pieces of a line in a buffer with spare room, whose pieces have no length."""
+    """Line segments in a buffer whose unused segments have zero length."""
 
     def __init__(self, layer: Layer, colour: str, units: float = -200.0, **look: float) -> None:
         self._poly = pv.PolyData()
         self._reserve(1)
         self.actor = layer.add(self._poly, color=colour, lighting=False, **look)
-        in_front(self.actor, units)
+        draw_in_front(self.actor, units)
 
     def draw(self, pieces: np.ndarray) -> None:
-        """Draw pieces (k, 2, 3) in B in place of those before."""
+        """Replace the segments by (k, 2, 3) in B."""
         self._reserve(len(pieces))
         ends = pieces.reshape(-1, 3)
         self._ends[: len(ends)] = ends
@@ -227,17 +227,17 @@ class _Line:
             self._ends = self._poly.points
 
 
-# Contact pressure as lines that end on the membrane, as long as the pressure is high.
+# Contact pressure as lines along the normals, with lengths proportional to the pressure.
 
 
 LONGEST = 0.5
-"""Line at the end of the pressure scale, in heights of the dome."""
+"""Line length at the end of the pressure scale, in heights of the dome."""
 
 
 class VectorsLayer(Layer):
-    """One line a node, along its normal; of no length where there is no pressure."""
+    """One line per node along its normal."""
 
-    name, cut = "vectors", True
+    name, clipped = "vectors", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
@@ -247,7 +247,7 @@ class VectorsLayer(Layer):
         lines.SetPickable(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take the number of nodes and the size of another sensor."""
+        """Set number of nodes and size of another sensor."""
         self._longest_m = LONGEST * float(np.ptp(mesh.nodes[:, 2]))
         self._poly.points = np.repeat(mesh.nodes, 2, axis=0)
         self._poly.lines = pairs(len(mesh.nodes))
@@ -265,15 +265,15 @@ class VectorsLayer(Layer):
         self._poly.Modified()
 
 
-# The contact force: an arrow that ends at the centre of pressure, its length the force.
+# The contact force: an arrow that ends at the centre of pressure.
 
 
-TO_THE_FRONT = -4000.0
-"""In front of the membrane: the tip may lie behind a dent."""
+DEPTH_OFFSET = -4000.0
+"""Draws the arrow in front of the membrane, as its tip may lie behind a dent."""
 
 
 class ForceLayer(Layer):
-    """Arrow along the resultant, drawn on the side it comes from."""
+    """Arrow along the resultant, with its tip at the centre of pressure."""
 
     name = "force"
 
@@ -284,11 +284,11 @@ class ForceLayer(Layer):
             shaft_radius=0.025,
         )  # fmt: skip
         self._longest_m = 0.05
-        in_front(self.add(arrow, color=theme.FORCE, ambient=0.4), TO_THE_FRONT)
-        self._has(False)
+        draw_in_front(self.add(arrow, color=theme.FORCE, ambient=0.4), DEPTH_OFFSET)
+        self._set_drawn(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Scale to the size of the sensor: the end of the force scale is the dome's height."""
+        """Scale the arrow: the end of the force scale is the dome's height."""
         self._longest_m = float(np.ptp(mesh.nodes[:, 2]))
 
     def draw(self, picture: Picture) -> None:
@@ -301,11 +301,11 @@ class ForceLayer(Layer):
             self.actor.user_matrix = _place(
                 patch.force_n / force, patch.center_of_pressure_m, length
             )
-        self._has(touched)
+        self._set_drawn(touched)
 
 
 def _place(direction: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:
-    """Matrix that puts the unit arrow's tip (its origin) at a point along a direction."""
+    """Matrix that places the unit arrow, whose origin is its tip, at a point along a direction."""
     side = np.eye(3)[int(np.argmin(np.abs(direction)))]
     second = np.cross(direction, side)
     second /= np.linalg.norm(second)
@@ -315,22 +315,22 @@ def _place(direction: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:
     return T
 
 
-# Large text in the view: is there contact, how strong, how large.
+# Readout: large text in the view with force and patch area.
 
 
 LEFT = 0.02
-"""Where text begins, as a share of the view's width."""
-HEAD, REST = 26, 15  # px, of the fonts
-TOP, BELOW = 14, 36  # px, above the headline, and from there to what belongs to it
+"""Left margin of the text, as a share of the view's width."""
+HEAD, REST = 26, 15  # px, fonts of headline and details
+TOP, BELOW = 14, 36  # px, top margin, and distance of the details from it
 SMALLEST, TALL = 0.75, 400
-"""Share of these sizes in a low view, and height from which all is as large as it is, px."""
-APART = "   "
-"""Between what may be in lines of its own."""
+"""Smallest scale of these sizes in a low view, and view height of full size, px."""
+SEPARATOR = "   "
+"""Between details, which are wrapped there."""
 HATCHED = "hatched: pressure without evidence of contact, not in the force"
 
 
 class ReadoutLayer(Layer):
-    """Lines in the upper left corner: a headline and what belongs to it."""
+    """Headline and details in the upper left corner."""
 
     name = "readout"
 
@@ -340,49 +340,49 @@ class ReadoutLayer(Layer):
         self._rest = _text_actor(canvas.view)
         self._alarm = _text_actor(canvas.view, theme.UNTRUSTED)
         self.actors += [self._head, self._rest, self._alarm]
-        self._about = ""
+        self._details = ""
         canvas.view.rendering.connect(self._fit)
 
     def draw(self, picture: Picture) -> None:
-        """Write the numbers of this result."""
+        """Update the text."""
         head, rest = readout(picture.result, self.canvas.units)
         doubtful = picture.result.estimate is not None and not picture.result.estimate.trusted
         self._head.SetInput("" if doubtful else head)
         self._alarm.SetInput(head if doubtful else "")
-        self._about = rest
+        self._details = rest
 
     def _fit(self) -> None:
-        """Keep the text beside the colour bars: a smaller headline, more lines below it."""
-        height = self.canvas.view.room[1]
+        """Fit the text left of the colour bars: smaller headline, wrapped details."""
+        height = self.canvas.view.size_px[1]
         share = min(1.0, max(SMALLEST, height / TALL))
         head, rest, top = share * HEAD, share * REST, 1.0 - share * TOP / height
         for text in (self._head, self._alarm):
             _put(text, head, top)
-            size = head * min(1.0, self._room_for(text))
+            size = head * min(1.0, self._width_ratio(text))
             _put(text, size, top)
             rest = min(rest, size)
         _put(self._rest, rest, 1.0 - share * (TOP + BELOW) / height)
-        self._rest.SetInput(self._about)
-        if self._room_for(self._rest) < 1.0:
-            parts = self._about.replace("\n", APART).split(APART)
-            self._rest.SetInput("\n".join(map(self._wrapped, parts)))
+        self._rest.SetInput(self._details)
+        if self._width_ratio(self._rest) < 1.0:
+            lines = self._details.replace("\n", SEPARATOR).split(SEPARATOR)
+            self._rest.SetInput("\n".join(map(self._wrapped, lines)))
 
     def _wrapped(self, line: str) -> str:
-        """A line in as many as it needs."""
+        """Wrap a line to the available width."""
         self._rest.SetInput(line)
-        share = self._room_for(self._rest)
+        share = self._width_ratio(self._rest)
         return line if share >= 1.0 else textwrap.fill(line, max(math.floor(share * len(line)), 1))
 
-    def _room_for(self, text: Any) -> float:
-        """Width beside the colour bars over that of a text."""
+    def _width_ratio(self, text: Any) -> float:
+        """Width left of the colour bars over the width of a text."""
         view, box = self.canvas.view, [0.0] * 4
         text.GetBoundingBox(view.renderer, box)
-        width = view.room[0]
-        return width * (beside_bars(width) - LEFT) * view.pixel / max(box[1] - box[0], 1.0)
+        width = view.size_px[0]
+        return width * (left_of_bars(width) - LEFT) * view.pixel_ratio / max(box[1] - box[0], 1.0)
 
 
 def readout(result: Result, units: Units) -> tuple[str, str]:
-    """Headline, and the lines below it, for a result."""
+    """Headline and details of a result."""
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return "", ""
@@ -395,14 +395,14 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
     patches = f"patch {area}"
     if result.object_patch is not None:
         by_object = units.area.text(result.object_patch.area_m2)
-        patches = f"patch (white) {area}{APART}by object (green) {by_object}"
+        patches = f"patch (white) {area}{SEPARATOR}by object (green) {by_object}"
     tangential = tangential_text(result, units)
-    told = [f"peak {peak}", f"tangential {tangential}", patches]
+    parts = [f"peak {peak}", f"tangential {tangential}", patches]
     if tangential == DASH:
-        del told[1]
+        del parts[1]
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
-    return f"contact  {force_text(result, units)}", f"{APART.join(told)}{hatched}"
+    return f"contact  {force_text(result, units)}", f"{SEPARATOR.join(parts)}{hatched}"
 
 
 def _put(text: Any, size: float, top: float) -> None:
@@ -417,22 +417,22 @@ def _text_actor(view: View, colour: str | None = None) -> Any:
     return actor
 
 
-# Contact traction as arrows: its normal and its tangential part, in two colours on one scale.
+# Contact traction as arrows: normal and tangential part, in two colours on one scale.
 
 
 LONGEST_TRACTION = 0.5
-"""Arrow at the end of the pressure scale, in heights of the dome."""
+"""Arrow length at the end of the pressure scale, in heights of the dome."""
 TRACTION_HEAD = (-0.25, 0.12)
-"""Where a barb of an arrow ends, from its point: back along it and aside, in its lengths."""
+"""End of a barb relative to the tip, along and across the arrow, in arrow lengths."""
 
 
 class TractionLayer(Layer):
-    """Arrows at the nodes that are touched; nothing where no traction is known.
+    """Arrows at the nodes in contact.
 
-    The normal part ends on the membrane, as it presses; the tangential one begins there.
+    Normal arrows end on the membrane, tangential ones begin there.
     """
 
-    name, cut = "traction", True
+    name, clipped = "traction", True
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
@@ -441,17 +441,17 @@ class TractionLayer(Layer):
         for poly, colour in zip(self._arrows, (theme.ORANGE, theme.BLUE), strict=True):
             lines = self.add(poly, color=colour, line_width=3, lighting=False)
             lines.SetPickable(False)
-            in_front(lines, -120.0)
+            draw_in_front(lines, -120.0)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take the size of another sensor."""
+        """Set the size of another sensor."""
         self._longest_m = LONGEST_TRACTION * float(np.ptp(mesh.nodes[:, 2]))
 
     def draw(self, picture: Picture) -> None:
-        """Draw the traction of a result."""
+        """Draw the traction, if it was estimated."""
         traction, shape = picture.result.traction, picture.shape
         known = traction is not None and traction.status in ("ok", "depth_alone")
-        self._has(known)
+        self._set_drawn(known)
         if traction is None or shape is None or not known:
             return
         touched = np.flatnonzero(traction.nodal_force_n.any(axis=1))
@@ -471,7 +471,7 @@ def _empty() -> pv.PolyData:
 def _put_arrows(
     poly: pv.PolyData, starts: np.ndarray, ways: np.ndarray, across: np.ndarray
 ) -> None:
-    """Make arrows (k, 3), their barbs in the plane across a direction (k, 3)."""
+    """Draw k arrows from `starts` along `ways`, with barbs normal to `across`; all (k, 3)."""
     if not len(starts):
         poly.copy_from(_empty())
         return
@@ -488,21 +488,21 @@ def _put_arrows(
     poly.copy_from(new)
 
 
-# What the colour camera sees, painted on the membrane as it is deformed.
+# Colour image as a texture on the deformed membrane.
 
 
-FADED = 0.1
-"""Share of the pressure scale from which on the membrane has the colours of pressure alone."""
-NOTE = 15  # px, of the font
+TEXTURE_FADE = 0.1
+"""Share of the pressure scale above which the pressure colours hide the texture."""
+NOTE = 15  # px, font
 
 
 class TextureLayer(Layer):
-    """The image on the shared surface; pressure shows through where the membrane is drawn, too.
+    """Colour image on the surface; pressure colours cover it if the membrane layer is visible.
 
-    A note says why there is nothing to paint.
+    A note gives the reason if there is no image.
     """
 
-    name, cut = "texture", True
+    name, clipped = "texture", True
     SHADE = "texture shade"
 
     def __init__(self, canvas: Canvas) -> None:
@@ -521,24 +521,24 @@ class TextureLayer(Layer):
         mapper.SetScalarModeToUsePointFieldData()
         mapper.SelectColorArray(self.SHADE)
         mapper.SetColorModeToDirectScalars()
-        in_front(actor, -30.0)
+        draw_in_front(actor, -30.0)
         self._note = text_at(canvas.view, NOTE, (0.5, 0.16))  # above the scale bar
         self._note.GetTextProperty().SetJustificationToCentered()
         canvas.view.renderer.AddViewProp(self._note)
         self.actors.append(self._note)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Make room for its nodes on the surface."""
+        """Create the arrays for its nodes on the surface."""
         poly, count = self.canvas.surface.poly, len(mesh.nodes)
         poly.point_data[self.SHADE] = np.zeros((count, 4), np.uint8)
         poly.active_texture_coordinates = np.zeros((count, 2), np.float32)
         self.actor.mapper.ScalarVisibilityOn()
 
     def draw(self, picture: Picture) -> None:
-        """Paint the image; nothing where the estimate is not to be trusted."""
+        """Draw the image; nothing while the estimate is untrusted."""
         texture = picture.result.texture
         self._note.SetInput("")
-        self._has(texture is not None)
+        self._set_drawn(texture is not None)
         if texture is None or picture.shape is None:
             return
         if texture.colour.rgb is None or texture.reason:
@@ -550,7 +550,7 @@ class TextureLayer(Layer):
         poly.active_texture_coordinates[:] = texture.place
         cover = texture.seen.astype(float)
         if "membrane" in settings.layers:
-            share = picture.shape.pressure_pa / (FADED * picture.ranges.pressure_pa)
+            share = picture.shape.pressure_pa / (TEXTURE_FADE * picture.ranges.pressure_pa)
             cover *= 1.0 - np.minimum(share, 1.0)
         poly.point_data[self.SHADE][:, :3] = 255
         poly.point_data[self.SHADE][:, 3] = 255.0 * cover
@@ -558,7 +558,7 @@ class TextureLayer(Layer):
         self.actor.prop.opacity = settings.membrane_opacity
 
     def _take_image(self, rgb: np.ndarray) -> None:
-        """Write the pixels, rows from the top, into the texture."""
+        """Copy the pixels, rows from the top, into the texture."""
         height, width = rgb.shape[:2]
         if self._image.n_points != height * width or "rgb" not in self._image.point_data:
             self._image.dimensions = (width, height, 1)

@@ -1,4 +1,4 @@
-"""What every 3-D layer has: actors, whether they are seen, and how they are drawn."""
+"""Base class of the 3-D layers, and the displayed surface they share."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.colours import Ranges
 from bubbleviz_ui.view3d.render_view import LIGHTS, View
 
-# The displayed surface: one VTK mesh that membrane, wireframe, contour and rim share.
+# The displayed surface: one VTK mesh shared by membrane, wireframe, contour and rim.
 
 
 @dataclass(frozen=True)
 class Shape:
-    """The displayed shape of the membrane, shared by the layers that lie on it."""
+    """The displayed shape of the membrane, shared by several layers."""
 
     nodes_m: np.ndarray  # nodes_m, normals: (n, 3) arrays: Deformed nodes and their normals in B
     normals: np.ndarray
@@ -31,7 +31,7 @@ class Shape:
 
 
 class Surface:
-    """Holds the vertices; changed in place, never replaced."""
+    """The membrane as a VTK mesh, whose arrays are changed in place."""
 
     PRESSURE = "contact pressure"
 
@@ -43,7 +43,7 @@ class Surface:
         self._make_arrays(np.eye(3), np.eye(3))
 
     def set_mesh(self, mesh: MembraneMesh) -> None:
-        """Take the reference mesh of another sensor, at rest."""
+        """Set the reference mesh of another sensor."""
         self._mesh = mesh
         self.poly.point_data.clear()
         self.poly.points = mesh.nodes
@@ -51,7 +51,7 @@ class Surface:
         self._make_arrays(mesh.nodes, mesh.normals)
 
     def _make_arrays(self, nodes: np.ndarray, normals: np.ndarray) -> None:
-        """Arrays that are changed in place from now on."""
+        """Create the arrays that are changed in place."""
         self.poly.points = nodes.astype(float)
         self.poly.point_data["Normals"] = normals.astype(float)
         self.poly.point_data[self.PRESSURE] = np.zeros(len(nodes))
@@ -61,40 +61,40 @@ class Surface:
         self._pressure = self.poly.point_data[self.PRESSURE]
 
     def shape_of(self, estimate: Estimate | None, exaggeration: float = 1.0) -> Shape | None:
-        """Shape bubbleviz found, its displacement drawn larger; None without an estimate."""
-        self._beyond = None
+        """Estimated shape with exaggerated displacement; None without an estimate."""
+        self._exaggeration_m = None
         if estimate is None or self._mesh is None:
             return None
         nodes = self._mesh.deformed(exaggeration * estimate.motion_m)
         if exaggeration != 1.0:
-            self._beyond = nodes - self._mesh.deformed(estimate.motion_m)
+            self._exaggeration_m = nodes - self._mesh.deformed(estimate.motion_m)
         normals = replace(self._mesh, nodes=nodes).normals
         return Shape(nodes, normals, estimate.contact_pressure_pa)
 
-    def true_place(self, point_m: np.ndarray) -> np.ndarray:
-        """Where a point (3,) of the drawn surface is without exaggeration, in B."""
-        if self._beyond is None:
+    def without_exaggeration(self, point_m: np.ndarray) -> np.ndarray:
+        """Position in B, without exaggeration, of a point (3,) on the drawn surface."""
+        if self._exaggeration_m is None:
             return point_m
         away = np.sum((np.asarray(self.poly.points) - point_m) ** 2, axis=1)
-        return point_m - self._beyond[int(np.argmin(away))]
+        return point_m - self._exaggeration_m[int(np.argmin(away))]
 
     def drawn_node(self, place: Probed) -> np.ndarray:
-        """Where the node of a place is drawn, (3,) in B."""
-        if self._beyond is None:
+        """Drawn position (3,) in B of the node of a probed place."""
+        if self._exaggeration_m is None:
             return place.node_m
-        return place.node_m + self._beyond[place.node]
+        return place.node_m + self._exaggeration_m[place.node]
 
-    _beyond: np.ndarray | None = None
+    _exaggeration_m: np.ndarray | None = None
 
     def draw(self, shape: Shape) -> None:
-        """Move the vertices and colour them, in place."""
+        """Update vertices, normals and colours in place."""
         self._points[:] = shape.nodes_m
         self._normals[:] = shape.normals
         self._pressure[:] = self._units.pressure.from_si(1.0) * shape.pressure_pa
         self.poly.Modified()
 
-    def around(self, nodes: np.ndarray) -> pv.PolyData:
-        """The triangles at some nodes (n,) bool, as drawn."""
+    def triangles_at(self, nodes: np.ndarray) -> pv.PolyData:
+        """Drawn triangles that have a node in a mask (n,) bool."""
         assert self._mesh is not None
         triangles = self._mesh.triangles
         return pv.PolyData(self._points, cells(triangles[nodes[triangles].any(axis=1)]))
@@ -102,7 +102,7 @@ class Surface:
     def edge(
         self, estimate: Estimate | None, patch: Patch, levels: tuple[float, ...] = (0.0,)
     ) -> np.ndarray:
-        """Pieces (k, 2, 3) of the lines where a patch has some levels, as drawn."""
+        """Segments (k, 2, 3) of the drawn level lines of a patch."""
         fine = None if estimate is None or patch.fine_level is None else estimate.fine
         if fine is None or patch.fine_level is None:
             return self.line(patch.level, levels)
@@ -110,7 +110,7 @@ class Surface:
         return self._lines(nodes, fine.mesh.corners, patch.fine_level, levels)
 
     def line(self, field: np.ndarray, levels: tuple[float, ...] = (0.0,)) -> np.ndarray:
-        """Pieces (k, 2, 3) of the lines where a field (n,) has some levels, as drawn."""
+        """Segments (k, 2, 3) of the drawn level lines of a field (n,)."""
         if self._mesh is None:
             return np.empty((0, 2, 3))
         return self._lines(np.asarray(self._points), self._mesh.corners, field, levels)
@@ -124,22 +124,22 @@ class Surface:
 
 
 def cells(points: np.ndarray) -> np.ndarray:
-    """VTK's list of cells of the same kind by their points (k, m): triangles, lines or vertices."""
+    """VTK cell array of k cells with m points each (k, m): triangles, lines or vertices."""
     return np.insert(points, 0, points.shape[1], axis=1).ravel()
 
 
 def pairs(count: int) -> np.ndarray:
-    """Cells of so many lines, each between two following points of its own."""
+    """VTK cell array of `count` separate lines, each between two consecutive points."""
     return cells(np.arange(2 * count).reshape(count, 2))
 
 
 PERIOD, STROKE = 8, 3
-"""Of hatching, along a row of pixels of the picture."""
+"""Period and stroke width of the hatching along a pixel row."""
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """What the layers of a sensor are drawn on: a view, one surface, the operator's units."""
+    """View, surface and units shared by the layers of a sensor."""
 
     view: View
     surface: Surface
@@ -148,7 +148,7 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Picture:
-    """One result, ready to draw; `shape` is None when no estimate was asked for."""
+    """A result with everything needed to draw it; `shape` is None without an estimate."""
 
     result: Result
     shape: Shape | None
@@ -157,25 +157,25 @@ class Picture:
 
 
 class Layer:
-    """One thing in the 3-D view. Its actors are made once and live as long as the view."""
+    """A layer of the 3-D view. Its actors are created once and live as long as the view."""
 
     name = ""  # Of `registry.LAYERS`
-    cut = False  # The section plane cuts it open
+    clipped = False  # Clipped by the section plane
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
-        self.actors: list[Any] = []  # What VTK draws of it, the main one first
-        self._visible, self._any = True, True
+        self.actors: list[Any] = []  # Main one first
+        self._visible, self._drawn = True, True
 
     @property
     def actor(self) -> Any:
-        """The first actor, which is the layer's main one."""
+        """The main actor."""
         return self.actors[0]
 
     def add(self, data: Any, **look: Any) -> Any:
-        """Add an actor, seen while the layer is; as `View.add_mesh`."""
+        """Add an actor that is visible with the layer; arguments as of `View.add_mesh`."""
         actor = self.canvas.view.add_mesh(data, reset_camera=False, render=False, **look)
-        # Straight to the mapper: pyvista puts an algorithm in Python between, run every picture.
+        # directly into the mapper: pyvista would insert a Python algorithm that runs every render
         if isinstance(data, vtkAlgorithm):
             actor.mapper.SetInputConnection(data.GetOutputPort())
         elif "scalars" in look:
@@ -186,7 +186,7 @@ class Layer:
         return actor
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take the geometry of another sensor."""
+        """Set the geometry of another sensor."""
 
     def draw(self, picture: Picture) -> None:
         """Draw a result in place; called only while the layer is visible."""
@@ -196,26 +196,26 @@ class Layer:
         self._visible = visible
         self._update()
 
-    def _has(self, something: bool) -> None:
-        """Hide the actors while there is nothing to draw."""
-        self._any = something
+    def _set_drawn(self, something: bool) -> None:
+        """Hide the actors if there is nothing to draw."""
+        self._drawn = something
         self._update()
 
     def _update(self) -> None:
         for actor in self.actors:
-            actor.SetVisibility(self._visible and self._any)
+            actor.SetVisibility(self._visible and self._drawn)
 
 
 def add_mark(view: View, data: Any, units: float = -6000.0, **look: Any) -> Any:
-    """Add an actor in front of others that no click finds; as `View.add_mesh` and `in_front`."""
+    """Add an actor that is drawn in front of others and cannot be picked."""
     actor = view.add_mesh(data, reset_camera=False, render=False, **look)
     actor.SetPickable(False)
-    in_front(actor, units)
+    draw_in_front(actor, units)
     return actor
 
 
-def in_front(actor: Any, units: float) -> None:
-    """Draw an actor nearer than it is, by an offset in the units of VTK's coincident topology."""
+def draw_in_front(actor: Any, units: float) -> None:
+    """Shift the depth of an actor towards the camera, in units of VTK's coincident topology."""
     mapper = actor.mapper
     mapper.SetResolveCoincidentTopologyToPolygonOffset()
     mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, units)
@@ -223,19 +223,19 @@ def in_front(actor: Any, units: float) -> None:
     mapper.SetRelativeCoincidentTopologyPointOffsetParameter(units)
 
 
-def hatch(actor: Any) -> None:
-    """Draw strokes of an actor alone, diagonal and equally far apart from any point of view."""
+def draw_hatched(actor: Any) -> None:
+    """Draw an actor as diagonal hatching with a constant period in screen pixels."""
     code = f"if (mod(gl_FragCoord.x + gl_FragCoord.y, {PERIOD}.0) >= {STROKE}.0) discard;"
     light = "//VTK::Light::Impl"
     shader = actor.GetShaderProperty()
     shader.AddFragmentShaderReplacement(light, True, f"{code}\n{light}", False)
 
 
-def light_plainly(actor: Any) -> None:
-    """Light an actor that has no specular part by the view's lights without highlights.
+def light_without_highlights(actor: Any) -> None:
+    """Replace the lighting shader of an actor without specular reflection.
 
     The picture is the same; VTK's own shader computes a highlight of each light at every pixel
-    nevertheless, which doubles the time of the membrane with software rendering.
+    anyway, which doubles the render time of the membrane on a CPU.
     """
     shares = []
     for position, intensity in LIGHTS:

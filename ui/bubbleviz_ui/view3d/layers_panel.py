@@ -1,4 +1,4 @@
-"""Layers panel: what is drawn, in which colours and on which scale."""
+"""Layers panel: visible layers, their colours and scales."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from PySide6.QtWidgets import QCheckBox, QFormLayout, QFrame, QVBoxLayout, QWidg
 
 from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind_member, control, form, watch_controls
+from bubbleviz_ui.panels.binding import bind_membership, control, form, watch_controls
 from bubbleviz_ui.shell.dock import fill
 
 
 class LayersPanel(QWidget):
-    """Check boxes for the layers and the settings that belong to them."""
+    """Check boxes of the layers, and their settings."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -24,7 +24,7 @@ class LayersPanel(QWidget):
         self.residual_max = control(state, "residual_max_m")
         self._lay_out()
         for name, box in self.boxes.items():
-            bind_member(box, state, "layers", name)
+            bind_membership(box, state, "layers", name)
         self._enable()
         watch_controls(self)
         state.settings_changed.connect(self._enable)
@@ -50,7 +50,7 @@ class LayersPanel(QWidget):
         fill(QVBoxLayout(self), *self.boxes.values(), line, rows, margins=(6, 10, 2, 10), spacing=5)
 
     def _enable(self) -> None:
-        """Let only what belongs to a visible layer be changed."""
+        """Enable the settings of visible layers."""
         settings = self._state.settings
         membrane, cloud = "membrane" in settings.layers, "cloud" in settings.layers
         self.opacity.setEnabled(membrane)

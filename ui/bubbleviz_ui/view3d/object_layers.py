@@ -1,4 +1,4 @@
-"""The object that is looked for, translucent, at its pose or where it is to begin."""
+"""Layers of the registered object, of its fit, and marks of the probe."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
-from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, add_mark, cells, in_front, pairs
+from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, add_mark, cells, draw_in_front, pairs
 from bubbleviz_ui.view3d.render_view import View
 
 FOUND, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
@@ -21,7 +21,7 @@ OPACITY = 0.45  # so that the membrane shows behind it
 
 
 class ObjectLayer(Layer):
-    """One actor; its mesh changes with the object, its matrix with the pose."""
+    """The registered object, translucent, at its pose or initial pose."""
 
     name = "object"
 
@@ -30,12 +30,12 @@ class ObjectLayer(Layer):
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
         self.add(self._poly, color=FOUND, opacity=OPACITY, ambient=0.3).SetPickable(False)
         self._has_mesh = False
-        # (4, 4) array or None: Where it is drawn now; None while it is not
-        self.place: np.ndarray | None = None
-        self._has(False)
+        # (4, 4) pose at which it is drawn; None while it is hidden
+        self.T_B_O: np.ndarray | None = None
+        self._set_drawn(False)
 
     def set_object(self, obj: RigidObject | None) -> None:
-        """Take another object, or none; it is not drawn before it has a place."""
+        """Set another object, or none; hidden until it has a pose."""
         self._has_mesh = obj is not None
         if obj is not None:
             self._poly.points = obj.vertices.astype(float)
@@ -43,54 +43,54 @@ class ObjectLayer(Layer):
         self.put(None)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Forget where it was on another sensor."""
+        """Hide the object until it has a pose on the new sensor."""
         self.put(None)
 
     def draw(self, picture: Picture) -> None:
-        """Draw the pose of a result; what it has none of stays where it was."""
+        """Draw the pose of a result; without one the object stays."""
         pose = picture.result.pose
         if pose is not None:
-            self.put_pose(pose, picture.settings.pose_stage)
+            self.show_pose(pose, picture.settings.pose_stage)
 
-    def put_pose(self, pose: Pose, stage: int) -> None:
-        """Place it at a stage of a pose, in the colour of how well it is known."""
+    def show_pose(self, pose: Pose, stage: int) -> None:
+        """Draw it at a stage of a pose, coloured by how well that is determined."""
         known = FOUND if pose.determined.all() else UNDETERMINED
-        self.put(shown_place(pose, stage), known if pose.status == "ok" else LOST)
+        self.put(shown_pose(pose, stage), known if pose.status == "ok" else LOST)
 
     def put(self, T_B_O: np.ndarray | None, colour: str = FOUND) -> None:
-        """Place it at a pose (4, 4), or nowhere."""
-        self.place = T_B_O if T_B_O is not None and np.isfinite(T_B_O).all() else None
-        if self.place is not None:
-            self.actor.user_matrix = self.place
+        """Draw it at a pose (4, 4); None hides it."""
+        self.T_B_O = T_B_O if T_B_O is not None and np.isfinite(T_B_O).all() else None
+        if self.T_B_O is not None:
+            self.actor.user_matrix = self.T_B_O
             self.actor.prop.color = colour
-        self._has(self._has_mesh and self.place is not None)
+        self._set_drawn(self._has_mesh and self.T_B_O is not None)
 
 
-def shown_place(pose: Pose, stage: int) -> np.ndarray:
-    """T_B_O (4, 4) of the stage that is to be seen."""
+def shown_pose(pose: Pose, stage: int) -> np.ndarray:
+    """T_B_O (4, 4) of the chosen stage."""
     if stage == 1 and pose.stage_one is not None:
         return pose.stage_one.T_B_O
     return pose.T_B_O
 
 
-# How an object fits: residuals on contact points, correspondences, and what stays open.
+# Fit of the object: distances of contact points, correspondences, undetermined directions.
 
 
 COLOURS = [theme.NEARER, theme.BETWEEN, theme.GAP]
-"""Inside the object, on it, outside."""
+"""Contact points inside the object, on its surface, outside."""
 
 HIGHEST_M = 1e-3
-TO_THE_FRONT = -4000.0
-"""In front of the membrane, on which the points lie."""
+DEPTH_OFFSET = -4000.0
+"""Draws the points in front of the membrane, on which they lie."""
 ARROW = 0.4
-"""Length of the arrows over the radius of the rim."""
+"""Arrow length over the radius of the rim."""
 
-_HEAD = 0.25  # length of an arrow's head over half the arrow's
-_ARC = np.linspace(-2.4, 2.4, 33)  # rad, of an arrow that turns
+_HEAD = 0.25  # length of an arrowhead over half the arrow length
+_ARC = np.linspace(-2.4, 2.4, 33)  # rad, of a rotation arrow
 
 
 class FitLayer(Layer):
-    """Points, lines to the object, and arrows; their arrays are new with every pose."""
+    """Contact points, lines to the object, and arrows of undetermined directions."""
 
     name = "fit"
 
@@ -109,22 +109,22 @@ class FitLayer(Layer):
         self.arrows = self.add(self._arrows, color=theme.NODE, line_width=3, lighting=False)
         for actor in self.actors:
             actor.SetPickable(False)
-            in_front(actor, TO_THE_FRONT)
-        self._has(False)
+            draw_in_front(actor, DEPTH_OFFSET)
+        self._set_drawn(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take the size of another sensor."""
+        """Set the size of another sensor."""
         self._length = ARROW * float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
-        self._has(False)
+        self._set_drawn(False)
 
     def draw(self, picture: Picture) -> None:
-        """Draw the fit of a result; nothing where there is none."""
+        """Draw the fit of a result; a result without a pose keeps the last one."""
         pose = picture.result.pose
         if pose is not None:
             fitted = pose.status == "ok" and len(pose.points_m) > 0
             if fitted:
                 self._fill(pose)
-            self._has(fitted)
+            self._set_drawn(fitted)
 
     def _fill(self, pose: Pose) -> None:
         count = len(pose.points_m)
@@ -135,15 +135,15 @@ class FitLayer(Layer):
         self._points.GetPointData().SetActiveScalars("distance")
         self._lines.points = np.stack([pose.points_m, pose.places_m], axis=1).reshape(-1, 3)
         self._lines.lines = pairs(count)
-        ends = open_arrows(pose, self._length)
+        ends = undetermined_arrows(pose, self._length)
         self._arrows.points = ends if len(ends) else np.repeat(pose.center_m[None], 2, axis=0)
         self._arrows.lines = pairs(max(len(ends) // 2, 1))
 
 
-def open_arrows(pose: Pose, length_m: float) -> np.ndarray:
-    """Ends (2 k, 3) in B of the pieces of arrows for the directions that are not determined.
+def undetermined_arrows(pose: Pose, length_m: float) -> np.ndarray:
+    """End points (2 k, 3) in B of the segments of arrows along undetermined directions.
 
-    A shift is a straight arrow with two heads, a turn one around its axis.
+    A translation is a straight double arrow, a rotation an arc around its axis.
     """
     shifts, turns = open_axes(pose.motions[:, ~pose.determined])
     pieces = [np.zeros((0, 3))]
@@ -163,7 +163,7 @@ def _across(axis: np.ndarray) -> np.ndarray:
 
 
 def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Ends of the pieces of a polyline (p, 3) with a head at both ends, drawn to `side`."""
+    """End points of the segments of a double arrow along a polyline (p, 3), barbs along `side`."""
     pieces = [np.stack([line[:-1], line[1:]], axis=1).reshape(-1, 3)]
     size = _HEAD * float(np.linalg.norm(line[-1] - line[len(line) // 2]))
     for tip, before in ((line[-1], line[-2]), (line[0], line[1])):
@@ -173,11 +173,11 @@ def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
     return np.concatenate(pieces)
 
 
-# The place under the mouse: its measured point, its node, and the camera's ray to it.
+# Marks of a probed place: measured point, node, and the camera's ray.
 
 
 class ProbeMarks:
-    """Two dots and a line, in front of everything; hidden while nothing is pointed at."""
+    """Two dots and a line in front of everything; hidden without a probed place."""
 
     def __init__(self, view: View) -> None:
         self._view = view
@@ -194,17 +194,17 @@ class ProbeMarks:
         self.show(None)
 
     def _paint(self, colours: theme.Colours) -> None:
-        """Take the colour of text for what was measured: it lies off the membrane, too."""
+        """Draw the measured point in the text colour, as it may lie off the membrane."""
         self._dots.point_data["colour"][0] = rgb(colours.text)
         self._dots.Modified()
         self.actors[0].prop.color = colours.text
 
     def set_camera(self, position_m: np.ndarray) -> None:
-        """Take where the depth camera is, (3,) in B."""
+        """Set the position of the depth camera, (3,) in B."""
         self._camera_m = np.asarray(position_m, float)
 
     def show(self, place: Probed | None, drawn_m: np.ndarray | None = None) -> None:
-        """Light up a place, or nothing; its node at `drawn_m` (3,), where that is elsewhere."""
+        """Mark a probed place, or none; `drawn_m` (3,): exaggerated position of its node."""
         measured = place is not None and bool(np.isfinite(place.point_m).all())
         if place is not None:
             node = place.node_m if drawn_m is None else drawn_m

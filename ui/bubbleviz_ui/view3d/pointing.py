@@ -1,4 +1,4 @@
-"""From the mouse over the 3-D view to the place it points at."""
+"""Probing with the mouse over the 3-D view."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 
 EVERY_MS = 30
-"""Picking takes some ms of the GUI thread, mouse moves come in hundreds a second."""
+"""Picking takes some ms, and there are hundreds of mouse moves per second."""
 
 
 class Pointing(QObject):
-    """Picks while the mouse moves over the view; during playback only for the images panel."""
+    """Probes the place under the mouse; during playback only for the images panel."""
 
     def __init__(self, state: SessionState, view: View, scene: Scene, hover: Hover) -> None:
         super().__init__(view)
@@ -22,22 +22,22 @@ class Pointing(QObject):
         self._at = (0.0, 0.0)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._pick)
-        view.moved.connect(self._on_moved)
-        view.left.connect(self._on_left)
+        view.mouse_moved.connect(self._on_moved)
+        view.mouse_left.connect(self._on_left)
         state.playing_changed.connect(self._on_playing)
         hover.changed.connect(scene.mark)
 
     @property
-    def _wanted(self) -> bool:
+    def _enabled(self) -> bool:
         return not self._state.playing or "images" in self._state.settings.panels
 
     def _on_moved(self, x: float, y: float) -> None:
         self._at = (x, y)
-        if self._wanted and not self._due.isActive():
+        if self._enabled and not self._due.isActive():
             self._due.start()
 
     def _on_playing(self) -> None:
-        if not self._wanted:
+        if not self._enabled:
             self._on_left()
 
     def _on_left(self) -> None:

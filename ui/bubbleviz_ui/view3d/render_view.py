@@ -1,4 +1,4 @@
-"""The 3-D view: a VTK render window in Qt that draws once, however often it is asked to."""
+"""The 3-D view: a VTK render window in Qt that merges redraw requests."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from PySide6.QtOpenGLWidgets import QOpenGLWidget
 
 
-# How well the 3-D view is drawn, by what draws it: a GPU, or the processor that also solves.
+# Render quality, depending on the renderer: a GPU, or the CPU that also solves.
 
 
 VARIABLE = "BUBBLEVIZ_RENDERING"
-"""Environment variable that chooses in place of the renderer."""
+"""Environment variable that overrides the choice of the quality."""
 SAMPLES = 4
-"""Samples a pixel, which every GPU has."""
+"""Samples per pixel, supported by every GPU."""
 
 _SOFTWARE = re.compile(
     r"\b(llvmpipe|softpipe|swrast|swr|software|mesa offscreen|gdi generic|basic render)\b",
@@ -53,33 +53,30 @@ _SOFTWARE = re.compile(
 )
 _GL_RENDERER = 0x1F01
 _BRIGHT = {"ambient": 0.5, "diffuse": 0.6, "specular": 0.0}
-"""Of balls: their colour means something, so it is not shaded far."""
+"""Little shading of spheres, as their colour encodes a value."""
 
 
 @dataclass(frozen=True)
 class RenderQuality:
-    """What the 3-D view spends on a picture."""
+    """Render quality of the 3-D view."""
 
-    name: str  # What `BUBBLEVIZ_RENDERING` calls it
-    samples: int  # Samples a pixel, for smooth edges; 0 for none
-    round_points: bool  # Points are shaded balls instead of flat squares
-    cloud_decimation: (
-        int  # One in so many points of the cloud is drawn while frames follow each other
-    )
-    # The view puts its pictures on the screen itself, see `direct_swap`; else Qt does
-    own_swap: bool
-    renderer: str = ""  # What the driver calls itself; empty where it was not asked
+    name: str  # Value of `BUBBLEVIZ_RENDERING`
+    samples: int  # Multisampling per pixel; 0: off
+    round_points: bool  # Points are shaded spheres instead of flat squares
+    cloud_decimation: int  # While playing, every n-th point of the cloud is drawn
+    own_swap: bool  # The view swaps its own buffers, see `direct_swap`, instead of Qt
+    renderer: str = ""  # OpenGL name of the renderer; empty if unknown
 
     @property
     def points(self) -> dict[str, Any]:
-        """How points look, as `View.add_mesh` takes it."""
+        """Arguments of `View.add_mesh` for points."""
         balls = self.round_points
         looks = {"style": "points", "render_points_as_spheres": balls, "lighting": balls}
         return looks | (_BRIGHT if balls else {})
 
     @property
     def text(self) -> str:
-        """The quality, and what draws."""
+        """Quality and renderer."""
         return f"{self.name}, by {self.renderer}" if self.renderer else self.name
 
 
@@ -90,12 +87,12 @@ SMOOTH = RenderQuality(
 
 
 def quality_for(renderer: str, wanted: str = "") -> RenderQuality:
-    """Fast for software or an unknown renderer, smooth for any other, unless one is wanted.
+    """Fast for a software or unknown renderer, smooth for any other, unless `wanted` is given.
 
     Raises InputError: There is no such quality.
 
-    `renderer`: OpenGL's name of it.
-    `wanted`: Name of a quality; empty for the renderer's.
+    `renderer`: OpenGL name of the renderer.
+    `wanted`: Name of a quality, or empty.
     """
     known = {quality.name: quality for quality in (FAST, SMOOTH)}
     if wanted and wanted not in known:
@@ -107,15 +104,15 @@ def quality_for(renderer: str, wanted: str = "") -> RenderQuality:
 
 
 def quality_here() -> RenderQuality:
-    """The quality for this machine's renderer, or the one `BUBBLEVIZ_RENDERING` names.
+    """Quality for this machine's renderer, or the one set by `BUBBLEVIZ_RENDERING`.
 
-    Raises InputError: The variable names none.
+    Raises InputError: The variable has an unknown value.
     """
     return quality_for(renderer_name(), os.environ.get(VARIABLE, ""))
 
 
 def renderer_name() -> str:
-    """What OpenGL's driver calls itself; empty without OpenGL. The Qt application exists."""
+    """OpenGL name of the renderer; empty without OpenGL. Needs a Qt application."""
     surface, context = QOffscreenSurface(), QOpenGLContext()
     surface.create()
     if not (context.create() and context.makeCurrent(surface)):
@@ -126,52 +123,48 @@ def renderer_name() -> str:
 
 
 POINTS_PER_INCH = 72
-"""Resolution of a picture in which text has as many pixels as its font size says."""
+"""Resolution at which a font size is a number of pixels."""
 CLICK = 3.0
-"""How far the mouse may move in a click, screen pixels."""
+"""Largest movement of the mouse in a click, screen pixels."""
 LIGHTS = (((-0.5, 0.7, 1.0), 0.75), ((0.8, -0.3, 0.6), 0.35))
-"""Where each is, seen from the camera (right, up, towards it), and its intensity."""
+"""Direction in camera coordinates (right, up, towards the camera), and intensity."""
 
 
 class View(QtInteractor):  # type: ignore[misc]
-    """View of the sensor; `refresh()` asks for a picture, which comes when nothing else waits.
+    """View of the sensor; `refresh()` requests a redraw when the event loop is idle.
 
-    VTK's own renders on mouse moves are such requests too, so any number of changes between two
-    pictures costs one render.
+    VTK's own renders on mouse moves are also such requests, so that any number of changes costs one
+    render.
     """
 
-    dropped_files = Signal(list)  # List of paths the user dropped on the view
-    # A picture is about to be made, perhaps of another size: what is laid out by pixels is now
-    rendering = Signal()
+    dropped_files = Signal(list)  # Paths
+    rendering = Signal()  # Before a render, for layout in pixels
     rendered = Signal()  # A new picture is on the screen
-    moved = Signal(float, float)  # Where the mouse is, in Qt's pixels, while no button is held
-    # Where the left button was pressed and let go without moving, in Qt's pixels
-    clicked = Signal(float, float)
-    left = Signal()  # The mouse is elsewhere
-    resized = Signal()  # The view has another size
+    mouse_moved = Signal(float, float)  # Position in Qt pixels, without a pressed button
+    clicked = Signal(float, float)  # Position in Qt pixels, of a left click without a drag
+    mouse_left = Signal()
+    resized = Signal()
 
     def __init__(self, parent: QWidget, quality: RenderQuality) -> None:
         super().__init__(parent, auto_update=False, multi_samples=quality.samples, lighting="none")
         self.quality = quality
         if quality.own_swap:
             direct_swap.prepare(self)
-        self.renders = RateMeter()  # Real renders of VTK
-        self.render_count = 0  # Renders since the view exists
-        # Props that say what the mouse points at: seen in the window, not in pictures of the view
-        self.of_the_mouse: list[Any] = []
-        # Time the GUI thread has spent on pictures: changing the scene and rendering it, s
-        self.busy_s = 0.0
+        self.render_rate = RateMeter()
+        self.render_count = 0
+        self.pointer_props: list[Any] = []  # Follow the mouse; hidden in saved pictures
+        self.busy_s = 0.0  # Time of the GUI thread spent on updating and rendering the scene
         self._due = QTimer(self, singleShot=True)
         self._due.timeout.connect(self._draw)
         self.frameSwapped.connect(self._on_swapped)
-        # Plain: a gradient costs a quarter of an empty render.
+        # no gradient, which costs a quarter of an empty render
         self.follow_theme(lambda colours: self.set_background(colours.view))
         self._tags = [
             (subject, subject.AddObserver(event, callback))
             for subject, event, callback in (
                 (self.ren_win, "StartEvent", lambda *_: self.rendering.emit()),
                 (self.ren_win, "EndEvent", self._count_render),
-                (self.iren.interactor, "RenderEvent", self._on_vtk_wants_render),
+                (self.iren.interactor, "RenderEvent", self._on_vtk_render_request),
             )
         ]
         self.iren.interactor.EnableRenderOff()
@@ -179,12 +172,12 @@ class View(QtInteractor):  # type: ignore[misc]
         self._add_lights()
 
     def refresh(self) -> None:
-        """Ask for a picture; many calls before it is drawn are one render."""
+        """Request a redraw; calls before it is drawn are merged."""
         if not self._due.isActive():
             self._due.start()
 
     def follow_theme(self, paint: Callable[[theme.Colours], object]) -> None:
-        """Call `paint` with the theme's colours, now and whenever it is another."""
+        """Call `paint` with the theme's colours, now and after each change of theme."""
         paint(theme.of(self))
         self._painters = (*self._painters, paint)
 
@@ -199,25 +192,25 @@ class View(QtInteractor):  # type: ignore[misc]
             self.refresh()
 
     def pixels(self) -> np.ndarray:
-        """What the view shows now, shape (height, width, 3), uint8."""
+        """Current picture of the view, (height, width, 3) uint8."""
         image = self.grabFramebuffer().convertToFormat(QImage.Format.Format_RGB888)
         flat = np.frombuffer(image.constBits(), np.uint8)
         rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
         return rows.reshape(image.height(), image.width(), 3).copy()
 
     @property
-    def pixel(self) -> float:
-        """Qt's pixel, in which text has its size, in pixels of the picture that is made."""
+    def pixel_ratio(self) -> float:
+        """Pixels of the picture per Qt pixel, the unit of text sizes."""
         return float(self.ren_win.GetDPI()) / POINTS_PER_INCH
 
     @property
-    def room(self) -> tuple[float, float]:
-        """Width and height of the picture that is made, in Qt's pixels."""
+    def size_px(self) -> tuple[float, float]:
+        """Width and height of the picture being rendered, in Qt pixels."""
         width, height = self.ren_win.GetSize()
-        return width / self.pixel, height / self.pixel
+        return width / self.pixel_ratio, height / self.pixel_ratio
 
-    def place_of(self, point_m: np.ndarray) -> QPointF:
-        """Where a point (3,) in B is drawn, in Qt's pixels."""
+    def screen_position(self, point_m: np.ndarray) -> QPointF:
+        """Position of a point (3,) in B in the view, in Qt pixels."""
         self.renderer.SetWorldPoint(*point_m, 1.0)
         self.renderer.WorldToDisplay()
         x, y, _ = self.renderer.GetDisplayPoint()
@@ -225,7 +218,7 @@ class View(QtInteractor):  # type: ignore[misc]
         return QPointF(x / ratio, self.height() - 1 - y / ratio)
 
     def projected(self, points_m: np.ndarray) -> np.ndarray:
-        """Where points (k, 3) in B are drawn, (k, 3): right, up and depth, −1 to 1 in the view."""
+        """Normalised view coordinates (k, 3) of points (k, 3) in B: right, up, depth, −1 to 1."""
         aspect = self.width() / max(self.height(), 1)
         matrix = self.camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0)
         T = np.array([[matrix.GetElement(i, j) for j in range(4)] for i in range(4)])
@@ -233,31 +226,31 @@ class View(QtInteractor):  # type: ignore[misc]
         return np.asarray(across[:, :3] / across[:, 3:])
 
     def paintGL(self) -> None:
-        """Render for Qt, which puts the window together: at first, after resizing, to grab it."""
+        """Render for Qt when it composes the window: first, after resizing, for a screenshot."""
         start = time.perf_counter()
-        self._ahead = False
+        self._newer_than_qt = False
         super().paintGL()
         self.busy_s += time.perf_counter() - start
 
     def _draw(self) -> None:
-        """Render and put the picture on the screen, by Qt's way where there is no shorter one."""
+        """Render and swap buffers directly, or through Qt if that is not possible."""
         window = self.ren_win
         if not (direct_swap.can_show(self) and window.GetReadyForRendering()):
             self.update()
             return
         start = time.perf_counter()
         self.makeCurrent()
-        self._in_paint = True  # pyvistaqt asks Qt to paint what is rendered at other times
+        self._in_paint = True  # else pyvistaqt would ask Qt to repaint
         direct_swap.render(window)
         self._in_paint = False
         direct_swap.show(self, window)
-        self._ahead = True
+        self._newer_than_qt = True
         self.doneCurrent()
         self.busy_s += time.perf_counter() - start
         self._on_screen()
 
     def close(self) -> None:
-        """Let go of VTK's render window and of every observer that would keep it alive."""
+        """Release VTK's render window and all observers that would keep it alive."""
         self._due.stop()
         for subject, tag in self._tags:
             subject.RemoveObserver(tag)
@@ -265,18 +258,18 @@ class View(QtInteractor):  # type: ignore[misc]
         super().close()
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Watch the view's own native window, where it has one, and the one around it."""
+        """Watch expose events of the view's native window, if any, and of its parent."""
         super().showEvent(event)
         own, around = self.windowHandle(), self.window().windowHandle()
         for window in (own, around) if own is not None else ():
             window.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Draw anew what was covered.
+        """Redraw areas that were uncovered.
 
-        Qt has the last picture of the view that it drew itself, which may be old. Around a view
-        with a native window of its own Qt flushes nothing that was uncovered: without a compositor,
-        closed menus and dialogs would stay on the screen.
+        Qt holds only the last picture that it drew itself, which may be old. Around a native child
+        window Qt does not repaint uncovered areas: without a compositor, closed menus and dialogs
+        would stay on the screen.
         """
         if watched is self.windowHandle():
             if event.type() == QEvent.Type.Expose:
@@ -286,18 +279,18 @@ class View(QtInteractor):  # type: ignore[misc]
         return bool(super().eventFilter(watched, event))
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Turn the scene while a button is held, else say where the mouse is."""
+        """Rotate the scene while a button is pressed, else emit `mouse_moved`."""
         super().mouseMoveEvent(event)
         if not event.buttons():
-            self.moved.emit(event.position().x(), event.position().y())
+            self.mouse_moved.emit(event.position().x(), event.position().y())
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Begin to turn the scene, or a click."""
+        """Start a rotation or a click."""
         super().mousePressEvent(event)
         self._pressed = event.position()
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
-        """End turning, or the click."""
+        """End the rotation or the click."""
         super().mouseReleaseEvent(event)
         moved = event.position() - self._pressed
         if event.button() == Qt.MouseButton.LeftButton and moved.manhattanLength() <= CLICK:
@@ -306,21 +299,19 @@ class View(QtInteractor):  # type: ignore[misc]
     _pressed = QPointF(-1e6, -1e6)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Say that the size is another."""
         super().resizeEvent(event)
         self.resized.emit()
 
     def leaveEvent(self, event: QEvent) -> None:
-        """Say that the mouse is elsewhere."""
         super().leaveEvent(event)
-        self.left.emit()
+        self.mouse_left.emit()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Leave keys to the window: VTK's own would quit or change styles."""
+        """Pass keys to the window; VTK's own would quit or change the style."""
         event.ignore()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Leave keys to the window."""
+        """Pass keys to the window."""
         event.ignore()
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
@@ -329,7 +320,7 @@ class View(QtInteractor):  # type: ignore[misc]
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent) -> None:
-        """Hand dropped files to the window instead of reading them as meshes."""
+        """Pass dropped files to the window instead of reading them as meshes."""
         paths = [Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()]
         if paths:
             event.acceptProposedAction()
@@ -343,30 +334,30 @@ class View(QtInteractor):  # type: ignore[misc]
 
     def _count_render(self, *_: Any) -> None:
         self.render_count += 1
-        self.renders.tick(time.perf_counter())
-        self._unseen = True
+        self.render_rate.tick(time.perf_counter())
+        self._new_picture = True
 
-    _unseen = False
-    _ahead = False
-    """What was swapped is newer than the picture that Qt has of the view."""
+    _new_picture = False
+    _newer_than_qt = False
+    """The picture on the screen is newer than the one Qt holds."""
 
     def _on_swapped(self) -> None:
-        """Draw anew where Qt has put the window together with its own older picture."""
-        if self._ahead:
+        """Redraw after Qt has composed the window with an older picture."""
+        if self._newer_than_qt:
             self.refresh()
         self._on_screen()
 
     def _on_screen(self) -> None:
-        """Say so, unless Qt has put the window together for another reason."""
-        if self._unseen:
-            self._unseen = False
+        """Emit `rendered`, unless Qt composed the window for another reason."""
+        if self._new_picture:
+            self._new_picture = False
             self.rendered.emit()
 
-    def _on_vtk_wants_render(self, *_: Any) -> None:
-        """Render while painting, else ask for a picture.
+    def _on_vtk_render_request(self, *_: Any) -> None:
+        """Render while painting, else request a redraw.
 
-        The interactor itself never renders (`EnableRenderOff`): it would keep Python's lock
-        meanwhile, and the solver thread would wait for the picture. The window lets it go.
+        The interactor itself never renders (`EnableRenderOff`), as it would hold the GIL and block
+        the solver thread meanwhile; the render window releases it.
         """
         if self._in_paint:
             self.ren_win.Render()
@@ -374,22 +365,21 @@ class View(QtInteractor):  # type: ignore[misc]
             self.refresh()
 
 
-# VTK's picture straight to the screen, without Qt putting the whole window together around it.
+# Direct buffer swap of the 3-D view, without Qt composing the window.
 #
-# Qt composes a window that has an OpenGL widget anew, all of it, for every picture. Where there is
-# no GPU that takes longer than the picture. A widget with a native window of its own can be swapped
-# alone, and the panels around it are painted as in any other window.
+# Qt composes a window with an OpenGL widget completely for every picture, which without a GPU takes
+# longer than rendering. A widget with a native window can be swapped alone.
 
 
 PLATFORMS = frozenset({"xcb"})
-"""Qt's names of those where native windows inside others were tried."""
+"""Qt platforms on which native child windows were tested."""
 
 _LEQUAL, _BACK, _SCISSOR_TEST, _COLOR_BUFFER_BIT, _NEAREST = 0x0203, 0x0405, 0x0C11, 0x4000, 0x2600
 _READ_FRAMEBUFFER, _DRAW_FRAMEBUFFER, _COLOR_ATTACHMENT0 = 0x8CA8, 0x8CA9, 0x8CE0
 
 
 def prepare(widget: QOpenGLWidget) -> None:
-    """Give a widget, and none beside it, a native window of its own, before it has any."""
+    """Give only this widget a native window, before it is created."""
     if QGuiApplication.platformName() in PLATFORMS:
         QGuiApplication.setAttribute(Qt.ApplicationAttribute.AA_DontCreateNativeWidgetSiblings)
         widget.setAttribute(Qt.WidgetAttribute.WA_DontCreateNativeAncestors)
@@ -397,7 +387,7 @@ def prepare(widget: QOpenGLWidget) -> None:
 
 
 def can_show(widget: QOpenGLWidget) -> bool:
-    """Whether the widget is on the screen with a window of its own; Qt has painted it once."""
+    """Whether the widget has a visible native window and Qt has painted it once."""
     if not widget.testAttribute(Qt.WidgetAttribute.WA_NativeWindow) or widget.context() is None:
         return False
     window = widget.windowHandle()
@@ -405,7 +395,7 @@ def can_show(widget: QOpenGLWidget) -> bool:
 
 
 def render(render_window: Any) -> None:
-    """Have VTK render with the context that is current, which Qt has used meanwhile."""
+    """Render with VTK in the current OpenGL context, whose state Qt may have changed."""
     state = render_window.GetState()
     state.Reset()
     state.Push()
@@ -415,10 +405,10 @@ def render(render_window: Any) -> None:
 
 
 def show(widget: QOpenGLWidget, render_window: Any) -> None:
-    """Put what VTK has rendered on the screen.
+    """Show VTK's rendered picture on the screen.
 
-    `widget`: Of which `can_show` is true.
-    `render_window`: Has rendered with the widget's context.
+    `widget`: With `can_show` true.
+    `render_window`: Rendered in the widget's context.
     """
     context, window = widget.context(), widget.windowHandle()
     context.makeCurrent(window)

@@ -1,4 +1,4 @@
-"""All 3-D layers together: which are visible, and one picture after another."""
+"""The scene: all 3-D layers of one or two sensors, and the camera."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.colours import HeldRanges
+from bubbleviz_ui.view3d.colours import GrowingRanges
 from bubbleviz_ui.view3d.contact_layers import (
     ComparedLayer,
     ContourLayer,
@@ -35,10 +35,17 @@ from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, Surface
 from bubbleviz_ui.view3d.object_layers import FitLayer, ObjectLayer, ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.sensor_layers import AxesLayer, CloudLayer, FrustumLayer, RimLayer
-from bubbleviz_ui.view3d.text import LOWEST, WIDTH, PlaceText
-from bubbleviz_ui.view3d.tools import DIRECTIONS, Picker, Section, Viewpoint, look_along, look_as
+from bubbleviz_ui.view3d.text import MIN_HEIGHT, WIDTH, AnchoredText
+from bubbleviz_ui.view3d.tools import (
+    DIRECTIONS,
+    Picker,
+    Section,
+    Viewpoint,
+    look_along,
+    look_through,
+)
 
-# The layers of one sensor, drawn together.
+# The layers of one sensor.
 
 
 CLASSES: tuple[type[Layer], ...] = (
@@ -59,56 +66,56 @@ CLASSES: tuple[type[Layer], ...] = (
     FitLayer,
     AxesLayer,
 )
-"""What draws the layers of the registry."""
+"""Classes of the layers in the registry."""
 
 
 L = TypeVar("L", bound=Layer)
 
 
 class DrawnLayers:
-    """Actors are made once; a result changes arrays in place."""
+    """The layers of one sensor. Actors are created once; a result changes arrays in place."""
 
     def __init__(
         self,
         view: View,
         units: Units,
-        ranges: HeldRanges,  # Scales to draw with
-        names: frozenset[str] = frozenset(LAYERS),  # Layers to make, of the registry
+        ranges: GrowingRanges,  # Colour scales
+        names: frozenset[str] = frozenset(LAYERS),  # Layers to create
     ) -> None:
-        self.surface, self._ranges = Surface(units), ranges  # The membrane as it is drawn
+        self.surface, self._ranges = Surface(units), ranges
         canvas = Canvas(view, self.surface, units)
         self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
         for layer in self.by_name.values():
             layer.set_visible(False)  # until there is a result
         self._picture: Picture | None = None
-        view.rendering.connect(self._keep_scale)
+        view.rendering.connect(self._update_scale)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take the geometry of another sensor."""
+        """Set the geometry of another sensor."""
         self.hide()
         self.surface.set_mesh(mesh)
         for layer in self.by_name.values():
             layer.set_sensor(sensor, mesh)
 
     def draw(self, result: Result, settings: Settings) -> None:
-        """Draw a result with what the user chose to see."""
-        self._ranges.take(self, result)
+        """Draw a result."""
+        self._ranges.include(self, result)
         self._draw(result, settings)
 
     def hide(self) -> None:
-        """Show nothing, and have no say in the scales."""
+        """Remove the picture, and its influence on the scales."""
         self._picture = None
-        self._ranges.leave(self)
+        self._ranges.forget(self)
 
-    def _keep_scale(self) -> None:
-        """Draw once more where another sensor has changed the scales since."""
+    def _update_scale(self) -> None:
+        """Redraw if the other sensor has changed the scales."""
         drawn = self._picture
         if drawn is not None and drawn.ranges != self._ranges.of(drawn.settings):
             self._draw(drawn.result, drawn.settings)
 
     def _draw(self, result: Result, settings: Settings) -> None:
         shape = None
-        if any(layer.cut for name, layer in self.by_name.items() if name in settings.layers):
+        if any(layer.clipped for name, layer in self.by_name.items() if name in settings.layers):
             shape = self.surface.shape_of(result.estimate, settings.exaggeration)
         if shape is not None:
             self.surface.draw(shape)
@@ -118,7 +125,7 @@ class DrawnLayers:
             if name in settings.layers:
                 layer.draw(picture)
 
-    def of(self, kind: type[L]) -> L:
+    def layer(self, kind: type[L]) -> L:
         """The layer of a class."""
         layer = self.by_name[kind.name]
         assert isinstance(layer, kind)
@@ -126,75 +133,75 @@ class DrawnLayers:
 
 
 MARGIN = 1.0
-"""Room around the membrane for what is drawn outside it, in lengths of its box's diagonal."""
+"""Margin around the membrane for layers outside it, in diagonals of its bounding box."""
 
 
 class Scene:
-    """Draws results in a view. Actors are made once; a result changes arrays in place."""
+    """Draws the results of a sensor in the view, and moves the camera."""
 
     def __init__(self, view: View, units: Units, settings: Settings) -> None:
         self._view = view
         self._settings = settings
-        self.ranges = HeldRanges(units)
+        self.ranges = GrowingRanges(units)
         self._drawn = DrawnLayers(view, units, self.ranges)
         self.layers = self._drawn.by_name
         self._surface = self._drawn.surface
-        self.object = self._drawn.of(ObjectLayer)
+        self.object = self._drawn.layer(ObjectLayer)
         self._T_W_B = np.eye(4)
-        self._beside_m = np.empty((0, 3))
+        self._others_m = np.empty((0, 3))
         self._result: Result | None = None
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
         self._sensor: Sensor | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.marks = ProbeMarks(view)
-        self._text = PlaceText(view, units)
-        view.of_the_mouse += [*self.marks.actors, self._text.actor]
-        cut = [actor for layer in self.layers.values() if layer.cut for actor in layer.actors]
+        self._text = AnchoredText(view, units)
+        view.pointer_props += [*self.marks.actors, self._text.actor]
+        cut = [actor for layer in self.layers.values() if layer.clipped for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
         self._picker = Picker(view, self.layers["membrane"].actor, self.layers["cloud"].actor)
         self.depth_camera: DepthCamera | None = None
-        view.resized.connect(self._stay_whole)
-        view.setMinimumSize(2 * WIDTH, LOWEST)
+        view.resized.connect(self._fit_unless_moved)
+        view.setMinimumSize(2 * WIDTH, MIN_HEIGHT)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take another sensor; the camera stays where the user has put it."""
+        """Set another sensor; a camera moved by the user stays."""
         self._mesh, self._sensor = mesh, sensor
         self._result = None
-        self._bounds = _bounds(mesh, sensor, self._beside_m)
+        self._bounds = _bounds(mesh, sensor, self._others_m)
         self._drawn.set_sensor(sensor, mesh)
         self.ranges.set_sensor(sensor)
         self.marks.set_camera(np.array(sensor.camera.position_m))
-        self._stay_whole()
+        self._fit_unless_moved()
 
     @property
     def moved_by_user(self) -> bool:
-        """Whether one looks from elsewhere than the scene says."""
+        """Whether the user has moved the camera away from the scene's viewpoint."""
         return self._placed is not None and self._placed != self._camera_place()
 
     def reset_view(self) -> None:
-        """Look at the whole membrane from where the scene says."""
+        """Show the whole membrane from the scene's viewpoint."""
         if self._mesh is None:
             return
-        seen, R_B_W = np.vstack([self._mesh.nodes, self._beside_m]), self._T_W_B[:3, :3].T
+        seen, R_B_W = np.vstack([self._mesh.nodes, self._others_m]), self._T_W_B[:3, :3].T
         towards, up = R_B_W @ self._settings.view_from, R_B_W[:, 2]
         look_along(self._view, towards, up, seen, self._settings.zoom)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def place(self, T_W_B: np.ndarray, beside_m: np.ndarray, colour: str | None) -> None:
-        """Take where the sensor is in the world, what else is in view, and the sensor's colour.
+    def place(self, T_W_B: np.ndarray, others_m: np.ndarray, colour: str | None) -> None:
+        """Set the sensor's pose in the world, points of other objects, and the sensor's colour.
 
-        A fresh view has the world's z up, and everything in it; `beside_m` is (k, 3) in B.
+        The initial view has the world's z up and contains `others_m` (k, 3) in B.
         """
-        self._T_W_B, self._beside_m = T_W_B, beside_m
-        self._drawn.of(RimLayer).paint(colour)
+        self._T_W_B, self._others_m = T_W_B, others_m
+        self._drawn.layer(RimLayer).paint(colour)
         if self._mesh is not None and self._sensor is not None:
-            self._bounds = _bounds(self._mesh, self._sensor, beside_m)
+            self._bounds = _bounds(self._mesh, self._sensor, others_m)
 
     def move_camera(self, T: np.ndarray) -> None:
-        """Look at the same things after B became another frame; T takes the old into the new."""
+        """Keep the view after a change of frame B; T maps old to new coordinates."""
         camera, R, t = self._view.camera, T[:3, :3], T[:3, 3]
         camera.position = tuple(R @ camera.position + t)
         camera.focal_point = tuple(R @ camera.focal_point + t)
@@ -203,34 +210,34 @@ class Scene:
         self._view.refresh()
 
     def show(self, result: Result, settings: Settings) -> None:
-        """Draw a result with what the user chose to see."""
+        """Draw a result."""
         self._result, self._settings = result, settings
         self.section.apply(settings)
         self._drawn.draw(result, settings)
-        # The bounds of what is drawn would be gathered from every point of every layer.
+        # known bounds, as VTK would compute them from every point of every layer
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
-        """Draw the outlines of compared settings into pictures of the frame they are of."""
-        self._drawn.of(ComparedLayer).take(measured)
+    def compare(self, measured: tuple[Measured | str | None, ...]) -> None:
+        """Draw the outlines of compared settings while their frame is shown."""
+        self._drawn.layer(ComparedLayer).set_measured(measured)
         self.apply(self._settings)
 
     def apply(self, settings: Settings) -> None:
-        """Draw the last result again with other settings."""
+        """Redraw the last result with other settings."""
         self._settings = settings
         self._text.write()
         if self._result is not None:
             self.show(self._result, settings)
 
-    def look(self, name: Viewpoint) -> None:
-        """Look from one of the usual places; later sensors do not change it."""
+    def look_from(self, name: Viewpoint) -> None:
+        """Move the camera to a named viewpoint."""
         if self._mesh is None or self.depth_camera is None:
             return
         low, high = self._mesh.nodes.min(axis=0), self._mesh.nodes.max(axis=0)
         if name == "camera":
             far = float(np.linalg.norm((low + high) / 2 - self.depth_camera.center))
-            look_as(self._view, self.depth_camera, far)
+            look_through(self._view, self.depth_camera, far)
         else:
             corners = np.array(list(product(*zip(low, high, strict=True))))
             look_along(self._view, *DIRECTIONS[name], corners)
@@ -238,22 +245,22 @@ class Scene:
         self._view.refresh()
 
     def mark(self, place: Probed | None) -> None:
-        """Write the numbers of a place at it; light it up where images show it, too."""
+        """Show the numbers of a probed place, and mark it if the images panel is open."""
         drawn_m = self.drawn_node(place)
         self._text.show(place, drawn_m)
         self.marks.show(place if "images" in self._settings.panels else None, drawn_m)
 
     def drawn_node(self, place: Probed | None) -> np.ndarray | None:
-        """Where the node of a place is drawn, (3,) in B; None without a place."""
+        """Drawn position (3,) in B of the node of a probed place; None without a place."""
         return self._surface.drawn_node(place) if place is not None else None
 
     def pick(self, x: float, y: float) -> np.ndarray | None:
-        """Point (3,) in B under a place of the view, as it truly is; None where nothing is."""
+        """Point (3,) in B, without exaggeration, at a position of the view, or None."""
         point = self._picker.at(x, y)
-        return None if point is None else self._surface.true_place(point)
+        return None if point is None else self._surface.without_exaggeration(point)
 
-    def _stay_whole(self) -> None:
-        """Show the whole membrane, unless the user looks from elsewhere."""
+    def _fit_unless_moved(self) -> None:
+        """Show the whole membrane, unless the user has moved the camera."""
         if not self.moved_by_user:
             self.reset_view()
 
@@ -262,9 +269,9 @@ class Scene:
         return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))
 
 
-def _bounds(mesh: MembraneMesh, sensor: Sensor, beside_m: np.ndarray) -> list[float]:
-    """Box around everything that is ever drawn: x, y and z, each from and to, m."""
-    seen = np.vstack([mesh.nodes, beside_m])
+def _bounds(mesh: MembraneMesh, sensor: Sensor, others_m: np.ndarray) -> list[float]:
+    """Box around everything drawn: xmin, xmax, ymin, ymax, zmin, zmax, m."""
+    seen = np.vstack([mesh.nodes, others_m])
     low, high = seen.min(axis=0), seen.max(axis=0)
     margin = MARGIN * float(np.linalg.norm(high - low))
     low = np.minimum(low, sensor.camera.position_m) - margin
@@ -272,56 +279,56 @@ def _bounds(mesh: MembraneMesh, sensor: Sensor, beside_m: np.ndarray) -> list[fl
     return [float(end) for pair in zip(low, high, strict=True) for end in pair]
 
 
-# The sensor beside the one that the scene is about: the same layers, placed by one matrix.
+# The second sensor: the same layers, placed by one matrix.
 
 
-BESIDE = frozenset({"membrane", "contour", "cloud", "force", "rim"})
+SECOND_LAYERS = frozenset({"membrane", "contour", "cloud", "force", "rim"})
 
 
 class SecondScene:
-    """Draws the results of a second sensor into the view, on the scales of the first.
+    """Draws the results of a second sensor in the view, with the scales of the first.
 
-    `ranges`: Of the scene, which has the colour bars.
+    `ranges`: Scales of the scene, which has the colour bars.
     """
 
-    def __init__(self, view: View, units: Units, ranges: HeldRanges) -> None:
+    def __init__(self, view: View, units: Units, ranges: GrowingRanges) -> None:
         self._view = view
         before = set(view.renderer.GetViewProps())
-        self._drawn = DrawnLayers(view, units, ranges, BESIDE)
+        self._drawn = DrawnLayers(view, units, ranges, SECOND_LAYERS)
         made = [prop for prop in view.renderer.GetViewProps() if prop not in before]
-        self._assembly = _gathered(view, made)
+        self._assembly = _assembled(view, made)
         self._assembly.SetVisibility(False)
 
     def set_sensor(
-        self, sensor: Sensor, mesh: MembraneMesh, T_B_here: np.ndarray, colour: str
+        self, sensor: Sensor, mesh: MembraneMesh, T_B_other: np.ndarray, colour: str
     ) -> None:
-        """Take the sensor, and where it is in the bubble frame of the scene's."""
+        """Set the sensor, and its pose in the bubble frame of the first."""
         matrix = vtkMatrix4x4()
-        matrix.DeepCopy(T_B_here.ravel().tolist())
+        matrix.DeepCopy(T_B_other.ravel().tolist())
         self._assembly.SetUserMatrix(matrix)
         self._assembly.SetVisibility(False)
         self._drawn.set_sensor(sensor, mesh)
-        self._drawn.of(RimLayer).paint(colour)
+        self._drawn.layer(RimLayer).paint(colour)
 
     @property
     def visible(self) -> bool:
-        """Whether it is in the view."""
+        """Whether it is drawn."""
         return bool(self._assembly.GetVisibility())
 
     def show(self, result: Result, settings: Settings) -> None:
-        """Have the next picture show a result with what the user chose to see."""
+        """Draw a result with the next render."""
         self._drawn.draw(result, settings)
         self._assembly.SetVisibility(True)
 
     def hide(self) -> None:
-        """Show nothing."""
+        """Hide the sensor."""
         self._drawn.hide()
         self._assembly.SetVisibility(False)
         self._view.refresh()
 
 
-def _gathered(view: View, props: list[Any]) -> Any:
-    """Assembly of the actors among some props; the rest, which are colour bars, is taken out."""
+def _assembled(view: View, props: list[Any]) -> Any:
+    """Assembly of the actors among some props; all others (colour bars) are removed."""
     assembly = vtkAssembly()
     for prop in props:
         view.renderer.RemoveViewProp(prop)

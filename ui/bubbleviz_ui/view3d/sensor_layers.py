@@ -1,4 +1,4 @@
-"""How the bubble frame lies, and how long a length is."""
+"""Layers of the sensor: axes and scale bar, camera frustum, rim, measured points."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, residual_colours, rgb
 from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.text import ColourBar, write_in
+from bubbleviz_ui.view3d.text import ColourBar, set_text_style
 
 CORNER = 80
-"""Side of the corner of the view that the axes take, px."""
+"""Side of the corner with the axes, px."""
 SHARE = 0.16
-"""Longest bar as a share of the view's width: beside it is room for the caption of a video."""
+"""Longest scale bar over the view's width; a video caption fits next to it."""
 TICK, BOTTOM, TEXT = 5.0, 10.0, 13  # px
 
 
 class AxesLayer(Layer):
-    """Axes of B in a corner, and a scale bar beside them."""
+    """Axes of B in a corner, and a scale bar next to them."""
 
     name = "axes"
 
@@ -39,25 +39,25 @@ class AxesLayer(Layer):
             self._axes.GetYAxisCaptionActor2D(),
             self._axes.GetZAxisCaptionActor2D(),
         ):
-            write_in(canvas.view, caption.GetCaptionTextProperty(), TEXT)
+            set_text_style(canvas.view, caption.GetCaptionTextProperty(), TEXT)
             caption.GetTextActor().SetTextScaleModeToNone()
         scale = ScaleBar(canvas.view, canvas.units, left=CORNER)
         self.actors += [self._axes, *scale.actors]
         canvas.view.rendering.connect(self._fit)
 
     def _fit(self) -> None:
-        """Keep the axes their size, however large the picture is."""
-        width, height = self.canvas.view.room
+        """Keep the size of the axes in pixels."""
+        width, height = self.canvas.view.size_px
         widget = self.canvas.view.renderer.axes_widget
         widget.SetViewport(0.0, 0.0, min(CORNER / width, 1.0), min(CORNER / height, 1.0))
 
 
 class ScaleBar:
-    """A round length (1, 2, 5 · 10ᵏ) at the bottom of the picture, as long as the picture allows.
+    """Scale bar of a round length (1, 2, 5 · 10ᵏ) at the bottom of the view.
 
-    It is true in the depth of the point about which the view turns.
+    Valid at the depth of the centre of rotation.
 
-    `left`: Where it begins, pixels.
+    `left`: Left end, pixels.
     """
 
     def __init__(self, view: View, units: Units, left: float) -> None:
@@ -67,33 +67,33 @@ class ScaleBar:
         mapper.SetInputData(self._bar)
         self._line, self._label = vtkActor2D(), vtkTextActor()
         self._line.SetMapper(mapper)
-        write_in(view, self._label.GetTextProperty(), TEXT)
-        self.actors = [self._line, self._label]  # To be shown or hidden together
+        set_text_style(view, self._label.GetTextProperty(), TEXT)
+        self.actors = [self._line, self._label]
         for actor in self.actors:
             view.renderer.AddViewProp(actor)
         view.follow_theme(self._paint)
         view.rendering.connect(self._fit)
 
     def _fit(self) -> None:
-        """Choose the length, and draw it, for the picture that is about to be made."""
-        (width, height), camera = self._view.room, self._view.camera
+        """Choose and draw the length before a render."""
+        (width, height), camera = self._view.size_px, self._view.camera
         pixel_m = 2.0 * camera.distance * math.tan(math.radians(camera.view_angle) / 2.0) / height
         length_m = _round_length(SHARE * width * pixel_m)
         left, right, top = self._left, self._left + length_m / pixel_m, BOTTOM + TICK
         ends = np.array([[left, top], [left, BOTTOM], [right, BOTTOM], [right, top]])
-        self._bar.points[:, :2] = np.round(self._view.pixel * ends)
+        self._bar.points[:, :2] = np.round(self._view.pixel_ratio * ends)
         self._bar.Modified()
-        self._line.GetProperty().SetLineWidth(2.0 * self._view.pixel)
+        self._line.GetProperty().SetLineWidth(2.0 * self._view.pixel_ratio)
         unit = self._units.length
         self._label.SetInput(f"{unit.from_si(length_m):.4g} {unit.symbol}")
-        self._label.SetPosition(self._view.pixel * left, self._view.pixel * (top + 2.0))
+        self._label.SetPosition(self._view.pixel_ratio * left, self._view.pixel_ratio * (top + 2.0))
 
     def _paint(self, colours: theme.Colours) -> None:
         self._line.GetProperty().SetColor(*(c / 255 for c in rgb(colours.text)))
 
 
 def _round_length(most_m: float) -> float:
-    """Largest of 1, 2, 5 · 10ᵏ that is no longer."""
+    """Largest of 1, 2, 5 · 10ᵏ not above a length."""
     decade = 10.0 ** math.floor(math.log10(most_m))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most_m)
 
@@ -106,7 +106,7 @@ LINES = np.array([[2, 0, 1], [2, 0, 2], [2, 0, 3], [2, 0, 4], [2, 1, 2], [2, 2, 
 
 
 class FrustumLayer(Layer):
-    """Lines from the camera through the corners of the image, as far as the membrane."""
+    """Lines from the camera through the corners of the image, up to the membrane."""
 
     name = "frustum"
 
@@ -120,13 +120,13 @@ class FrustumLayer(Layer):
         canvas.view.follow_theme(lambda colours: setattr(lines.prop, "color", colours.frustum))
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Take another camera and its distance to the membrane."""
+        """Set the camera and its distance to the membrane."""
         self._camera = sensor.camera
         self._far_m = float(np.linalg.norm(mesh.nodes.mean(axis=0) - sensor.camera.position_m))
         self._drawn_for = None
 
     def draw(self, picture: Picture) -> None:
-        """Follow the recording's intrinsics, which win over the sensor's."""
+        """Use the recording's intrinsics, if any, else the sensor's."""
         intrinsics = picture.result.frame.intrinsics
         if self._camera is None or self._drawn_for == (intrinsics or "sensor"):
             return
@@ -136,17 +136,14 @@ class FrustumLayer(Layer):
 
 
 def _corners(camera: DepthCamera, far_m: float) -> np.ndarray:
-    """Camera centre and the four corners of its image at a depth, in B."""
+    """Camera centre and image corners at a depth, (5, 3) in B."""
     slopes = camera.intrinsics.slopes()[[0, 0, -1, -1], [0, -1, -1, 0]]
     corners = np.column_stack([slopes, np.ones(4)]) * far_m
     return np.vstack([camera.center, corners @ camera.T_B_C[:3, :3].T + camera.center])
 
 
-# The rim: where the membrane is clamped.
-
-
 class RimLayer(Layer):
-    """Open boundary of the displayed surface."""
+    """Rim: the clamped boundary of the membrane."""
 
     name = "rim"
 
@@ -157,7 +154,7 @@ class RimLayer(Layer):
         canvas.view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Find the boundary of the new mesh; it is clamped, so once is enough."""
+        """Extract the boundary of the new mesh, which does not move."""
         rim = self.canvas.surface.poly.extract_feature_edges(
             boundary_edges=True,
             non_manifold_edges=False,
@@ -168,7 +165,7 @@ class RimLayer(Layer):
         self.actor.mapper.SetInputData(rim)
 
     def paint(self, colour: str | None) -> None:
-        """Take a sensor's own colour; None: the theme's."""
+        """Set the colour; None: the theme's."""
         self._own = colour
         self.actor.prop.color = colour or self._themes
 
@@ -177,22 +174,22 @@ class RimLayer(Layer):
         self.paint(self._own)
 
 
-# The measured points, coloured by residual, by patch membership, or plain.
+# The measured points, coloured by residual, by patch, or uniformly.
 
 
 CHUNK = 1024
-"""The buffers change in steps, so a few points more or less change no array's size."""
+"""Buffers grow in this step, so that a few points more do not reallocate them."""
 
 DOT, BALL = 2, 3
-"""Size of a point that is flat, and of one that is shaded, px."""
+"""Size of flat and of shaded points, px."""
 SPARSE = 0.5
-"""With fewer than this share of the points that may be drawn, flat ones are a pixel larger."""
+"""Below this share of the most points, flat ones are drawn a pixel larger."""
 
 
 class CloudLayer(Layer):
-    """Point cloud in buffers with some room; spare points repeat the last one."""
+    """Point cloud in buffers whose unused points repeat the last one."""
 
-    name, cut = "cloud", True
+    name, clipped = "cloud", True
     RESIDUAL = "residual"
     COLOUR = "colour"
 
@@ -211,19 +208,19 @@ class CloudLayer(Layer):
             interpolate_before_map=False,
             **view.quality.points,
         )
-        actor.ForceOpaqueOn()  # else VTK draws the points in its costly translucent pass
+        actor.ForceOpaqueOn()  # avoids VTK's slow translucent pass
         self._bar = ColourBar(view, self._table, "residual", upper=False)
         view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Put the points of the old sensor away."""
+        """Clear the points of the previous sensor."""
         self._poly.points[:] = 0.0
 
     def draw(self, picture: Picture) -> None:
-        """Write the points and their colours into the buffers."""
+        """Copy points and colours into the buffers."""
         result = picture.result
         if result.cloud_m is None or len(result.cloud_m) == 0:
-            self._has(False)
+            self._set_drawn(False)
             return
         self._reserve(len(result.cloud_m))
         _fill(self._poly.points, result.cloud_m)
@@ -236,7 +233,7 @@ class CloudLayer(Layer):
         else:
             self._colour(result if picture.settings.cloud_colour == "patch" else None)
         self._poly.Modified()
-        self._has(True)
+        self._set_drawn(True)
         self._bar.set_visible(self._visible and by_residual)
 
     def set_visible(self, visible: bool) -> None:
@@ -257,7 +254,7 @@ class CloudLayer(Layer):
         self._use(self.RESIDUAL, direct=False)
 
     def _colour(self, patch_of: Result | None) -> None:
-        """Colour all points alike but those of a result's patch."""
+        """Colour all points uniformly, except those of a result's patch."""
         colours = self._poly.point_data[self.COLOUR]
         colours[:] = rgb(self._plain)
         patch = patch_of.patch if patch_of is not None else None
@@ -284,6 +281,6 @@ class CloudLayer(Layer):
 
 
 def _fill(buffer: np.ndarray, values: np.ndarray) -> None:
-    """Write values into the head of a buffer and repeat the last in the rest."""
+    """Copy values to the start of a buffer and fill the rest with the last one."""
     buffer[: len(values)] = values
     buffer[len(values) :] = values[-1]

@@ -1,4 +1,4 @@
-"""The distance between two points one has clicked."""
+"""Tools of the 3-D view: distance, picking, section, turntable, pictures, viewpoints."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layer import Surface, add_mark
 from bubbleviz_ui.view3d.render_view import POINTS_PER_INCH, View
-from bubbleviz_ui.view3d.text import beside_bars
+from bubbleviz_ui.view3d.text import left_of_bars
 
 
 class Distance:
-    """Two points and the line between them; a third click begins anew."""
+    """Distance of two clicked points; a third click starts again."""
 
     def __init__(self, view: View) -> None:
         self._view = view
-        self.points_m: list[np.ndarray] = []  # list of (3,) arrays: What was clicked, in B
+        self.points_m: list[np.ndarray] = []  # Clicked points (3,) in B
         self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         dots = {"point_size": 10, **view.quality.points}
         self._line = add_mark(view, self._poly, color=theme.GREEN, line_width=2, lighting=False)
@@ -44,12 +44,12 @@ class Distance:
 
     @property
     def middle_m(self) -> np.ndarray:
-        """Middle (3,) of what was clicked, in B."""
+        """Midpoint (3,) of the clicked points, in B."""
         middle: np.ndarray = np.mean(self.points_m, axis=0)
         return middle
 
     def add(self, point_m: np.ndarray) -> None:
-        """Take a point (3,) in B."""
+        """Add a point (3,) in B."""
         self.points_m = [*self.points_m, point_m][-2:] if len(self.points_m) < 2 else [point_m]
         self._poly.points[:] = np.array([self.points_m[0], self.points_m[-1]])
         self._poly.Modified()
@@ -58,69 +58,69 @@ class Distance:
         self._view.refresh()
 
     def clear(self) -> None:
-        """Forget the points."""
+        """Remove the points."""
         self.points_m = []
         self._dots.visibility = self._line.visibility = False
         self._view.refresh()
 
 
-# What lies under a pixel of the 3-D view; on the GUI thread, as all of VTK.
+# Picking of points in the 3-D view.
 
 
-TOLERANCE = 0.004
-"""How near to a measured point one must be, as a share of the view's diagonal."""
+PICK_RADIUS = 0.004
+"""Largest distance from a measured point, as a share of the view's diagonal."""
 
 
 class Picker:
-    """Finds the place on a surface, or the point of a cloud where no surface is.
+    """Picks a point on a surface, or else a point of a cloud.
 
-    What is hidden, or cut away by clipping planes, is not found.
+    Hidden and clipped parts are not picked.
     """
 
     def __init__(self, view: View, surface: Any, cloud: Any) -> None:
         self._view, self._surface, self._cloud = view, surface, cloud
-        self._on_surface = vtkCellPicker()
-        self._on_surface.SetTolerance(0.0)
-        self._on_surface.PickFromListOn()
-        self._on_surface.AddPickList(surface)
+        self._surface_picker = vtkCellPicker()
+        self._surface_picker.SetTolerance(0.0)
+        self._surface_picker.PickFromListOn()
+        self._surface_picker.AddPickList(surface)
 
     def at(self, x: float, y: float) -> np.ndarray | None:
-        """Point (3,) in B under a place of the view in Qt's pixels; None where nothing is."""
-        ratio, picker = self._view.devicePixelRatioF(), self._on_surface
+        """Point (3,) in B at a position of the view in Qt pixels; None if there is none."""
+        ratio, picker = self._view.devicePixelRatioF(), self._surface_picker
         left, up = ratio * x, self._view.height() * ratio - ratio * y - 1.0
         if self._surface.GetVisibility() and picker.Pick(left, up, 0.0, self._view.renderer):
             return np.array(picker.GetPickPosition())
         return self._in_cloud(x, y) if self._cloud.GetVisibility() else None
 
     def _in_cloud(self, x: float, y: float) -> np.ndarray | None:
-        """Point of the cloud nearest to the eye among those close to a place of the view."""
+        """Point of the cloud nearest to the camera within `PICK_RADIUS` of a position."""
         points = _not_cut_away(self._cloud.mapper)
         size = np.array([self._view.width(), self._view.height()])
         seen = self._view.projected(points)
         off = 0.5 * size * (seen[:, :2] * (1, -1) + 1.0) - (x, y)
-        near = np.linalg.norm(off, axis=1) <= TOLERANCE * np.linalg.norm(size)
+        near = np.linalg.norm(off, axis=1) <= PICK_RADIUS * np.linalg.norm(size)
         depth = np.where(near, seen[:, 2], np.inf)
         return np.array(points[np.argmin(depth)]) if near.any() else None
 
 
 def _not_cut_away(mapper: Any) -> np.ndarray:
-    """Points (k, 3) in B of what a mapper draws, on the kept side of its clipping planes."""
+    """Points (k, 3) in B of a mapper that are not clipped."""
     points, planes = np.asarray(mapper.dataset.points), mapper.GetClippingPlanes()
     for plane in planes or ():
         points = points[(points - plane.GetOrigin()) @ plane.GetNormal() >= 0.0]
     return points
 
 
-# A plane that cuts the scene open: what is on one side of it is not drawn.
+# Section plane: clips the scene on one side.
 
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class Section:
-    """Clips actors and draws the line along which the plane cuts the membrane.
+    """Clips actors by a plane and draws its intersection with the membrane.
 
-    `actors`: Those that are cut.
+    `actors`: To be clipped.
     """
 
     def __init__(self, view: View, surface: Surface, actors: list[Any]) -> None:
@@ -136,7 +136,7 @@ class Section:
         self._line.visibility = False
 
     def apply(self, settings: Settings) -> None:
-        """Cut as the user chose; not at all without an axis."""
+        """Apply the chosen section; none without an axis."""
         axis = settings.section_axis
         if axis is not None:
             sign = -1.0 if settings.section_flipped else 1.0
@@ -154,15 +154,15 @@ class Section:
         self._line.visibility = self._on and bool(on_surface)
 
 
-# The scene turning by itself.
+# Turntable: continuous rotation of the scene.
 
 
-EVERY_MS = 33  # 30 pictures a second
-DEGREES_A_SECOND = 30.0  # once round in 12 s
+EVERY_MS = 33
+DEGREES_A_SECOND = 30.0
 
 
 class Turntable(QObject):
-    """Turns the view about what is up, at a steady speed whatever a picture takes."""
+    """Rotates the view about its up direction at a constant speed."""
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
@@ -173,7 +173,7 @@ class Turntable(QObject):
 
     @property
     def turning(self) -> bool:
-        """Whether it turns."""
+        """Whether it is rotating."""
         return self._timer.isActive()
 
     def set_turning(self, turning: bool) -> None:
@@ -188,21 +188,20 @@ class Turntable(QObject):
         self._view.refresh()
 
 
-# A picture of the 3-D view at any resolution, from the same window VTK draws in.
+# Picture of the 3-D view at any resolution.
 
 
-def still(view: View, width: int, height: int) -> np.ndarray:
-    """Picture of the view as it is, (height, width, 3) uint8; text grows with it.
+def picture_of(view: View, width: int, height: int) -> np.ndarray:
+    """Picture of the view, (height, width, 3) uint8; text scales with it.
 
-    What the mouse points at is left out. VTK draws into a buffer of its own, so the window does not
-    change and nothing flashes up.
+    Marks under the mouse are hidden. VTK renders off-screen, so that nothing flashes up.
     """
     window = view.ren_win
-    left_out = [prop for prop in view.of_the_mouse if prop.GetVisibility()]
+    hidden = [prop for prop in view.pointer_props if prop.GetVisibility()]
     before, dpi = tuple(window.GetSize()), window.GetDPI()
     view.makeCurrent()
     try:
-        for prop in left_out:
+        for prop in hidden:
             prop.SetVisibility(False)
         window.SetSize(width, height)
         window.SetDPI(round(POINTS_PER_INCH * height / max(view.height(), 1)))
@@ -215,7 +214,7 @@ def still(view: View, width: int, height: int) -> np.ndarray:
         pixels = vtk_to_numpy(reader.GetOutput().GetPointData().GetScalars())
         return np.ascontiguousarray(pixels.reshape(height, width, 3)[::-1])
     finally:
-        for prop in left_out:
+        for prop in hidden:
             prop.SetVisibility(True)
         window.SetSize(*before)
         window.SetDPI(dpi)
@@ -223,7 +222,7 @@ def still(view: View, width: int, height: int) -> np.ndarray:
         view.refresh()
 
 
-# Where one can look from: along the axes, and as the depth camera does.
+# Viewpoints: along the axes, and that of the depth camera.
 
 
 Viewpoint = Literal["top", "side", "front", "camera"]
@@ -232,19 +231,18 @@ DIRECTIONS = {
     "side": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
     "front": ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)),
 }
-"""From the middle of the membrane to the eye, and what is up, in B."""
+"""Direction from the membrane to the camera, and up direction, in B."""
 ANGLE_DEG = 30.0
-"""View angle of a fresh VTK camera."""
+"""Default view angle of VTK."""
 
 
 def look_along(
     view: View, towards: ArrayLike, up: ArrayLike, points_m: np.ndarray, zoom: float = 1.0
 ) -> None:
-    """Look at points (k, 3) in B, all of which have room beside the colour bars.
+    """Point the camera at points (k, 3) in B, all of them left of the colour bars.
 
-    `towards, up`: (3,) array_like: From the middle of the points to the eye, and what is up, in B.
-    `points_m`: (k, 3) array.
-    `zoom`: How near; 1 shows the whole box around the points.
+    `towards, up`: (3,) array_like: Direction from the points to the camera, and up, in B.
+    `zoom`: 1 fits the bounding box of the points.
     """
     low, high = points_m.min(axis=0), points_m.max(axis=0)
     middle, camera = (low + high) / 2, view.camera
@@ -258,8 +256,8 @@ def look_along(
 
 
 def _fit_beside_bars(view: View, points_m: np.ndarray) -> None:
-    """Make the picture smaller, and move it left, until points (k, 3) fit beside the bars."""
-    camera, free = view.camera, 2.0 * beside_bars(view.width()) - 1.0
+    """Zoom out and pan until points (k, 3) fit left of the colour bars."""
+    camera, free = view.camera, 2.0 * left_of_bars(view.width()) - 1.0
     camera.SetWindowCenter(0.0, 0.0)
     x, y, _ = view.projected(points_m).T
     left, right = float(x.min()), float(x.max())
@@ -270,8 +268,8 @@ def _fit_beside_bars(view: View, points_m: np.ndarray) -> None:
     camera.SetWindowCenter(max(smaller * right - free, 0.0), 0.0)
 
 
-def look_as(view: View, camera: DepthCamera, far_m: float) -> None:
-    """Look with the eye of the depth camera, its image filling the view; `far_m` ahead is focus."""
+def look_through(view: View, camera: DepthCamera, far_m: float) -> None:
+    """View from the depth camera, its image filling the view; focal point at `far_m`."""
     T, own = camera.T_B_C, camera.intrinsics
     vtk_camera = view.camera
     vtk_camera.position = tuple(T[:3, 3])

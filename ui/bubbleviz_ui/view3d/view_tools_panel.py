@@ -1,4 +1,4 @@
-"""3-D tools panel: look, point, measure, cut open, exaggerate, and take pictures."""
+"""3-D tools panel: viewpoints, probe, distance, section, exaggeration, screenshots."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.panels.binding import bind, control, form, tool_button, watch_controls
-from bubbleviz_ui.panels.images_panel import words
+from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
 from bubbleviz_ui.view3d.object_layers import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
-from bubbleviz_ui.view3d.text import PlaceText
-from bubbleviz_ui.view3d.tools import Distance, Turntable, Viewpoint, still
+from bubbleviz_ui.view3d.text import AnchoredText
+from bubbleviz_ui.view3d.tools import Distance, Turntable, Viewpoint, picture_of
 
 VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
 TOOLS = {
     "rotate": ("Rotate", "Drag to rotate the scene, wheel to zoom"),
-    "probe": ("Probe", "Click on the membrane or a point: its numbers stay until Esc"),
+    "probe": ("Probe", "Click on the membrane or a point to show its numbers until Esc"),
     "distance": ("Distance", "Click on two points; a third starts again"),
 }
 HINTS = {
@@ -47,14 +47,14 @@ HINTS = {
     "probe": ("Click on the membrane", "or on a measured point", ""),
     "distance": ("Click on two points", "", ""),
 }
-"""In place of numbers."""
+"""Shown while there are no numbers."""
 SECTION_STEPS = 200
 WIDTH = 286
-"""Room for the numbers of a place, screen pixels."""
+"""Width of the numbers of a probed place, screen pixels."""
 
 
 class ViewTools(QWidget):
-    """Controls of the 3-D view that are no layers."""
+    """Controls of the 3-D view other than layers."""
 
     notified = Signal(object)  # A `UserMessage`
 
@@ -67,8 +67,8 @@ class ViewTools(QWidget):
         self.distance = Distance(view)
         self.turntable = Turntable(view)
         self.picked = Hover(controller)
-        self._marks, self._text = ProbeMarks(view), PlaceText(view, state.units)
-        self._reach_m = 0.1
+        self._marks, self._text = ProbeMarks(view), AnchoredText(view, state.units)
+        self._extent_m = 0.1
         self._make_buttons()
         self._make_settings(state)
         self._lay_out()
@@ -132,15 +132,15 @@ class ViewTools(QWidget):
             self.section_at,
             state,
             "section_at_m",
-            lambda at_m: round(SECTION_STEPS * at_m / self._reach_m),
-            lambda step: self._reach_m * step / SECTION_STEPS,
+            lambda at_m: round(SECTION_STEPS * at_m / self._extent_m),
+            lambda step: self._extent_m * step / SECTION_STEPS,
         )
         for side, box in enumerate((self.width_box, self.height_box)):
             bind(box, state, "picture_size", itemgetter(side), lambda _: self._picture_size())
 
     def _connect(self, controller: Controller) -> None:
         for viewpoint, button in self.views.items():
-            button.clicked.connect(lambda _, name=viewpoint: self._scene.look(name))
+            button.clicked.connect(lambda _, name=viewpoint: self._scene.look_from(name))
         for name, button in self.tools.items():
             button.clicked.connect(lambda _, name=name: self.use_tool(name))
         self.turn.toggled.connect(self.turntable.set_turning)
@@ -152,14 +152,14 @@ class ViewTools(QWidget):
     # -- pointing -----------------------------------------------------------------------------
 
     def use_tool(self, name: str) -> None:
-        """What a click in the view does from now on: `rotate` (nothing), `probe`, `distance`."""
+        """Select what a click in the view does: `rotate` (nothing), `probe` or `distance`."""
         self.tool = name
         self.tools[name].setChecked(True)
         self.picked.leave()
         self.distance.clear()
         pointer = Qt.CursorShape.ArrowCursor if name == "rotate" else Qt.CursorShape.CrossCursor
         self._view.setCursor(pointer)
-        self._say()
+        self._show_reading()
 
     def _on_clicked(self, x: float, y: float) -> None:
         if self.tool == "rotate":
@@ -169,14 +169,14 @@ class ViewTools(QWidget):
             self.picked.leave() if point is None else self.picked.at_point(point)
         elif point is not None:
             self.distance.add(point)
-        self._say()
+        self._show_reading()
 
     def _on_picked(self, place: Probed | None) -> None:
         self._marks.show(place, self._scene.drawn_node(place))
-        self._say()
+        self._show_reading()
 
-    def _say(self) -> None:
-        """Write what was pointed at, in the view and in the panel, in the operator's units."""
+    def _show_reading(self) -> None:
+        """Show the probed place or the distance, in the view and in the panel."""
         place, length_m = self.picked.place, self.distance.length_m
         if length_m is not None:
             self._text.show(length_m, self.distance.middle_m)
@@ -185,7 +185,7 @@ class ViewTools(QWidget):
         lines = HINTS[self.tool]
         units, ends = self._state.units, self.distance.points_m
         if self.tool == "probe" and place is not None:
-            lines = words(place, units)
+            lines = probe_lines(place, units)
         elif self.tool == "distance" and length_m is not None:
             dx, dy, dz = (units.length.from_si(float(d)) for d in ends[1] - ends[0])
             digits = units.length.digits
@@ -203,10 +203,10 @@ class ViewTools(QWidget):
 
     def _on_opened(self, opened: Opened) -> None:
         self._marks.set_camera(opened.camera.center)
-        self._reach_m = float(abs(opened.mesh.nodes).max())
+        self._extent_m = float(abs(opened.mesh.nodes).max())
         self.distance.clear()
         self._at.refresh()
-        self._say()
+        self._show_reading()
 
     def _on_settings(self) -> None:
         settings, length = self._state.settings, self._state.units.length
@@ -221,8 +221,8 @@ class ViewTools(QWidget):
         return self.width_box.value(), self.height_box.value()
 
     def save_picture(self, path: Path) -> None:
-        """Write the 3-D view at the chosen size."""
-        pixels = still(self._view, *self._picture_size())
+        """Save a screenshot of the 3-D view at the chosen size."""
+        pixels = picture_of(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         written = QPixmap.fromImage(image).save(str(path), picture_format(path))
