@@ -111,7 +111,7 @@ class Waiting:
     def drop(self, key):
         return False
 
-    def urgent(self, key):
+    def has_more_urgent(self, key):
         return False
 
     def run(self, number):

@@ -169,7 +169,7 @@ def opened(wait, worker):
     wait(lambda: bool(done))
 
 
-def holding(worker, key="follow"):
+def holding(worker, key="object"):
     """Have the worker wait until the event is set; submitted so, others wait behind it."""
     begun, go_on = Event(), Event()
     worker.submit(lambda: (begun.set(), go_on.wait(240.0)), lambda _: None, key=key)

@@ -83,8 +83,8 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     assert not recorder.stop().problem
     driver = opened(drive, sensor, tmp_path / "marked.mcap")
     driver.wait(lambda: driver.state.markers == (3, 7))
-    assert "marked: slipped here" in driver.window.playback.timeline.words(7)
-    assert "marked" not in driver.window.playback.timeline.words(6)
+    assert "marked: slipped here" in driver.window.playback.timeline.tip(7)
+    assert "marked" not in driver.window.playback.timeline.tip(6)
     driver.key(Qt.Key.Key_PageDown)
     driver.wait(lambda: driver.state.frame == 3)
     # one that ends early says so
