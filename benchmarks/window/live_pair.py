@@ -136,11 +136,11 @@ def _count_pair(
     path, live = folder / "pair.mcap", session.window.live_controller
     run = recorded_run(session, path)
     run_for(WARM_UP_S)
-    session.window.picture_age.begin(10**6)
+    session.window.display_latency.begin(10**6)
     before = _Counts.now(session, run, publishers)
     with beats() as gaps_ms:
         run_for(seconds)
-    after, ages = _Counts.now(session, run, publishers), session.window.picture_age.report()
+    after, ages = _Counts.now(session, run, publishers), session.window.display_latency.report()
     if ages is None:
         raise InputError("no picture was drawn")
     live.close()

@@ -96,7 +96,7 @@ def _soak(
     live, run = session.window.live_controller, recorded_run(session, path)
     stream = run.frames[0].stream
     session.wait_for(lambda: len(run.frames[0]) > 0, "the first solved frame")
-    session.window.picture_age.begin(10**7)
+    session.window.display_latency.begin(10**7)
     skipped, solved = stream.counters.skipped, len(run.frames[0])
     pictures, memory = session.window.view.render_count, list[tuple[float, int]]()
     began = time.monotonic()
@@ -105,7 +105,7 @@ def _soak(
         run_for(min(STEP_S, seconds - elapsed))
         memory.append((time.monotonic() - began, resident_bytes()))
     pictures_hz = (session.window.view.render_count - pictures) / (time.monotonic() - began)
-    ages, solved = session.window.picture_age.ages_s, len(run.frames[0]) - solved
+    ages, solved = session.window.display_latency.ages_s, len(run.frames[0]) - solved
     skipped = stream.counters.skipped - skipped
     sent = publisher.images_sent()
     drain(stream)

@@ -101,7 +101,7 @@ class Bench(Driver):
 
     def record(self):
         """Press the record button and wait until it writes."""
-        self.live_controller.choose_folder(self.folder)
+        self.live_controller.set_folder(self.folder)
         self.window.live.record.button.click()
         self.wait(lambda: self.status().messages > 5)
 

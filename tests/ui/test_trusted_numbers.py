@@ -95,7 +95,7 @@ def test_untrusted_numbers_have_dashes_a_reason_and_a_colour(drive):
     assert any("file by +50.0 kPa" in text for text in texts(driver))
     picture = window.playback.timeline.grab().toImage()
     bar = window.playback.timeline
-    at = QColor(picture.pixel(round(bar.x_of(PRESSED)) + 3, bar.height() - 11))
+    at = QColor(picture.pixel(round(bar.x_at(PRESSED)) + 3, bar.height() - 11))
     assert at == QColor(theme.UNTRUSTED)
     driver.seek(0)
     assert window.status.labels["force"].text() == "force 0.00 N"

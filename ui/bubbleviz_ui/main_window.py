@@ -30,7 +30,7 @@ from bubbleviz_ui.engine.upkeep import MemoryRelease
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
-from bubbleviz_ui.live.live_bar import LiveBar, PictureAge
+from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.demand import StageTimes
@@ -139,7 +139,7 @@ class MainWindow(QMainWindow):
         self.session_saver = SessionSaver(self, self)
         self.stage_times = StageTimes()
         self.calibration = CalibrationPanel(
-            Calibration(controller, self.undo_recorder), state.units, self.playback.strip
+            Calibration(controller, self.undo_recorder), state.units, self.playback.range_strip
         )
         self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
@@ -147,8 +147,7 @@ class MainWindow(QMainWindow):
         self.pair = SensorPair(controller, self.scene, self.view)
         self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
         self.live = LiveBar(self.live_controller, state.units)
-        self.picture_age = PictureAge(controller, self.view)
-        self.beside = MembraneBeside(controller, self.scene, self.view)
+        self.display_latency = DisplayLatency(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
         self._confirms_close = True
@@ -353,9 +352,9 @@ class MainWindow(QMainWindow):
                     partial(self.state.set_panel_open, kind.settings_name)
                 )
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
-        docks["plots"].open_high()
-        docks["images"].open_high()
-        docks["calibration"].take_free_height()
+        docks["plots"].open_at_hint_height()
+        docks["images"].open_at_hint_height()
+        docks["calibration"].maximise_height()
         docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
@@ -383,7 +382,7 @@ class MainWindow(QMainWindow):
         watch("keys", keys.edited, lambda: keys.changed, keys.use)
         for text, box in self.calibration.boxes.items():
             self.undo_recorder.watch_box(text, box)
-        self.playback.timeline.range_drawn.connect(self._play_range)
+        self.playback.timeline.range_dragged.connect(self._play_range)
         self.calibration.painted.connect(self._paint)
         self.status.clicked.connect(self.show_performance)
         self._rates_timer.timeout.connect(self.show_rates)
@@ -416,8 +415,8 @@ class MainWindow(QMainWindow):
         ):
             notified.connect(self.messages.add)
         self.messages.added.connect(self._show_message)
-        self.message.asked.connect(self.show_messages)
-        self.notice.asked.connect(self._open_written)
+        self.message.open_requested.connect(self.show_messages)
+        self.notice.open_requested.connect(self._open_written)
 
     def _show_message(self, message: UserMessage) -> None:
         quiet = message.kind == "notice"
@@ -536,4 +535,4 @@ class MainWindow(QMainWindow):
             view.render_rate.rate_hz(now),
             controller.dropped,
         )
-        self.status.show_latency(self.picture_age.report())
+        self.status.show_latency(self.display_latency.report())

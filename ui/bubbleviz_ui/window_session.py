@@ -140,11 +140,11 @@ class WindowSession:
         """
         session_saver = self.window.session_saver
         saved = session_saver.keep_in(file)
-        session_saver.use(saved)
+        session_saver.apply_settings(saved)
         with self.window.undo_recorder.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
         if recording is not None:
-            session_saver.expect(saved, recording)
+            session_saver.restore_after_open(saved, recording)
         if known:
             return False
         return self._source_opened(session_saver.open_source(saved))

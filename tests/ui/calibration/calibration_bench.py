@@ -62,7 +62,7 @@ class Bench(Driver):
         """Drag on the strip of the timeline, from frame to frame."""
         strip = self.panel.strip
         frames = (start, (start + end) // 2, end)
-        self.drag(strip, *(QPoint(round(strip.x_of(f)), strip.height() // 2) for f in frames))
+        self.drag(strip, *(QPoint(round(strip.x_at(f)), strip.height() // 2) for f in frames))
         self.done()
 
 

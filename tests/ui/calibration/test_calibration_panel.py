@@ -116,7 +116,7 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     assert not set(range(5, 10)) & set(after.samples.frames)
     assert after.contact_free is before.contact_free
     assert after.found.tension.tension.value != before.found.tension.tension.value
-    assert frames.said.text().startswith("frames 0–4, 10–")
+    assert frames.message.text().startswith("frames 0–4, 10–")
 
     def replace(first, last):
         bench.type(frames.first, first)
@@ -135,9 +135,9 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     tips = [panel.steps.button(k).toolTip() for k in range(7)]
     assert tips[0].endswith("needs attention") and not any(tip.endswith("done") for tip in tips)
     bench.step(6)
-    assert not panel.report.use_it.isEnabled() and not panel.report.save_as.isEnabled()
+    assert not panel.report.use_sensor.isEnabled() and not panel.report.save_as.isEnabled()
     bench.undo()
-    assert panel.report.use_it.isEnabled() and panel.report.save_as.isEnabled()
+    assert panel.report.use_sensor.isEnabled() and panel.report.save_as.isEnabled()
     assert bench.answer is replaced and "Outdated" not in panel.verdict.text()
 
 
@@ -164,12 +164,12 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
     tips = lambda: [panel.steps.button(k).toolTip() for k in range(7)]  # noqa: E731
     assert all(tip.endswith(": to do") for tip in tips())
     assert panel.steps.button(1).text() == "2\nPixels"
-    assert "nothing touches" in panel.todo.text() and panel.todo.isVisible()
+    assert "nothing touches" in panel.task.text() and panel.task.isVisible()
     bench.click(panel.next)
     bench.click(panel.next)
     assert [tip.endswith(": done") for tip in tips()] == [True, True] + 5 * [False]
     assert panel.steps.button(1).text() == "2 ✓\nPixels"
-    assert "which pixels" in panel.todo.text()
+    assert "which pixels" in panel.task.text()
     before = bench.answer
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
@@ -208,7 +208,7 @@ def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_
     for height in (1000, 660):  # its buttons are in sight
         bench.resize(1016, height)
         bench.settle()
-        for button in (report.use_it, report.save_as):
+        for button in (report.use_sensor, report.save_as):
             assert button.visibleRegion().boundingRect().size() == button.size()
             assert button.mapTo(panel, QPoint()).y() >= panel.stack.geometry().bottom()
     assert not panel.next.isVisible()

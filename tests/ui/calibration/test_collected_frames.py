@@ -10,7 +10,7 @@ from resting import REST, TENSION, RestingSource
 from window_driver import CTRL
 
 from bubbleviz.recordings import Frame
-from bubbleviz_ui.calibration.frame_collector import FIRST_LOOK
+from bubbleviz_ui.calibration.frame_collector import FIRST_ESTIMATE
 
 PERIOD_S = 1.0 / 60.0
 """Of the camera: pictures of frames that come faster would take the time of what is computed."""
@@ -35,7 +35,7 @@ def test_frames_are_collected_live_until_the_interval_is_small(drive):
     box.count.setValue(400)
     box.target.setValue(5.0)
     bench.click(box.button)
-    bench.wait(lambda: len(box.collector.frames) >= FIRST_LOOK)
+    bench.wait(lambda: len(box.collector.frames) >= FIRST_ESTIMATE)
     bench.state.set_playing(False)  # no pictures while the estimate is computed
     bench.wait(lambda: not box.collector.active)
     bench.done()
@@ -82,11 +82,11 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive):
     old, work = bench.answer, panel.calibration.work
     bench.step(0)
     assert box.button.text() == "Collect again: 8 frames"
-    assert box.said.text() == "8 frames collected."
+    assert box.message.text() == "8 frames collected."
     box.count.setValue(2000)
     bench.click(box.button)
     bench.wait(lambda: len(box.collector.frames) >= 3)
-    assert "until then the 8 frames collected before are in use" in box.said.text()
+    assert "until then the 8 frames collected before are in use" in box.message.text()
     bench.click(box.cancel)
     assert panel.calibration.work == work and bench.answer is old
     cameras[0].stuck = panel.calibration.work.collected[0]
@@ -127,12 +127,12 @@ def test_collected_frames_outlive_close_and_connecting_again(drive):
     bench.wait(lambda: bench.state.facts.is_empty)
     bench.settle()
     begun = len(box.collector.frames)
-    assert kept() and "Nothing is open" in box.said.text() and not box.button.isEnabled()
+    assert kept() and "Nothing is open" in box.message.text() and not box.button.isEnabled()
     connect(sensor)
     bench.wait(lambda: len(box.collector.frames) > begun)
     assert kept()
     bench.click(box.cancel)
-    assert box.said.text() == "8 frames collected." and panel.verdict.isVisible()
+    assert box.message.text() == "8 frames collected." and panel.verdict.isVisible()
     smaller = sensor.camera.model_copy(update={"width": 64, "height": 48})
     other = sensor.model_copy(update={"camera": smaller})
     assert "resting is not saved" in answered(bench, lambda: connect(other), "Discard")

@@ -30,7 +30,7 @@ def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, 
     bench.identify()
     window, answer = bench.window, bench.answer
     bench.step(len(bench.panel.pages) - 1)
-    bench.click(bench.panel.report.use_it)
+    bench.click(bench.panel.report.use_sensor)
     bench.wait(lambda: window.controller.sensor is not sensor)
     assert f"{sensor.name}, identified (not saved)" in window.windowTitle()
     assert bench.pipeline.model.pixels is not None
@@ -118,7 +118,7 @@ def test_a_saved_identification_is_not_asked_for(drive, folder, monkeypatch):
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)
-    bench.click(bench.panel.report.use_it)
+    bench.click(bench.panel.report.use_sensor)
     bench.wait(lambda: "(not saved)" in bench.window.windowTitle())
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (folder / "mine.toml", ""))
     bench.click(bench.panel.report.save_as)

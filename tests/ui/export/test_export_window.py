@@ -41,15 +41,15 @@ class Bench(Driver):
         assert self.dialog.export.isEnabled()
         self.click(self.dialog.export)
         # A short export may be over before what it says has arrived.
-        self.wait(lambda: self.window.exporting.busy or self.dialog.said.text())
+        self.wait(lambda: self.window.exporting.busy or self.dialog.message.text())
 
     def export(self, title, out, chosen=""):
         """Export, wait until it is over; what is said then."""
         self.begin(title, out, chosen)
         self.wait(lambda: not self.window.exporting.busy)
-        self.wait(lambda: bool(self.dialog.said.text()))
-        assert self.window.messages.all[-1].text == self.dialog.said.text()
-        return self.dialog.said.text()
+        self.wait(lambda: bool(self.dialog.message.text()))
+        assert self.window.messages.all[-1].text == self.dialog.message.text()
+        return self.dialog.message.text()
 
 
 @pytest.fixture
@@ -245,10 +245,10 @@ def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     dialog = bench.dialog
     long = "/a/folder/of/some/length/v.mp4: cannot be written; choose another place. " * 4
     window.exporting.notified.emit(UserMessage("error", long))
-    bench.wait(lambda: dialog.said.text() == long)
+    bench.wait(lambda: dialog.message.text() == long)
     controls = (dialog.kind, dialog.frames, dialog.step, dialog.captioned, dialog.export)
     bench.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
-    labels = (dialog.about, dialog.said)
+    labels = (dialog.about, dialog.message)
     bench.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))
     # nothing is exported while nothing is open
     bench.state.set_range((3, 8))

@@ -9,9 +9,9 @@ from bubbleviz.live import Credentials, SessionOptions, open_session
 from bubbleviz.recordings import AUTO
 from bubbleviz_ui.live.connect_dialog import (
     KINDS,
+    PAIR,
     REALSENSE,
     REPLAY,
-    TOGETHER,
     ZENOH,
     ConnectDialog,
 )
@@ -76,7 +76,7 @@ def test_the_source_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatc
     dialog = bench.window.findChild(ConnectDialog)
     dialog.kind.setFocus()
     for kind in KINDS:
-        expected = "dual_nut" if kind == TOGETHER else f"{kind}:"
+        expected = "dual_nut" if kind == PAIR else f"{kind}:"
         assert dialog.kind.currentData() == kind and dialog.source.text() == expected
         bench.bot.keyClick(dialog.kind, Qt.Key.Key_Down)
     choose_kind(dialog, REALSENSE)

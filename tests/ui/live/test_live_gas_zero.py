@@ -8,7 +8,7 @@ from window_driver import CTRL, SHIFT
 
 
 def counts(live):
-    live.window.live.show_now()
+    live.window.live.update_status()
     return str(live.window.live.counts.toolTip())
 
 

@@ -8,7 +8,7 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
 from bubbleviz_ui.engine.sensor_client import RequestDelay
 from bubbleviz_ui.live.connection import single
-from bubbleviz_ui.live.live_controller import LOOK_MS
+from bubbleviz_ui.live.live_controller import UPDATE_MS
 from tests.live.streams import robot
 
 SHORT, FULL = 1, 3
@@ -72,7 +72,7 @@ def test_a_killed_robot_is_noticed_and_reconnects(open_bench):
             assert len(bench.state.facts.gaps) >= turn
     path = bench.stop()
     assert set(arrived) <= {message.log_time for message in contents(path)[IMAGE]}
-    assert STALE_AFTER_S + LOOK_MS / 1000.0 < 1.0
+    assert STALE_AFTER_S + UPDATE_MS / 1000.0 < 1.0
 
 
 def test_the_solver_is_held_back_by_what_its_results_waited():
@@ -94,7 +94,7 @@ def test_garbage_is_counted_shown_and_survived(open_bench):
         stream = bench.run.frames[0].stream
         bench.wait(lambda: min(stream.counters.wrong_size, stream.counters.bad_stamps) > 0)
         bench.wait(lambda: stream.counters.undecodable > 2)
-        bench.window.live.show_now()
+        bench.window.live.update_status()
         text = bench.window.live.counts.toolTip()
         for words in ("undecodable", "of wrong size", "with bad stamps", "/cam/depth: "):
             assert words in text

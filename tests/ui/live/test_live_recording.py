@@ -55,7 +55,7 @@ def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_who
     live.bot.keyClicks(controls.note, "slipped here")
     live.bot.keyClick(controls.note, Qt.Key.Key_Return)
     live.follow(5)
-    live.window.live.show_now()
+    live.window.live.update_status()
     assert re.fullmatch(r"\d\d:\d\d · .* MB waiting", controls.progress.text())
     path = live.stop()
     assert not live.ticked("Live › Record")

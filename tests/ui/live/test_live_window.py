@@ -39,7 +39,7 @@ def test_frames_are_followed_frozen_and_followed_again(open_bench):
     frames = live.state.facts.frames
     live.messages_come(10)
     assert live.shown == back and live.state.facts.frames <= frames + 2
-    live.window.playback.now.click()
+    live.window.playback.go_live.click()
     live.follow(2)
     assert not live.state.frozen and live.shown > back + 5 and not live.ticked(frozen)
     live.show("calibration")
@@ -47,7 +47,7 @@ def test_frames_are_followed_frozen_and_followed_again(open_bench):
     live.wait(box.button.isEnabled)
     live.key(Qt.Key.Key_L, CTRL | SHIFT)  # after disconnecting no frames can be collected
     live.wait(lambda: not box.button.isEnabled())
-    assert "connect again" in box.said.text()
+    assert "connect again" in box.message.text()
 
 
 def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench):
@@ -80,7 +80,7 @@ def test_one_word_says_what_one_looks_at(open_bench):
         assert ">&nbsp;frozen&nbsp;<" in word.text() and " (frozen) " in title()
         bench.wait(lambda: word.text().endswith("Hz"))
         assert "live" not in word.text()
-        bench.window.playback.now.click()
+        bench.window.playback.go_live.click()
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text())
         changed = bench.state.connection_changed
         noted = changed.connect(lambda: seen.append((title(), word.text())))
@@ -109,7 +109,7 @@ def test_all_of_the_window_stays_on_a_small_screen(open_bench):
         assert (window.width(), window.height()) == size, title
     live.record()
     live.follow(1)
-    window.live.record.begin_note()
+    window.live.record.start_note()
     window.shortcuts.actions["Help › First steps"].trigger()
     long = "/home/robot/recordings/monday/press_of_the_ball.mcap: is no recording; "
     window.messages.add(UserMessage("error", long, "details"))
@@ -130,7 +130,7 @@ def test_all_of_the_window_stays_on_a_small_screen(open_bench):
 def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
     open_bench, monkeypatch
 ):
-    monkeypatch.setattr(live_frames, "KEPT_S", 0.05)
+    monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.05)
     live = connected(open_bench)
     live.follow(5)
     live.state.seek(0)
@@ -138,7 +138,7 @@ def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
     live.state.freeze(False)
     live.follow(2)
     live.window.message.hide()
-    monkeypatch.setattr(live_frames, "KEPT_S", 0.0)
+    monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.0)
     for _ in range(2):
         live.follow(5)
         live.key(Qt.Key.Key_F)
@@ -173,7 +173,7 @@ def test_a_frozen_view_shows_one_frame_everywhere_and_what_it_missed_is_no_outag
     live.wait(lambda: live.state.frozen)
     last, before_s = live.state.facts.frames - 1, live.state.facts.times_s[-1]
     live.messages_come(120)
-    live.window.playback.now.click()
+    live.window.playback.go_live.click()
     live.wait(lambda: live.state.facts.frames > last + 2)
     assert np.diff(live.state.facts.times_s)[last:].max() > STALE_AFTER_S
     assert live.state.facts.times_s[last] == before_s
@@ -184,7 +184,7 @@ def test_a_frozen_view_shows_one_frame_everywhere_and_what_it_missed_is_no_outag
         live.follow(3)
         live.window.playback.freeze.click()
         live.wait(lambda: live.state.frozen and one_frame_everywhere(live))
-        live.window.playback.now.click()
+        live.window.playback.go_live.click()
     path = record_dents(live.folder / "dents.mcap")
     live.live_controller.connect_to(single(f"replay:{path}", sensor_file(live.folder)))
     live.wait(lambda: "dents.mcap" in live.state.facts.title)

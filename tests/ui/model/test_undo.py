@@ -111,19 +111,19 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     driver.window.undo_stack.clear()
     window, frames = driver.window, driver.window.calibration.frames.collect
     picture, stack = window.calibration.pixels.picture, window.undo_stack
-    before = (picture.currentText(), frames.count.value(), frames.untouched.isChecked())
+    before = (picture.currentText(), frames.count.value(), frames.contact_free.isChecked())
     picture.setCurrentIndex(1)
     for count in (101, 150):  # typed, one digit after the other
         frames.count.setValue(count)
-    frames.untouched.click()
+    frames.contact_free.click()
     after = (picture.currentText(), 150, not before[2])
     assert stack.count() == 3
     for _ in range(3):
         stack.undo()
-    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == before
+    assert (picture.currentText(), frames.count.value(), frames.contact_free.isChecked()) == before
     for _ in range(3):
         stack.redo()
-    assert (picture.currentText(), frames.count.value(), frames.untouched.isChecked()) == after
+    assert (picture.currentText(), frames.count.value(), frames.contact_free.isChecked()) == after
     driver.seek(3)
     shortcuts = driver.window.shortcuts
     shortcuts.set_keys("View › Reset view", QKeySequence("Ctrl+J"))

@@ -25,7 +25,7 @@ BELOW, ABOVE = RULER + 8, RULER // 2
 
 
 def at(timeline, frame, y=BELOW):
-    return QPoint(round(timeline.x_of(frame)), y)
+    return QPoint(round(timeline.x_at(frame)), y)
 
 
 def drag(driver, first, last, y):
@@ -65,7 +65,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     row = RULER + 2
 
     def colour(frame):
-        return tuple(int(c) for c in seen[row, round(timeline.x_of(frame)) + 4])
+        return tuple(int(c) for c in seen[row, round(timeline.x_at(frame)) + 4])
 
     assert colour(1) == rgb(theme.DARK.free)
     assert colour(FIRST_CONTACT + 4) == rgb(theme.CONTACT)
@@ -85,7 +85,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     driver.seek(0)
     drag(driver, 3, 6, ABOVE)
     assert driver.state.play_range == (3, 6) and driver.state.frame == 0
-    edge = painted(timeline)[RULER + 3, round(timeline.x_of(6))]
+    edge = painted(timeline)[RULER + 3, round(timeline.x_at(6))]
     assert tuple(edge) == rgb(theme.DARK.accent)
     played: list[int] = []
     driver.state.frame_changed.connect(lambda index, _: played.append(index))
@@ -116,7 +116,7 @@ def test_gaps_and_markers_are_seen(drive):
     assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
     before = painted(timeline)
     red = np.flatnonzero(np.all(before == rgb(theme.GAP), axis=2).any(axis=0))
-    left, right = timeline.x_of(5), timeline.x_of(6)
+    left, right = timeline.x_at(5), timeline.x_at(6)
     assert left < red.min() < left + 0.2 * (right - left)
     assert right > red.max() > right - 0.2 * (right - left)
     assert not np.all(before == rgb(theme.DARK.marker), axis=2).any()
@@ -126,15 +126,15 @@ def test_gaps_and_markers_are_seen(drive):
     driver.click(driver.window.playback.mark)
     assert driver.state.markers == (3, 9)
     marked = np.argwhere(np.all(painted(timeline) == rgb(theme.DARK.marker), axis=2))[:, 1]
-    assert abs(marked.min() - timeline.x_of(3)) < 6 and abs(marked.max() - timeline.x_of(9)) < 6
+    assert abs(marked.min() - timeline.x_at(3)) < 6 and abs(marked.max() - timeline.x_at(9)) < 6
     driver.key(Qt.Key.Key_PageDown)
     assert driver.state.frame == 9
     driver.key(Qt.Key.Key_M)
     assert driver.state.markers == (3,)
-    assert "3 missing after it" in timeline.words(5) and "marked" in timeline.words(3)
+    assert "3 missing after it" in timeline.tip(5) and "marked" in timeline.tip(3)
     # an outage is as wide as it was long
     times = driver.state.facts.times_s
-    places = np.array([timeline.x_of(k) for k in range(FRAMES)])
+    places = np.array([timeline.x_at(k) for k in range(FRAMES)])
     np.testing.assert_allclose(np.diff(places) / np.diff(times), np.ptp(places) / np.ptp(times))
     for share, frame in ((0.4, 5), (0.6, 6)):
         driver.bot.mouseClick(
@@ -157,8 +157,8 @@ def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot):
     outage = Gap(19, 59, 2.0)
     state.grow(replace(facts, times_s=np.append(times, times[-1] + 2.0), outages=(outage,)))
     red = np.flatnonzero(np.all(painted(timeline) == rgb(theme.GAP), axis=2).any(axis=0))
-    assert timeline.x_of(19) < red.min() < red.max() < timeline.x_of(20)
-    assert np.ptp(red) > 400 and "missing after it" in timeline.words(19)
+    assert timeline.x_at(19) < red.min() < red.max() < timeline.x_at(20)
+    assert np.ptp(red) > 400 and "missing after it" in timeline.tip(19)
 
 
 def test_a_replay_that_begins_again_is_laid_out_lap_after_lap():
@@ -177,9 +177,9 @@ def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive):
     ):
         driver.key(which, modifier)
         assert driver.state.frame == frame
-    driver.click(driver.window.playback.jumps[-1.0])
+    driver.click(driver.window.playback.second_steps[-1.0])
     assert driver.state.frame == 0
-    driver.click(driver.window.playback.jumps[0.1])
+    driver.click(driver.window.playback.second_steps[0.1])
     assert driver.state.frame == 3
     panel = driver.window.playback
     driver.key(Qt.Key.Key_Up, CTRL)
@@ -251,8 +251,8 @@ def test_36000_frames_are_a_few_pixels(qtbot):
     timeline = Timeline(state)
     timeline.resize(900, timeline.height())
     seen = np.all(painted(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
-    assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_of(18_000)) < 2
-    assert timeline.frame_at(timeline.x_of(20_000)) == pytest.approx(20_000, abs=1)
+    assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_at(18_000)) < 2
+    assert timeline.frame_at(timeline.x_at(20_000)) == pytest.approx(20_000, abs=1)
 
 
 def test_a_duration_that_no_clock_had_is_painted_with_a_few_times(qtbot, monkeypatch):
@@ -329,11 +329,11 @@ def test_speed_a_single_frame_and_uneven_times(speed):
 def test_the_clock_makes_up_for_small_delays_only():
     clock = PlayClock(np.arange(10) / 10.0)
     clock.start(0, 0.0, 1.0)
-    assert clock.following(0.05, loop=False) == (0, False)
-    assert clock.following(0.13, loop=False) == (1, False)
-    assert clock.following(0.201, loop=False) == (2, False)  # due at 0.2, not at 0.23
-    assert clock.following(5.0, loop=False) == (3, False)
-    assert clock.following(5.05, loop=False) == (3, False)
+    assert clock.next_frame(0.05, loop=False) == (0, False)
+    assert clock.next_frame(0.13, loop=False) == (1, False)
+    assert clock.next_frame(0.201, loop=False) == (2, False)  # due at 0.2, not at 0.23
+    assert clock.next_frame(5.0, loop=False) == (3, False)
+    assert clock.next_frame(5.05, loop=False) == (3, False)
     clock.start(9, 6.0, 1.0)
-    assert clock.following(6.2, loop=False) == (9, True)
-    assert clock.following(6.2, loop=True) == (0, False)
+    assert clock.next_frame(6.2, loop=False) == (9, True)
+    assert clock.next_frame(6.2, loop=True) == (0, False)

@@ -78,7 +78,7 @@ class Bench(Driver):
     def drawn(self):
         """Colour the object is drawn in."""
         layer = self.window.scene.object
-        assert layer.place is not None
+        assert layer.T_B_O is not None
         return str(layer.actor.prop.color.hex_rgb)
 
     def green(self):
@@ -156,7 +156,7 @@ def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
 def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     bench.choose_object("frustum")
     panel = bench.panel
-    bench.click(bench.panel.move_it)
+    bench.click(bench.panel.move_in_view)
     bench.settle()
     gizmo, view = bench.window.overlay.gizmo, bench.window.view
     assert gizmo.on
@@ -176,7 +176,7 @@ def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     moved = bench.panel.session.start
     assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
     assert np.allclose(bench.window.scene.object.T_B_O, moved)
-    bench.click(bench.panel.move_it)
+    bench.click(bench.panel.move_in_view)
     assert not gizmo.on
     for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
         bench.type(box, f"{value:g}")

@@ -16,8 +16,8 @@ from bubbleviz_ui.model.demand import Demand, needed_products
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.shear.shear_panel import ShearPlot, copied_shear, shear_words
-from bubbleviz_ui.shear.shear_reference import NO_RUBBER
+from bubbleviz_ui.shear.shear_panel import ShearPlot, shear_report, shear_texts
+from bubbleviz_ui.shear.shear_reference import NEEDS_RUBBER
 
 NOTHING = Settings(layers=frozenset(), panels=frozenset())
 
@@ -99,7 +99,7 @@ def test_frames_that_pass_without_contact_are_the_reference(drive, rubber):
     driver.wait(lambda: panel.values["force"].text() == "0.00 N")
     assert panel.state.text() == "nothing touches the membrane"
     assert panel.values["direction"].text() == "–"
-    driver.click(panel.collect)
+    driver.click(panel.search_reference)
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
 
 
@@ -120,9 +120,9 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     driver.state.change(images=frozenset({"flow"}))
     driver.show("images")
     driver.opens("speckled", SpeckledSource, sensor, playing=False)
-    driver.wait(lambda: panel.reference.text() == NO_RUBBER)
+    driver.wait(lambda: panel.reference.text() == NEEDS_RUBBER)
     cell = lambda: driver.window.images.cells["flow"]  # noqa: E731
-    driver.wait(lambda: cell().text.replace("<br>", " ") == f"Flow {NO_RUBBER}")
+    driver.wait(lambda: cell().text.replace("<br>", " ") == f"Flow {NEEDS_RUBBER}")
     assert cell().image is None
     driver.seek(2)
     assert driver.result.estimate is not None
@@ -193,13 +193,13 @@ def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     driver.window.scene.show(replace(dragged(driver), traction=None), settings)
     assert not any(actor.GetVisibility() for actor in layer.actors)
     # numbers have their interval and their doubts
-    words = shear_words(dragged(driver), Units())
+    words = shear_texts(dragged(driver), Units())
     assert words["normal"] == "3.00 ± 0.20 N" and words["tangential"] == "1.50 ± 0.20 N"
     assert words["direction"] == "0 ± 7 °, not verified on real sensors"
     assert words["slip"] == "40 ± 20 %"
-    alone = shear_words(dragged(driver, "depth_alone"), Units())
+    alone = shear_texts(dragged(driver, "depth_alone"), Units())
     assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "–"
-    text = copied_shear(dragged(driver), Units())
+    text = shear_report(dragged(driver), Units())
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
     # the bound is off until it is ticked, and that can be undone
     panel, window = driver.window.shear, driver.window

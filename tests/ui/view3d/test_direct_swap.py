@@ -141,7 +141,7 @@ def test_the_view_s_own_window_beside_qt_s_picture_of_the_rest(drive):
     # the mouse reaches the view through its own window
     view, seen = driver.window.view, list[tuple[str, float, float]]()
     view.clicked.connect(lambda x, y: seen.append(("clicked", x, y)))
-    view.moved.connect(lambda x, y: seen.append(("moved", x, y)))
+    view.mouse_moved.connect(lambda x, y: seen.append(("moved", x, y)))
     native = view.windowHandle()
     assert native is not None and native is not driver.window.windowHandle()
     QTest.mouseMove(native, QPoint(40, 50))

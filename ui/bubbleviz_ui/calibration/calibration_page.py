@@ -1,4 +1,4 @@
-"""What the steps of the γ0 panel have in common."""
+"""Base class of the calibration pages, and their number and image widgets."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from bubbleviz_ui.shell.dock import fill
 
 
 class Page(QWidget):
-    """One step: its picture, its numbers and what can be changed."""
+    """Page of one step: image, numbers and settings."""
 
     name = ""  # on its button
     title = ""
-    todo = ""  # what to do here, in one sentence
-    sets: tuple[str, ...] = ()  # settings that are changed here
-    next_title = ""  # what the button that leads on to this page says
+    task = ""  # instruction to the user, one sentence
+    sets: tuple[str, ...] = ()  # settings changed on this page
+    next_title = ""  # text of the button that leads to this page
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__()
@@ -33,19 +33,19 @@ class Page(QWidget):
         self.column.setSpacing(6)
 
     def enter(self) -> None:
-        """The person goes on to this step: do what is not done yet."""
+        """Compute the step when the user proceeds to this page."""
 
     def is_done(self, answer: Answer) -> bool:
-        """Whether an answer has what this step is for."""
+        """Whether an answer contains the results of this step."""
         raise NotImplementedError
 
     def show_answer(self, answer: Answer) -> None:
-        """Show what is known."""
+        """Show the results of an answer."""
         raise NotImplementedError
 
 
 class Numbers(QWidget):
-    """Names and numbers, one under the other."""
+    """Form of names and numbers."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class Numbers(QWidget):
         self._labels: dict[str, QLabel] = {}
 
     def set(self, name: str, text: str | None) -> None:
-        """Write a number; None: a dash."""
+        """Set a number; None: a dash."""
         if name not in self._labels:
             label = QLabel()
             label.setObjectName("value")
@@ -69,30 +69,30 @@ class Numbers(QWidget):
         return self._labels[name].text()
 
     def clear(self) -> None:
-        """Nothing is known any more: a dash for each number."""
+        """Show a dash for each number."""
         for name in self._labels:
             self.set(name, None)
 
 
-# An image of numbers: coloured, with its colour bar, and the number under the mouse.
+# An image with a colour bar and the value under the mouse.
 
 
 HEIGHT, BAR = 290, 10
-"""Of image and colour bar together, and of the bar alone, screen pixels."""
+"""Height of image and colour bar together, and of the bar alone, screen pixels."""
 
 
 class ImageView(QWidget):
-    """Shows one image at a time; the mouse wheel zooms, dragging moves it.
+    """Shows one image; the mouse wheel zooms, dragging pans.
 
     Parameters
     ----------
     kind : {"range", "around zero", "mask"}
-        How it is coloured.
+        Colouring.
 
     Attributes
     ----------
     image : (H, W) array or None
-        What is shown, SI.
+        Image shown, SI.
     """
 
     def __init__(self, kind: Kind = "range") -> None:
@@ -109,7 +109,7 @@ class ImageView(QWidget):
     def show_image(
         self, title: str, image: np.ndarray | None, unit: Unit, low: float, high: float
     ) -> None:
-        """Show an image (H, W) in SI with its colours from `low` to `high`; None: nothing."""
+        """Show an image (H, W) in SI with colours from `low` to `high`; None: no image."""
         self._host.prepare()
         self.image, self._unit = image, unit
         self.title.setText(title if image is not None else f"{title}: {DASH}")
@@ -137,7 +137,7 @@ class ImageView(QWidget):
         axis.setTextPen(text)
 
     def _make(self) -> list[Part]:
-        import pyqtgraph as pg  # 0.2 s later than the window
+        import pyqtgraph as pg  # not at start
 
         self._cell = ImageCell(Picture("", self._kind), head=0.0)
         self._bar = pg.ColorBarItem(

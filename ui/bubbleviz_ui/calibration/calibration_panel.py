@@ -1,4 +1,4 @@
-"""The γ0 panel: the steps one after another, with what is going on below them."""
+"""The calibration panel: pages of the steps, verdict, progress."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import unsaved
+from bubbleviz_ui.shell.file_dialogs import ask_to_save
 from bubbleviz_ui.shell.message_bars import StepButtons, StepState
 
 OUTDATED = "Outdated: settings changed since."
-WIDTH = 380  # px: two columns of numbers with units
+WIDTH = 380  # px
 
 
 class CalibrationPanel(QWidget):
-    """Steps, the page of one of them, verdict, progress."""
+    """Step buttons, the page of one step, verdict, progress."""
 
-    painted = Signal(object, object)  # points (k, 3) and numbers (k,), both in m, for the 3-D view
+    painted = Signal(object, object)  # points (k, 3) and values (k,), both in m, for the 3-D view
 
     def __init__(self, calibration: Calibration, units: Units, strip: RangeStrip) -> None:
         super().__init__()
@@ -55,9 +55,9 @@ class CalibrationPanel(QWidget):
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
-        self._refused_of: Work | None = None
-        self._used: Sensor | None = None  # what was identified, in use before it is saved
-        self.title, self.todo = QLabel(), QLabel(wordWrap=True)
+        self._failed_work: Work | None = None
+        self._unsaved_sensor: Sensor | None = None  # identified sensor in use before it is saved
+        self.title, self.task = QLabel(), QLabel(wordWrap=True)
         self.verdict = QLabel(wordWrap=True)
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
@@ -73,13 +73,13 @@ class CalibrationPanel(QWidget):
 
     @property
     def boxes(self) -> dict[str, QWidget]:
-        """Boxes whose contents no sensor file rests on, by what they set."""
+        """Controls that do not affect the sensor file, by their name in the Edit menu."""
         collect = self.frames.collect
         return {
             "picture": self.pixels.picture,
             "frames to collect": collect.count,
             "precision to collect for": collect.target,
-            "frames with contact": collect.untouched,
+            "frames with contact": collect.contact_free,
         }
 
     @property
@@ -90,63 +90,63 @@ class CalibrationPanel(QWidget):
         self.stack.setCurrentIndex(number)
         self.steps.button(number).setChecked(True)
         self.title.setText(f"{number + 1} · {self.page.title}")
-        self.todo.setText(self.page.todo)
+        self.task.setText(self.page.task)
         self._show()
 
     def save(self, path: Path) -> None:
         """Write sensor file, mesh, pixels and report in the calibration thread."""
         work, draft = self.calibration.answer.work, self.calibration.answer.draft
         found, validation = draft.found, draft.validation
-        given = self.calibration.given
-        if found is None or given is None:
+        initial = self.calibration.initial_sensor
+        if found is None or initial is None:
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
         named = replace(found, sensor=found.sensor.model_copy(update={"name": path.stem}))
 
         def job(progress: Progress) -> None:
-            from bubbleviz.calibration import save  # the window starts without
+            from bubbleviz.calibration import save  # not at start
 
-            save(named, benches.source(work), given.name, path, report, progress, validation)
+            save(named, benches.source(work), initial.name, path, report, progress, validation)
 
         saved = f"Saved {path} and {report.name}"
         notice = UserMessage("notice", saved, file=path, topic=TOPIC)
 
-        def told(_: None) -> None:
+        def on_saved(_: None) -> None:
             self.calibration.saved = work
             self.calibration.notified.emit(notice)
             controller = self.calibration.controller
-            if self._used is not None and controller.sensor is self._used:
-                controller.opening.open_sensor_file(path)  # in use from its file from now on
+            if self._unsaved_sensor is not None and controller.sensor is self._unsaved_sensor:
+                controller.opening.open_sensor_file(path)  # replaces the unsaved sensor
 
-        self.calibration.start(job, told)
+        self.calibration.start(job, on_saved)
 
     def confirm_close(self) -> bool:
-        """Ask what becomes of an identification that is not saved; whether it may be lost now."""
+        """Ask about an unsaved identification; returns whether closing may continue."""
         if not self.calibration.unsaved:
             return True
         text = f"The sensor identified from {self.calibration.name} is not saved."
-        choice = unsaved(self, "Calibration", text)
-        return choice == "discard" or (choice == "save" and self._is_saved())
+        choice = ask_to_save(self, "Calibration", text)
+        return choice == "discard" or (choice == "save" and self._save_now())
 
-    def use_it(self) -> None:
-        """Open the identified sensor on the present source; undo opens the one before."""
+    def use_sensor(self) -> None:
+        """Use the identified sensor with the current source; undo restores the previous one."""
         found, present = self.calibration.answer.draft.found, self.calibration.controller.sensor
         if found is None or present is None:
             return
         folder = TemporaryDirectory(prefix="bubbleviz-")
-        self._folders.append(folder)  # the sensor reads its files when it is opened again
+        self._folders.append(folder)  # the sensor reads its files again when reopened
         path = Path(folder.name) / "sensor.toml"
-        from bubbleviz.calibration import write_sensor  # the window starts without
+        from bubbleviz.calibration import write_sensor  # not at start
 
         write_sensor(found, path)
         name = f"{found.sensor.name}, identified"
-        # the user knows of no file
-        new = self._used = load_sensor(path).model_copy(update={"name": name, "file": ""})
+        # the temporary file is hidden from the user
+        new = self._unsaved_sensor = load_sensor(path).model_copy(update={"name": name, "file": ""})
         open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.undo.push("Use the new sensor", open_sensor, present, new)
 
     def close_all(self) -> None:
-        """Stop the threads, remove what was written for the time being."""
+        """Stop the threads and remove temporary files."""
         self.frames.collect.collector.close()
         self.calibration.close()
         for folder in self._folders:
@@ -197,23 +197,23 @@ class CalibrationPanel(QWidget):
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
-        self.report.use.connect(self.use_it)
+        self.report.use.connect(self.use_sensor)
         self.report.save.connect(self.save)
-        calibration.controller.opening.about_to_open.connect(self._on_wanted)
+        calibration.controller.opening.about_to_open.connect(self._on_about_to_open)
 
     def _on_next(self) -> None:
-        """First do this page's step, then go on to the next page and do its step."""
-        if not isinstance(self.page, FramesPage) or self.calibration.settings.last_step:
+        """Go to the next page and compute its step; on the first page, first compute its own."""
+        if not isinstance(self.page, FramesPage) or self.calibration.settings.reached:
             self.go_to(self.stack.currentIndex() + 1)
         self.page.enter()
 
-    def _on_wanted(self, request: OpenRequest) -> None:
-        """Ask before something is opened that an unsaved identification would be lost by."""
-        if self.calibration.loses(request) and not self.confirm_close():
+    def _on_about_to_open(self, request: OpenRequest) -> None:
+        """Ask before opening a source that would discard an unsaved identification."""
+        if self.calibration.would_lose_work(request) and not self.confirm_close():
             request.cancelled.set()
 
-    def _is_saved(self) -> bool:
-        """Have it saved, under a name that is asked for; whether it was."""
+    def _save_now(self) -> bool:
+        """Ask for a name and save the identification; returns whether it was saved."""
         calibration = self.calibration
         self.report.choose_file()
         waiting = QProgressDialog("Writing sensor file and report…", "Cancel", 0, 0, self)
@@ -231,8 +231,8 @@ class CalibrationPanel(QWidget):
         self.progress.setValue(round(100 * done))
 
     def _on_notified(self, message: UserMessage) -> None:
-        """Remember whether the work was refused, until it is another."""
-        self._refused_of = self.calibration.work if message.kind == "error" else None
+        """Remember the work that failed, until it changes."""
+        self._failed_work = self.calibration.work if message.kind == "error" else None
 
     def _show(self) -> None:
         calibration, page = self.calibration, self.page
@@ -240,21 +240,21 @@ class CalibrationPanel(QWidget):
         page.show_answer(answer)
         place, reached = self.stack.currentIndex(), calibration.settings.last_step
         started = reached > Step.START
-        waits_for_live = calibration.live and calibration.work.collected is None
+        needs_collecting = calibration.live and calibration.work.collected is None
         following = self.pages[min(place + 1, len(self.pages) - 1)]
         self.next.setVisible(page is not self.report)
-        for button in (self.report.use_it, self.report.save_as):
+        for button in (self.report.use_sensor, self.report.save_as):
             button.setVisible(page is self.report)
         self.next.setText(following.next_title if started else self.frames.next_title)
-        self.next.setEnabled(not waits_for_live)
+        self.next.setEnabled(not needs_collecting)
         self.back.setEnabled(place > 0)
         self.all.setVisible(reached < Step.TENSION)
-        self.all.setEnabled(not waits_for_live)
+        self.all.setEnabled(not needs_collecting)
         if busy and not self.progress.isVisible():
             self._on_progress("starting", 0.0)
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        known = self._known()
+        known = self._reachable_pages()
         for number in range(len(self.pages)):
             self.steps.button(number).setEnabled(number == place or number < known)
         self.steps.show_states([self._state(number) for number in range(len(self.pages))])
@@ -269,17 +269,17 @@ class CalibrationPanel(QWidget):
         self._show_strip()
 
     def _show_strip(self) -> None:
-        """Show the ranges on the timeline while the panel is open and they are the recording's."""
+        """Show the ranges of a recording below the timeline while the panel is open."""
         calibration = self.calibration
         recorded = calibration.is_open and not calibration.live
         recorded = recorded and calibration.work.collected is None
         self.strip.setVisible(self.isVisible() and recorded and bool(self.strip.ranges))
 
     def _state(self, number: int) -> StepState:
-        """How far a step is; what was refused, or is doubtful, needs attention."""
+        """State of a step; failed and doubtful ones need attention."""
         answer, page = self.calibration.answer, self.pages[number]
-        changed = self._changed_step()
-        refused = self._refused_of == self.calibration.work and number == changed
+        changed = self._first_outdated_step()
+        refused = self._failed_work == self.calibration.work and number == changed
         verdict = answer.verdict(self.units)
         doubtful = verdict is not None and verdict.grade == "doubtful"
         if refused or (doubtful and page is self.tension):
@@ -287,8 +287,8 @@ class CalibrationPanel(QWidget):
         outdated = self.calibration.outdated and number >= changed
         return StepState.DONE if page.is_done(answer) and not outdated else StepState.TO_DO
 
-    def _changed_step(self) -> int:
-        """The first step that what is shown is out of date for; if none, the first not done."""
+    def _first_outdated_step(self) -> int:
+        """The first step whose settings changed since the results shown, else the first to do."""
         work, shown = self.calibration.work, self.calibration.answer.work
         if work.collected is not shown.collected:
             return 0
@@ -299,9 +299,9 @@ class CalibrationPanel(QWidget):
                 return number
         return min(int(shown.settings.last_step), len(self.pages) - 1)
 
-    def _known(self) -> int:
-        """Pages there is something to see on."""
-        reached = self.calibration.answer.work.settings.last_step
+    def _reachable_pages(self) -> int:
+        """Number of pages with results."""
+        reached = self.calibration.answer.work.settings.reached
         return len(self.pages) if reached >= Step.TENSION else max(1, int(reached))
 
     def _lay_out(self) -> None:
@@ -312,15 +312,15 @@ class CalibrationPanel(QWidget):
         for page in self.pages:
             self.stack.addWidget(_scrolling(page))
         self.title.setObjectName("value")
-        self.todo.setObjectName("dim")
+        self.task.setObjectName("dim")
         self.next.setObjectName("main")
         self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
-        last = self.report.use_it, (self.report.save_as, 1)
+        last = self.report.use_sensor, (self.report.save_as, 1)
         buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1), *last)
-        parts = (self.steps.row, self.title, self.todo, (self.stack, 1), self.verdict)
+        parts = (self.steps.row, self.title, self.task, (self.stack, 1), self.verdict)
         fill(column, *parts, working, buttons)
-        self.all.setToolTip("All steps at once")
+        self.all.setToolTip("Compute all steps up to γ0")
 
 
 def _scrolling(page: Page) -> QScrollArea:

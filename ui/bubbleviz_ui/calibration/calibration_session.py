@@ -1,4 +1,4 @@
-"""The calibration session: every choice can be undone, every answer comes from a thread."""
+"""Calibration session: settings with undo, results computed in a thread."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ if TYPE_CHECKING:
     from bubbleviz.calibration import Comparison, Verdict, Workbench
 
 
-# What the calibration thread hands to the window: a draft and the pictures it needs.
+# Results of the calibration thread: a draft and its images.
 
 
-PICTURES = 0.95
-"""Share of the work that is done before the pictures of it are made."""
+IMAGES_AT = 0.95
+"""Progress at which the images are computed."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """All that a person decided; undo puts an older one back."""
+    """Input of a calibration; undo restores an older one."""
 
     settings: Settings = field(default_factory=Settings)
-    collected: HeldFrames | None = None  # frames of a live source; None: the recording itself
+    collected: HeldFrames | None = None  # frames of a live source; None: frames of the recording
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of it."""
+    """Results of a calibration."""
 
     work: Work
     draft: Draft
     axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))  # of the source's frames
-    # the last frame less the surface before and after rectification, (H, W) each, m
+    # last frame minus surface, before and after rectification, (H, W) each, m
     last: tuple[np.ndarray, np.ndarray] | None = None
     local_tension: np.ndarray | None = None  # (H, W), N/m
-    comparison: Comparison | None = None  # against the sensor that was in use
+    comparison: Comparison | None = None  # with the sensor in use
     compared_with: Sensor | None = None
 
     @property
@@ -62,22 +62,22 @@ class Answer:
         return len(self.axis)
 
     def verdict(self, units: Units) -> Verdict | None:
-        """What the identification is worth, in the operator's units; None before there is one."""
+        """Quality of the identification, in the displayed units; None before there is one."""
         if self.draft.found is None:
             return None
-        from bubbleviz.calibration import judge  # the window starts without
+        from bubbleviz.calibration import judge  # not at start
 
         return judge(self.draft.found, units.gas_pressure.text)
 
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
-    """Do the work and everything that is shown of it; runs in the calibration thread."""
-    draft = bench.work(work.settings, part_of(progress, 0.0, PICTURES))
+    """Calibrate and compute everything shown; runs in the calibration thread."""
+    draft = bench.work(work.settings, part_of(progress, 0.0, IMAGES_AT))
     axis = TimeAxis(bench.source.times_s)
     if draft.found is None:
         return Answer(work, draft, axis)
-    progress("pictures", PICTURES)
-    # the window starts without
+    progress("images", IMAGES_AT)
+    # not at start
     from bubbleviz.calibration import before_after, compare, local_tension_image
 
     return Answer(
@@ -92,34 +92,34 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
 
 
 TOPIC = "calibration"
-"""Of messages."""
-REMEMBERED = 4
-"""Answers that undo finds again without computing."""
+"""Topic of messages."""
+CACHED_ANSWERS = 4
+"""Results that undo can restore without computing."""
 
 
 class Calibration(QObject):
-    """What the γ0 panel shows and changes."""
+    """State of the calibration panel."""
 
-    changed = Signal()  # another choice, another answer, or work began or ended
-    restarted = Signal()  # another source is open
-    progressed = Signal(str, float)  # step in plain words and the share of it that is done
+    changed = Signal()  # settings or results changed, or computing began or ended
+    restarted = Signal()  # another source was opened
+    progressed = Signal(str, float)  # description of the step, and its completed share
     notified = Signal(object)  # a `UserMessage`
 
     def __init__(self, controller: Controller, undo: UndoRecorder) -> None:
         super().__init__()
         self.controller, self.undo = controller, undo
         self.work = Work()
-        # of `work` unless something is being computed or has failed
-        self.answer = self._nothing = Answer(self.work, Draft(self.settings))
+        # of `work`, unless it is being computed or has failed
+        self.answer = self._empty = Answer(self.work, Draft(self.settings))
         self.live = False
         self.name = ""
-        self.given: Sensor | None = None
-        self.saved: Work | None = None  # of which a sensor file was written last
-        self._opener: Source | None = None
-        self._shown: Source | None = None
-        self._holding = False
-        self._remembered: OrderedDict[Work, Answer] = OrderedDict()
-        self.benches = Benches()
+        self.initial_sensor: Sensor | None = None
+        self.saved: Work | None = None  # last one written to a sensor file
+        self._source: Source | None = None
+        self._shown_source: Source | None = None
+        self._suspended = False
+        self._cache: OrderedDict[Work, Answer] = OrderedDict()
+        self.benches = Workbenches()
         self._worker = Worker("calibration")
         self._worker.progressed.connect(self.progressed)
         controller.opened.connect(self._on_opened)
@@ -130,31 +130,31 @@ class Calibration(QObject):
 
     @property
     def outdated(self) -> bool:
-        """What is shown is of other settings: it is being computed anew, or that was refused."""
+        """Whether the results shown belong to other settings: computing, or failed."""
         return self.work != self.answer.work
 
     @property
     def unsaved(self) -> bool:
-        """Whether there is an identification that no sensor file was written of."""
+        """Whether there is an identification that was not saved."""
         return self.answer.draft.found is not None and self.saved != self.answer.work
 
     @property
     def is_open(self) -> bool:
-        """Whether the window shows the source that this works on."""
-        return self._shown is self._opener
+        """Whether the window shows the source being calibrated."""
+        return self._shown_source is self._source
 
-    def loses(self, request: OpenRequest) -> bool:
-        """Whether an identification that was not saved would be lost by opening something."""
-        if not self.unsaved or request.source is self._shown:
+    def would_lose_work(self, request: OpenRequest) -> bool:
+        """Whether opening another source would discard an unsaved identification."""
+        if not self.unsaved or request.source is self._shown_source:
             return False
-        return not self._goes_on(request, request.open_sensor)
+        return not self._continues_with(request, request.open_sensor)
 
     @property
     def settings(self) -> Settings:
         return self.work.settings
 
     def edit(self, text: str, gesture: Hashable = None, **changes: Any) -> None:
-        """Change settings by name, so that it can be undone."""
+        """Change settings by name, as an undo step."""
         new = replace(self.work, settings=replace(self.settings, **changes))
         self._push(text, new, gesture)
 
@@ -162,25 +162,25 @@ class Calibration(QObject):
         self._push(f"Collect {count_of(len(frames), 'frame')}", Work(settings, frames), None)
 
     def reach(self, step: Step, text: str) -> None:
-        """Do the steps up to one, unless they are done."""
-        if self.settings.last_step < step:
-            self.edit(text, last_step=step)
+        """Compute the steps up to this one, if not done yet."""
+        if self.settings.reached < step:
+            self.edit(text, reached=step)
 
     def cancel(self) -> None:
-        """Stop computing; everything is as it was before."""
+        """Stop computing and restore the previous settings."""
         if not self.busy:
             return
         self._worker.cancel()
-        self._holding = True
+        self._suspended = True
         while self.outdated and self._is_own(self.undo.stack.index() - 1):
             self.undo.stack.undo()
         if self.outdated:  # another setting was changed meanwhile
             self.undo.push("Cancel", self._apply, self.work, self.answer.work)
-        self._holding = False
+        self._suspended = False
         self.changed.emit()
 
     def start(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
-        """Run another long job of the session in its thread; `then` gets what it returns."""
+        """Run another long job in the calibration thread; `then` receives its return value."""
 
         def take(answer: Any) -> None:
             then(answer)
@@ -190,15 +190,15 @@ class Calibration(QObject):
         self.changed.emit()
 
     def close(self) -> None:
-        """Stop the thread; it lets go of the source."""
+        """Close the source and stop the thread."""
         self._worker.cancel()
         self._worker.submit(self.benches.close)
         self._worker.close()
 
     def _run(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
-        """Do a job in place of what runs."""
+        """Run a job in place of the running one."""
         self._worker.cancel()
-        self._worker.submit(partial(job, self._worker.progress), then, self._tell_problem)
+        self._worker.submit(partial(job, self._worker.progress), then, self._report_failure)
 
     def _push(self, text: str, new: Work, gesture: Hashable) -> None:
         if new != self.work:
@@ -209,12 +209,12 @@ class Calibration(QObject):
         return isinstance(command, UndoStep) and command.apply == self._apply
 
     def _apply(self, work: Work) -> None:
-        """Make it the present work: its answer is remembered, or computed now."""
+        """Set the current work; its results come from the cache or are computed."""
         self.work = work
-        if self._holding:
+        if self._suspended:
             return
-        nothing = self._nothing if work == self._nothing.work else None
-        known = nothing or self._remembered.get(work)
+        empty = self._empty if work == self._empty.work else None
+        known = empty or self._cache.get(work)
         if known is not None:
             self._worker.cancel()
             self.answer = known
@@ -223,63 +223,63 @@ class Calibration(QObject):
         self.changed.emit()
 
     def _compute(self, work: Work) -> None:
-        opener, given, in_use = self._opener, self.given, self.controller.sensor
-        if opener is None or given is None or in_use is None:
+        source, initial, in_use = self._source, self.initial_sensor, self.controller.sensor
+        if source is None or initial is None or in_use is None:
             return
         benches = self.benches
 
         def compute(progress: Progress) -> Answer:
-            found = answer(benches.of(work, opener, given), work, in_use, progress)
-            release_memory()  # hundreds of MB that it worked with
+            found = answer(benches.workbench(work, source, initial), work, in_use, progress)
+            release_memory()  # hundreds of MB
             return found
 
         self._run(compute, self._on_computed)
 
     def _on_computed(self, answer: Answer) -> None:
-        self.answer = self._remembered[answer.work] = answer
-        while len(self._remembered) > REMEMBERED:
-            self._remembered.popitem(last=False)
+        self.answer = self._cache[answer.work] = answer
+        while len(self._cache) > CACHED_ANSWERS:
+            self._cache.popitem(last=False)
         self.changed.emit()
 
-    def _tell_problem(self, failed: Failed) -> None:
+    def _report_failure(self, failed: Failed) -> None:
         self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
-        if opened.request.source is self._shown:
-            return  # the same source with another sensor, perhaps the one identified here
-        self._shown = opened.request.source
-        self.undo.stack.clear()  # what could be undone belongs to the source that is gone
-        if self._goes_on(opened.request, lambda: opened.sensor):
-            self._go_on(opened)
+        if opened.request.source is self._shown_source:
+            return  # the same source with another sensor, perhaps the one just identified
+        self._shown_source = opened.request.source
+        self.undo.stack.clear()  # its steps belong to the previous source
+        if self._continues_with(opened.request, lambda: opened.sensor):
+            self._continue(opened)
             return
         self._worker.cancel()
-        self._remembered.clear()
-        self._opener, self.given = opened.request.source, opened.sensor
+        self._cache.clear()
+        self._source, self.initial_sensor = opened.request.source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
         self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
-        self.answer = self._nothing = Answer(self.work, Draft(self.settings))
+        self.answer = self._empty = Answer(self.work, Draft(self.settings))
         self.saved = None
         self.restarted.emit()
         self.changed.emit()
 
-    def _goes_on(self, request: OpenRequest, sensor: Callable[[], Sensor]) -> bool:
-        """Whether the work stays with another source: none, or the same recording or camera."""
-        present, opener = self._opener, request.source
-        if present is None or self.given is None:
+    def _continues_with(self, request: OpenRequest, sensor: Callable[[], Sensor]) -> bool:
+        """Whether work can continue with another source: none, the same recording or camera."""
+        present, source = self._source, request.source
+        if present is None or self.initial_sensor is None:
             return False
-        if opener is NO_SOURCE:
+        if source is NO_SOURCE:
             return True
-        if opener.path is not None:
-            return opener.path == present.path
-        return opener.live and self.live and _size(sensor()) == _size(self.given)
+        if source.path is not None:
+            return source.path == present.path
+        return source.live and self.live and _size(sensor()) == _size(self.initial_sensor)
 
-    def _go_on(self, opened: Opened) -> None:
-        """Keep what was decided and found."""
+    def _continue(self, opened: Opened) -> None:
+        """Keep settings and results."""
         if opened.request.source is not NO_SOURCE:
-            self._opener = opened.request.source
+            self._source = opened.request.source
         if opened.facts.live:
-            self.given, self.name = opened.sensor, opened.facts.title
+            self.initial_sensor, self.name = opened.sensor, opened.facts.title
         self.changed.emit()
 
 
@@ -287,29 +287,29 @@ def _size(sensor: Sensor) -> tuple[int, int]:
     return sensor.camera.width, sensor.camera.height
 
 
-class Benches:
-    """The workbench of the open source; lives in the calibration thread."""
+class Workbenches:
+    """The workbench of the open source; used in the calibration thread."""
 
     def __init__(self) -> None:
-        self._opener: Source | None = None
+        self._source: Source | None = None
         self._bench: Workbench | None = None
         self._collected: tuple[HeldFrames, Workbench] | None = None
 
-    def of(self, work: Work, opener: Source, given: Sensor) -> Workbench:
-        """Workbench of a work, made where it is not there yet."""
-        from bubbleviz.calibration import Workbench  # the window starts without
+    def workbench(self, work: Work, source: Source, initial: Sensor) -> Workbench:
+        """Workbench for a work, created if needed."""
+        from bubbleviz.calibration import Workbench  # not at start
 
         if work.collected is not None:
             if self._collected is None or self._collected[0] is not work.collected:
-                self._collected = (work.collected, Workbench(work.collected, given))
+                self._collected = (work.collected, Workbench(work.collected, initial))
             return self._collected[1]
-        if self._bench is None or self._opener is not opener:
+        if self._bench is None or self._source is not source:
             self.close()
-            self._bench, self._opener = Workbench(opener.open(given), given), opener
+            self._bench, self._source = Workbench(source.open(initial), initial), source
         return self._bench
 
     def source(self, work: Work) -> FrameSource:
-        """Source of a work that was done."""
+        """Source of a completed work."""
         if work.collected is not None:
             return work.collected
         if self._bench is None:
@@ -317,7 +317,7 @@ class Benches:
         return self._bench.source
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Close the source."""
         if self._bench is not None:
             self._bench.source.close()
         self._bench = self._collected = None

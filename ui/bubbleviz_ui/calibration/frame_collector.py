@@ -1,4 +1,4 @@
-"""Collecting frames of a live source until there are enough, or γ0 is known well enough."""
+"""Collection of live frames until there are enough, or γ0 is precise enough."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ if TYPE_CHECKING:
     from bubbleviz.calibration import Quantity
 
 
-FIRST_LOOK, LOOK_EVERY = 10, 10
-"""Frames before γ0 is first estimated, and between estimates."""
+FIRST_ESTIMATE, ESTIMATE_EVERY = 10, 10
+"""Frames before the first estimate of γ0, and between estimates."""
 
 
 class Collector(QObject):
-    """Takes frames as they are shown."""
+    """Collects the frames that are shown."""
 
-    changed = Signal()  # another frame, another estimate, or collecting began or ended
-    # the `HeldFrames`: enough of them, or γ0's interval is as small as wanted
-    complete = Signal(object)
+    changed = Signal()  # another frame or estimate, or collecting began or ended
+    complete = Signal(object)  # the `HeldFrames`
 
     def __init__(self) -> None:
         super().__init__()
@@ -35,44 +34,44 @@ class Collector(QObject):
         self.tension: Quantity | None = None  # γ0 so far, N/m
         self.active = False
         self.message = ""
-        self._count, self._target, self._only_untouched = 0, 0.0, True
-        self._fits = False  # the sensor in use has explained a frame without contact
+        self._count, self._target, self._only_contact_free = 0, 0.0, True
+        self._fits = False  # the sensor in use has matched a contact-free frame
         self.name, self._sensor = "", None  # type: tuple[str, Sensor | None]
-        self._looked_at = 0
+        self._estimated_at = 0
         self._worker = Worker("calibration")
 
     def start(
         self,
         name: str,  # of the source
-        sensor: Sensor,  # to start from
-        count: int,  # frames to collect at most
-        target: float | None,  # half of γ0's 95 % interval over γ0 at which to stop before
-        only_untouched: bool,  # leave out frames in which the sensor in use sees a contact
+        sensor: Sensor,  # nominal sensor
+        count: int,  # largest number of frames
+        target: float | None,  # stop earlier when half of γ0's 95 % interval over γ0 is below
+        only_contact_free: bool,  # skip frames in which contact is detected with the sensor in use
     ) -> None:
         self.name, self._sensor = name, sensor
-        self._count, self._target, self._only_untouched = count, target or 0.0, only_untouched
+        self._count, self._target, self._only_contact_free = count, target or 0.0, only_contact_free
         self._fits = False
-        self.frames, self.tension, self._looked_at, self.message = [], None, 0, ""
+        self.frames, self.tension, self._estimated_at, self.message = [], None, 0, ""
         self.active = True
         self.changed.emit()
 
     def take(self, result: Result) -> None:
-        """Take the frame of a result, unless it is touched or was taken before."""
+        """Collect the frame of a result, unless it has contact or was collected already."""
         if not self.active:
             return
         status = result.estimate.status if result.estimate is not None else None
         self._fits = self._fits or status == "no_contact"
         doubtful = self._fits and status in ("implausible", "not_converged")
-        if status == "no_data" or (self._only_untouched and (status == "ok" or doubtful)):
+        if status == "no_data" or (self._only_contact_free and (status == "ok" or doubtful)):
             return
         frame = result.frame
         if any(frame.depth_m is kept.depth_m for kept in self.frames):
-            return  # the same noise again tells nothing new
+            return  # the same image, shown again
         self.frames.append(frame)
         if len(self.frames) >= self._count:
             self.finish()
             return
-        self._look()
+        self._estimate_if_due()
         self.changed.emit()
 
     def finish(self) -> None:
@@ -92,12 +91,12 @@ class Collector(QObject):
         self._worker.cancel()
         self._worker.close()
 
-    def _look(self) -> None:
+    def _estimate_if_due(self) -> None:
         many = len(self.frames)
-        due = many >= max(FIRST_LOOK, self._looked_at + LOOK_EVERY)
+        due = many >= max(FIRST_ESTIMATE, self._estimated_at + ESTIMATE_EVERY)
         if not due or not self._target or self._worker.busy or self._sensor is None:
             return
-        self._looked_at = many
+        self._estimated_at = many
         frames = HeldFrames(self.frames, self.name)
         function = partial(_estimate, frames, self._sensor, self._worker.progress)
         self._worker.submit(function, self._on_estimate, self._on_failed)
@@ -116,10 +115,10 @@ class Collector(QObject):
 
 
 def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantity | None:
-    from bubbleviz.calibration import Workbench  # the window starts without
+    from bubbleviz.calibration import Workbench  # not at start
 
     nodes = sensor.membrane.nodes
     settings = Settings(last_step=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
     found = Workbench(frames, sensor).work(settings, progress).found
-    # more frames do not narrow what comes of the gauge pressure
+    # more frames do not reduce the contribution of the gauge pressure
     return found.tension.of_shape if found is not None else None

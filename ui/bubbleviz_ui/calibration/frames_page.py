@@ -1,4 +1,4 @@
-"""Step 1: frames in which nothing touches the sensor, found, corrected, or collected live."""
+"""Step 1: contact-free frames, found automatically, corrected, or collected live."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
-# How far each frame is from rest, over the strip of ranges: why a range ends where it does.
+# Deviation of each frame from rest, which shows why a range ends where it does.
 
 
 HEIGHT = 120
 LOWEST, LEAST_TOP, MOST = 0.1, 200.0, 1e4
-"""Standard deviations at the bottom of the logarithmic axis; at its top, at least and at most."""
+"""Lower end of the logarithmic axis, smallest and largest upper end, standard deviations."""
 COLOURS = {"depth": theme.BLUE, "gas pressure": theme.FARTHER}
 
 
 class ScorePlot(QWidget):
-    """Standard deviations from rest, logarithmic, as wide as the strip below it.
+    """Deviation from rest in standard deviations, on a logarithmic axis, aligned with the strip.
 
-    Drawn by hand: a pyqtgraph plot keeps its window alive through its menus.
+    Painted directly, as a pyqtgraph plot would keep its window alive through its menus.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class ScorePlot(QWidget):
         self._axis = TimeAxis(np.zeros(0))
 
     def show_scores(self, found: ContactFree | None, axis: TimeAxis) -> None:
-        """Show the scores of a search of frames on an axis; None: nothing."""
+        """Show the scores of a search for contact-free frames; None hides the plot."""
         self.setVisible(found is not None)
         self._scores, self._axis = {}, axis
         if found is not None:
@@ -67,7 +67,7 @@ class ScorePlot(QWidget):
         self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Lines, the threshold, and decades at the left."""
+        """Draw curves, threshold and axis labels."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         colours = theme.of(self)
@@ -109,15 +109,15 @@ NO_FRAMES = {
     "disconnected": "Disconnected: connect again (Ctrl+L) to collect frames.",
     "ended": "The source has ended: connect again (Ctrl+L) to collect frames.",
 }
-"""Why no frame comes, by the badge of the source."""
+"""Why no frames arrive, by the badge of the source."""
 
 
 class FramesPage(Page):
-    """Strip of ranges, plot of how far each frame is from rest, boxes for exact numbers."""
+    """Strip of ranges, plot of the deviation from rest, boxes for frame numbers."""
 
     name = "Frames"
     title = "Contact-free frames"
-    todo = "Find the frames in which nothing touches the membrane; correct them on the timeline."
+    task = "Find the frames in which nothing touches the membrane; correct them on the timeline."
     sets = ("ranges",)
     next_title = "Find contact-free frames"
 
@@ -125,7 +125,7 @@ class FramesPage(Page):
         super().__init__(calibration, units)
         self.plot = ScorePlot()
         self.strip = RangeStrip()
-        self.said = QLabel(wordWrap=True)
+        self.message = QLabel(wordWrap=True)
         self.first, self.last = QSpinBox(), QSpinBox()
         self.add = QPushButton("Add")
         self.remove = QPushButton("Remove")
@@ -145,7 +145,7 @@ class FramesPage(Page):
         self.replace.clicked.connect(self._on_replace)
         self.find_again.clicked.connect(
             lambda: calibration.edit(
-                "Find contact-free frames", ranges=None, last_step=self._least()
+                "Find contact-free frames", ranges=None, reached=self._step_reached()
             )
         )
 
@@ -153,7 +153,7 @@ class FramesPage(Page):
         self.calibration.reach(Step.FRAMES, self.next_title)
 
     def set_ranges(self, ranges: Ranges, what: str) -> None:
-        self.calibration.edit(what, ranges=ranges, last_step=self._least())
+        self.calibration.edit(what, ranges=ranges, reached=self._step_reached())
 
     def is_done(self, answer: Answer) -> bool:
         return answer.work.settings.last_step >= Step.FRAMES
@@ -164,7 +164,7 @@ class FramesPage(Page):
         self.plot.show_scores(answer.draft.contact_free, answer.axis)
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))
-        if ranges and ranges != before:  # else what was typed stays
+        if ranges and ranges != before:  # else keep what was typed
             self.first.setValue(ranges[0][0])
             self.last.setValue(ranges[0][1] - 1)
         count = len(frame_numbers(ranges))
@@ -173,20 +173,20 @@ class FramesPage(Page):
             widget.setEnabled(answer.frames > 0)
         self.collect.setVisible(live)
         if not answer.frames:
-            self.said.setText("Collect frames of the live source." if live else "")
+            self.message.setText("Collect frames of the live source." if live else "")
             return
         found = answer.draft.contact_free
         text = f"frames {in_words(ranges)}: {count} of {answer.frames}"
         if found is not None and answer.work.settings.ranges is None:
             text += f" – found; {ENDED_BY[found.ended_by]}"
-        self.said.setText(text)
+        self.message.setText(text)
 
     @staticmethod
     def ranges(answer: Answer) -> Ranges:
         return answer.draft.ranges
 
-    def _least(self) -> Step:
-        return max(self.calibration.settings.last_step, Step.FRAMES)
+    def _step_reached(self) -> Step:
+        return max(self.calibration.settings.reached, Step.FRAMES)
 
     def _on_add(self) -> None:
         answer = self.calibration.answer
@@ -203,7 +203,7 @@ class FramesPage(Page):
         self.set_ranges(left, f"Remove frames {first}–{last}")
 
     def _lay_out(self) -> None:
-        fill(self.column, self.plot, self.strip, self.said)
+        fill(self.column, self.plot, self.strip, self.message)
         numbers = (QLabel("frames"), self.first, QLabel("to"), self.last, 1)
         buttons = (self.add, self.remove, self.replace, self.find_again, 1)
         rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]
@@ -211,14 +211,14 @@ class FramesPage(Page):
 
 
 class CollectBox(QGroupBox):
-    """Collects frames of a live source; stops when there are enough or γ0 is known."""
+    """Collects frames of a live source until there are enough or γ0 is precise enough."""
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__("Live source")
         self._calibration, self._units = calibration, units
         self.collector = Collector()
         self.count, self.target = QSpinBox(), QDoubleSpinBox()
-        self.untouched = QCheckBox("Skip frames with contact")
+        self.contact_free = QCheckBox("Skip frames with contact")
         self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
         self.count.setToolTip("Frames of the untouched membrane to collect")
         self.button.setToolTip(
@@ -226,7 +226,7 @@ class CollectBox(QGroupBox):
         )
         self.stop.setToolTip("Stop collecting and calibrate with the frames collected so far")
         self.cancel.setToolTip("Stop collecting and keep the frames used before")
-        self.said = QLabel(wordWrap=True)
+        self.message = QLabel(wordWrap=True)
         self._lay_out()
         self.button.clicked.connect(self._start)
         self.stop.clicked.connect(self.collector.finish)
@@ -250,15 +250,15 @@ class CollectBox(QGroupBox):
         self.target.setSuffix(" %")
         self.target.setSpecialValueText("never")
         self.target.setToolTip("Stop when half of the 95 % interval of γ0 is smaller; 0: never")
-        self.untouched.setChecked(True)
-        self.untouched.setToolTip("Contact is detected with the sensor file in use")
+        self.contact_free.setChecked(True)
+        self.contact_free.setToolTip("Contact is detected with the sensor file in use")
         self.stop.setText("Stop and use these frames")
         self.cancel.setText("Cancel")
         row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)
         buttons = QHBoxLayout()
         for button in (self.button, self.stop, self.cancel):
             buttons.addWidget(button)
-        fill(QVBoxLayout(self), row, self.untouched, buttons, self.said)
+        fill(QVBoxLayout(self), row, self.contact_free, buttons, self.message)
 
     def _start(self) -> None:
         calibration = self._calibration
@@ -268,19 +268,19 @@ class CollectBox(QGroupBox):
         calibration.controller.state.set_playing(True)
         target = self._units.share.to_si(self.target.value())
         self.collector.start(
-            calibration.name, sensor, self.count.value(), target, self.untouched.isChecked()
+            calibration.name, sensor, self.count.value(), target, self.contact_free.isChecked()
         )
 
     def _on_opened(self, opened: Opened) -> None:
-        """Go on with the same source, connected again; a set is of one source only."""
+        """Continue with the same source after reconnecting; cancel with another source."""
         facts, collector = opened.facts, self.collector
         if collector.active and not facts.is_empty and facts.title != collector.name:
             collector.cancel()
         self._show()
 
     def _use(self, frames: HeldFrames) -> None:
-        untouched = self.untouched.isChecked()
-        ranges = ((0, len(frames)),) if untouched else None
+        contact_free = self.contact_free.isChecked()
+        ranges = ((0, len(frames)),) if contact_free else None
         settings = replace(
             self._calibration.settings, last_step=Step.TENSION, ranges=ranges, press=None
         )
@@ -302,7 +302,7 @@ class CollectBox(QGroupBox):
             there = "" if kept is None else f"{count_of(len(kept), 'frame')} collected"
             if kept is not None:
                 there += "." if kept.name == self._calibration.name else f" from {kept.name}."
-            self.said.setText(f"{there} {why_none}".strip())
+            self.message.setText(f"{there} {why_none}".strip())
             return
         text = f"{len(collector.frames)} of {self.count.value()} frames"
         tension = collector.tension
@@ -312,4 +312,4 @@ class CollectBox(QGroupBox):
             text += f" · γ0 so far {shown} ({share})"
         if kept is not None:
             text += f" · until then the {count_of(len(kept), 'frame')} collected before are in use"
-        self.said.setText(f"{text} {collector.message} {why_none}".strip())
+        self.message.setText(f"{text} {collector.message} {why_none}".strip())

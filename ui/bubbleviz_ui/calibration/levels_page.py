@@ -1,4 +1,4 @@
-"""Step 5: inflation levels and the open chamber: what each pixel is off by, λ, gauge pressure."""
+"""Step 5: inflation levels and open chamber, for rectification, λ and gauge pressure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RectificationPage(Page):
 
     name = "Levels"
     title = "Rectification"
-    todo = "Add recordings of the untouched sensor at other inflation levels, if you have any."
+    task = "Add recordings of the untouched sensor at other inflation levels, if you have any."
     sets = ("levels", "vented")
     next_title = "Compute the rectification"
 
@@ -37,7 +37,7 @@ class RectificationPage(Page):
         )
         self.numbers = Numbers()
         row = fill(QHBoxLayout(), self.add, self.drop)
-        # what is to be done here first: a small screen shows no more without scrolling
+        # controls first: a small screen shows no more without scrolling
         fill(self.column, self.levels, row, self.vented, self.before, self.after, self.numbers, 1)
         self.add.clicked.connect(self._choose_level)
         self.vented.clicked.connect(self._choose_vented)
@@ -50,7 +50,7 @@ class RectificationPage(Page):
         self.calibration.edit(f"Add the level {path.name}", levels=levels)
 
     def set_vented(self, path: Path) -> None:
-        """Take the atmospheric pressure from a recording of the open chamber."""
+        """Use a recording of the open chamber for the atmospheric pressure."""
         self.calibration.edit(f"Use {path.name} for the open chamber", vented=path)
 
     def is_done(self, answer: Answer) -> bool:
@@ -89,7 +89,7 @@ class RectificationPage(Page):
         self.numbers.set("valid over", text)
 
     def _show_rubber(self, answer: Answer) -> None:
-        """λ and gauge pressure as levels, press and open chamber tell, or why they do not."""
+        """Show λ and gauge pressure, or why they are not determined."""
         found, pressure = answer.draft.found, self.units.gas_pressure
         rubber = found.rubber if found is not None else None
         if rubber is None:

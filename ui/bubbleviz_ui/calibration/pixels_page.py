@@ -1,4 +1,4 @@
-"""Step 2: which pixels to trust; the thresholds move the mask at once."""
+"""Steps 2 to 4: pixel mask, reference surface, tension γ0."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PixelsPage(Page):
 
     name = "Pixels"
     title = "Pixel mask"
-    todo = "Check which pixels are used; move the thresholds if good ones are left out."
+    task = "Check which pixels are used; move the thresholds if good ones are excluded."
     sets = ("min_validity", "deviations")
     next_title = "Measure the pixels"
 
@@ -47,7 +47,7 @@ class PixelsPage(Page):
         self.deviations = Threshold(Unit("σ", 1.0, 1), MOST_DEVIATIONS)
         self.validity.tip("Share of the frames in which a pixel must have a return")
         self.deviations.tip(
-            "Pixels with noise or offset beyond this many robust standard deviations are left out"
+            "Pixels with noise or offset beyond this many robust standard deviations are excluded"
         )
         self.numbers = Numbers()
         form = QFormLayout()
@@ -113,11 +113,11 @@ class PixelsPage(Page):
 
 
 class Threshold(QHBoxLayout):
-    """Slider and box for one number; a drag of the slider is one gesture."""
+    """Slider and box for one number; a drag of the slider is one undo step."""
 
     STEPS = 200
 
-    def __init__(self, unit: Unit, highest_si: float, lowest_means: str = "") -> None:
+    def __init__(self, unit: Unit, highest_si: float, lowest_text: str = "") -> None:
         super().__init__()
         self._unit, self._highest = unit, highest_si
         self._gestures = 0
@@ -129,7 +129,7 @@ class Threshold(QHBoxLayout):
         self.box.setDecimals(unit.digits)
         self.box.setSuffix(f" {unit.symbol}")
         self.box.setKeyboardTracking(False)
-        self.box.setSpecialValueText(lowest_means)
+        self.box.setSpecialValueText(lowest_text)
         self.addWidget(self.slider, 1)
         self.addWidget(self.box)
         self.slider.sliderPressed.connect(self._begin)
@@ -157,18 +157,18 @@ class Threshold(QHBoxLayout):
         self.changed(self._unit.to_si(shown), None)
 
 
-# Step 3: the reference surface, chosen by the data or by the person.
+# Step 3: the reference surface, chosen automatically or by the user.
 
 
 class SurfacePage(Page):
-    """Residual to the surface, misfit of each, dimensions."""
+    """Residual to the surface, misfit of each candidate, dimensions."""
 
     name = "Surface"
     title = "Reference surface"
-    todo = "Check that the residual looks like noise; otherwise choose another surface."
+    task = "Check that the residual looks like noise; otherwise choose another surface."
     sets = ("surface", "nodes")
     next_title = "Fit the surface"
-    # points (k, 3) in m and a number for each in m, to be painted in the 3-D view
+    # points (k, 3) and values (k,), both in m, for the 3-D view
     painted = Signal(object, object)
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -221,8 +221,8 @@ class SurfacePage(Page):
         length, units = self.units.fine_length, self.units
         self.numbers.set("chosen", surfaces.chosen)
         if draft.pixels is not None:
-            left = surfaces.residual_m[draft.pixels.mask]
-            rms = float(np.sqrt(np.mean(left**2))) if left.size else None
+            residual = surfaces.residual_m[draft.pixels.mask]
+            rms = float(np.sqrt(np.mean(residual**2))) if residual.size else None
             self.numbers.set("residual, rms", length.text(rms))
         for name, rms in surfaces.left_out_rms_m.items():
             self.numbers.set(f"misfit of {name}", f"{length.text(rms)} rms")
@@ -246,19 +246,19 @@ class SurfacePage(Page):
         self.painted.emit(points, draft.surfaces.residual_m.ravel()[pixels])
 
 
-# Step 4: γ0 by Young–Laplace, its interval, and its spread over the surface.
+# Step 4: γ0 from the Young–Laplace equation, with its interval and local values.
 
 
 SPREAD = 0.2
-"""Of γ0, at the ends of the picture's colours."""
+"""Relative deviation from γ0 at the ends of the colour scale."""
 
 
 class TensionPage(Page):
-    """γ0 ± its interval and what the interval is made of."""
+    """γ0 with its interval, and the contributions to it."""
 
     name = "γ0"
     title = "γ0"
-    todo = "Read γ0 with its interval and the verdict below; the next two steps are optional."
+    task = "Read γ0 with its interval and the verdict below; the next two steps are optional."
     next_title = "Estimate γ0"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -289,16 +289,16 @@ class TensionPage(Page):
             (1.0 - SPREAD) * value,
             (1.0 + SPREAD) * value,
         )
-        say = self.numbers.set
-        say("γ0", unit.with_interval(value, estimate.tension.half_width))
-        say("95 % interval", unit.between(estimate.tension.low, estimate.tension.high))
+        show = self.numbers.set
+        show("γ0", unit.with_interval(value, estimate.tension.half_width))
+        show("95 % interval", unit.between(estimate.tension.low, estimate.tension.high))
         for name, size in estimate.dimensions.items():
             text = units.length.with_interval(size.value, size.half_width)
-            say(name.removesuffix("_m").replace("_", " "), text)
-        say("gauge pressure", units.gas_pressure.text(estimate.gauge_pressure_pa))
+            show(name.removesuffix("_m").replace("_", " "), text)
+        show("gauge pressure", units.gas_pressure.text(estimate.gauge_pressure_pa))
         more = unit.text(100.0 * estimate.per_pascal, signed=True)
-        say("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
+        show("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
         for name, each in estimate.by_surface.items():
-            say(f"γ0 from the {name}", unit.text(each))
+            show(f"γ0 from the {name}", unit.text(each))
         for name, sigma in estimate.parts.items():
-            say(f"σ from {name.replace('_', ' ')}", unit.text(sigma))
+            show(f"σ from {name.replace('_', ' ')}", unit.text(sigma))

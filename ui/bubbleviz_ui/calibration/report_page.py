@@ -1,4 +1,4 @@
-"""Last step: verdict, the new sensor beside the one in use, use it, save it."""
+"""Steps 6 and 7: validation by a known press; report, comparison, and saving."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 
 
 class ReportPage(Page):
-    """What the identification is worth, and what to do with it."""
+    """Verdict, comparison with the sensor in use, and saving."""
 
     name = "Report"
     title = "Report"
-    todo = "Compare with the sensor in use, then save the new one, or use it now."
+    task = "Compare with the sensor in use, then save the new one, or use it now."
     next_title = "Compare and save"
-    use = Signal()  # open the identified sensor on the present source
+    use = Signal()  # use the identified sensor with the current source
     save = Signal(object)  # path of the sensor file to write
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -53,11 +53,11 @@ class ReportPage(Page):
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["", "in use", "new"])
         self.view = ImageView("around zero")
-        self.use_it = QPushButton("Use it")
+        self.use_sensor = QPushButton("Use it")
         self.save_as = QPushButton("Save sensor as…")
         self.save_as.setObjectName("main")
         self._lay_out()
-        self.use_it.clicked.connect(self.use)
+        self.use_sensor.clicked.connect(self.use)
         self.save_as.clicked.connect(self.choose_file)
 
     def is_done(self, answer: Answer) -> bool:
@@ -66,7 +66,7 @@ class ReportPage(Page):
     def show_answer(self, answer: Answer) -> None:
         verdict, comparison = answer.verdict(self.units), answer.comparison
         ready = not self.calibration.busy and not self.calibration.outdated
-        for button in (self.use_it, self.save_as):
+        for button in (self.use_sensor, self.save_as):
             button.setEnabled(comparison is not None and ready)
         lines = () if verdict is None else (*verdict.advice, *verdict.parameters)
         self.advice.setText("\n".join(f"• {line}" for line in lines))
@@ -108,7 +108,7 @@ class ReportPage(Page):
         return by_kind[kind]
 
     def choose_file(self) -> None:
-        proposed, kinds = own_name(self.calibration.name), "Sensor files (*.toml)"
+        proposed, kinds = proposed_name(self.calibration.name), "Sensor files (*.toml)"
         path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
         if path is not None:
             self.save.emit(path)
@@ -126,7 +126,7 @@ class ReportPage(Page):
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         fill(self.column, self.compared, self.table, self.view, self.advice, 1)
-        self.use_it.setToolTip(
+        self.use_sensor.setToolTip(
             "Use the new sensor for the current source; undo restores the old one"
         )
         self.save_as.setToolTip(
@@ -134,23 +134,23 @@ class ReportPage(Page):
         )
 
 
-def own_name(source: str) -> str:
+def proposed_name(source: str) -> str:
     stem = re.sub(r"[^\w-]+", "_", Path(source).stem).strip("_") or "sensor"
     return f"{stem}_{time.strftime('%Y-%m-%d')}.toml"
 
 
-# Step 6: a known object at a known pose, predicted and compared with the measured cloud.
+# Step 6: validation by pressing a known object at a known pose.
 
 
 class ValidationPage(Page):
-    """Object, pose and frames of a press; distances of the cloud from the prediction."""
+    """Object, pose and frames of a press; distances of measured points from the prediction."""
 
     name = "Press"
     title = "Validation"
-    todo = "If you know which object was pressed and its pose, enter both and compare."
+    task = "If you know which object was pressed and its pose, enter both and compare."
     sets = ("press",)
     next_title = "Validate by a known press"
-    # points (k, 3) in m and their signed distances in m, for the 3-D view
+    # points (k, 3) and signed distances (k,), both in m, for the 3-D view
     painted = Signal(object, object)
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -204,18 +204,18 @@ class ValidationPage(Page):
         self._show_numbers(found)
 
     def _show_numbers(self, found: Validation | None) -> None:
-        say, length, force = self.numbers.set, self.units.fine_length, self.units.force
+        show, length, force = self.numbers.set, self.units.fine_length, self.units.force
         if found is None:
             return
-        say("distance, rms", length.text(found.rms_m))
-        say("distance, 95th percentile", length.text(found.p95_m))
-        say("distance from rest, rms", length.text(found.untouched_rms_m))
-        say("overlap of the patches", self.units.share.text(found.patch_overlap))
-        say("force predicted", force.text(float(np.linalg.norm(found.predicted_force_n))))
-        say("force estimated", force.text(float(np.linalg.norm(found.measured_force_n))))
+        show("distance, rms", length.text(found.rms_m))
+        show("distance, 95th percentile", length.text(found.p95_m))
+        show("distance from rest, rms", length.text(found.untouched_rms_m))
+        show("overlap of the patches", self.units.share.text(found.patch_overlap))
+        show("force predicted", force.text(float(np.linalg.norm(found.predicted_force_n))))
+        show("force estimated", force.text(float(np.linalg.norm(found.measured_force_n))))
 
     def _on_predict(self) -> None:
-        from bubbleviz.calibration import KnownPress  # the window starts without
+        from bubbleviz.calibration import KnownPress  # not at start
 
         press = KnownPress(
             self.obj.currentText().strip(),

@@ -180,7 +180,7 @@ class OpenSource:
             pipeline.settle(frame)
         result = (solver_process or pipeline).process(frame, products, demand.options)
         if products & SHEAR:
-            self.shear.collect(result)
+            self.shear.add_frame(result)
         return result
 
     def diagnose(self, result: Result, demand: Demand) -> Result:
@@ -190,8 +190,8 @@ class OpenSource:
         wanted = "kappa_curve" in demand.diagnostics
         truth = truth_of(self.source, result.frame.index) if wanted else None
         mask = truth.patch_mask if truth is not None else None
-        result = self.pipeline.diagnose(result, demand.products, demand.options, mask)
-        seen = replace(result.inspection or Inspection(), reference=self.shear.words)
+        result = self.pipeline.look(result, demand.products, demand.options, mask)
+        seen = replace(result.inspection or Inspection(), reference=self.shear.message)
         return replace(result, inspection=seen)
 
     def numbers(self, result: Result) -> Numbers:
@@ -243,7 +243,7 @@ class Solver:
         current = self._open
         frame = current.frame(index)
         if new_reference:
-            current.shear.forget()
+            current.shear.reset()
         solved = self._solved(current, demand, frame, cold=cold)
         if cold and self._checked is not current:  # here, as it would delay opening
             self._checked = current

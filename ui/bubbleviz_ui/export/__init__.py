@@ -1,1 +1,1 @@
-"""Exports from the window: which frames as what, to a name of the user's."""
+"""Export of frames to files and videos."""

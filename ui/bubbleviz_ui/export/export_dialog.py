@@ -1,4 +1,4 @@
-"""The dialog that exports: what, of which frames, under which name."""
+"""Export dialog: kind, frames and file name."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from bubbleviz_ui.shell.file_dialogs import new_file
 
 RANGE, ALL = False, True
 MOST_STEP = 1000  # frames
-WIDTH = 460  # px: a path of usual length
+WIDTH = 460  # px
 
 
 class StepBox(QSpinBox):
-    """Shows 2 as 2nd; reads it with its ending or without."""
+    """Number box that shows 2 as 2nd."""
 
     def textFromValue(self, value: int) -> str:
         """2 as 2nd."""
@@ -39,18 +39,18 @@ class StepBox(QSpinBox):
         return f"{value}{'th' if value % 100 in (11, 12, 13) else usual}"
 
     def valueFromText(self, text: str) -> int:
-        """2nd as 2."""
+        """Parse 2nd or 2."""
         return int(_digits(text) or 1)
 
     def validate(self, text: str, position: int) -> tuple[QValidator.State, str, int]:
-        """Anything with a number in range may be typed."""
+        """Accept any text with a number in range."""
         inside = 1 <= int(_digits(text) or 0) <= MOST_STEP
         state = QValidator.State.Acceptable if inside else QValidator.State.Intermediate
         return state, text, position
 
 
 class ExportDialog(QDialog):
-    """Stays open beside the window, which can be used meanwhile."""
+    """Non-modal dialog for exports."""
 
     def __init__(self, parent: QWidget, state: SessionState, exporting: Exporting) -> None:
         super().__init__(parent)
@@ -72,7 +72,7 @@ class ExportDialog(QDialog):
         self.captioned.setToolTip("Written at the bottom of every picture of the video")
         self.about = QLabel(wordWrap=True)
         self.about.setObjectName("dim")
-        self.said = QLabel(wordWrap=True)
+        self.message = QLabel(wordWrap=True)
         self.progress = QProgressBar(minimum=0, maximum=100)
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
         self.export.setToolTip("Choose a file name and start")
@@ -83,24 +83,24 @@ class ExportDialog(QDialog):
 
     @property
     def chosen(self) -> Kind:
-        """What is to be made."""
+        """The selected kind of export."""
         kind = self.kind.currentData()
         assert isinstance(kind, Kind)
         return kind
 
     @property
     def chosen_frames(self) -> range:
-        """Frames to make it of."""
+        """The selected frames."""
         all_of_them = self.frames.currentData() == ALL
         return self._exporting.frames(all_of_them=all_of_them, step=self.step.value())
 
     def show_all(self) -> None:
-        """Say what can be exported now."""
+        """Update the offered frames and all texts."""
         self._offer_frames()
         self._show()
 
     def event(self, event: QEvent) -> bool:
-        """Grow with the texts: Qt squeezes what is above a wrapped label that gets longer."""
+        """Grow with wrapped labels, as Qt would squeeze the widgets above them."""
         laid_out, layout = super().event(event), self.layout()
         if event.type() == QEvent.Type.LayoutRequest and layout is not None:
             needed = layout.totalHeightForWidth(self.width())
@@ -115,7 +115,7 @@ class ExportDialog(QDialog):
         form.addRow("What", self.kind)
         form.addRow("Frames", which)
         buttons = fill(QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.export)
-        fill(QVBoxLayout(self), form, self.captioned, self.about, self.said, 1, buttons)
+        fill(QVBoxLayout(self), form, self.captioned, self.about, self.message, 1, buttons)
 
     def _connect(self) -> None:
         exporting = self._exporting
@@ -126,7 +126,7 @@ class ExportDialog(QDialog):
         self.cancel.clicked.connect(exporting.cancel)
         exporting.changed.connect(self._show)
         exporting.progressed.connect(self._on_progress)
-        exporting.notified.connect(self._say)
+        exporting.notified.connect(self._show_message)
         self._state.source_changed.connect(self.show_all)
         self._state.range_changed.connect(self.show_all)
         self._state.settings_changed.connect(self._on_settings)
@@ -136,7 +136,7 @@ class ExportDialog(QDialog):
             self._show()
 
     def _offer_frames(self) -> None:
-        """Offer the range on the timeline, where there is one, and all frames."""
+        """Offer the range on the timeline, if any, and all frames."""
         facts, range_ = self._state.facts, self._state.play_range
         self.frames.blockSignals(True)
         self.frames.clear()
@@ -156,7 +156,7 @@ class ExportDialog(QDialog):
         self.cancel.setVisible(busy)
         self.about.setText(why_not or self._about())
         if busy:
-            self.said.clear()
+            self.message.clear()
 
     def _about(self) -> str:
         kind, count = self.chosen, len(self.chosen_frames)
@@ -175,15 +175,15 @@ class ExportDialog(QDialog):
         title = f"Export {kind.title.lower()}" if kind.suffixes else "Name of a new folder"
         path, chosen = new_file(self, title, proposed, kind.filters, of="export")
         if path is not None:
-            named, captioned = kind.named(path, chosen), self.captioned.isChecked()
+            named, captioned = kind.with_suffix(path, chosen), self.captioned.isChecked()
             self._exporting.start(kind, frames, named, captioned=captioned)
 
     def _on_progress(self, step: str, done: float) -> None:
         self.progress.setFormat(f"{step} %p %")
         self.progress.setValue(round(100.0 * done))
 
-    def _say(self, message: UserMessage) -> None:
-        self.said.setText(message.text)
+    def _show_message(self, message: UserMessage) -> None:
+        self.message.setText(message.text)
 
 
 def _digits(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The exports of one window: one at a time, away from it, with progress and a way out."""
+"""Exports of a window: one at a time, in a thread, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -28,31 +28,30 @@ if TYPE_CHECKING:
     from bubbleviz_ui.view3d.render_view import View
 
 
-# What the window exports: how it is called, and what a name for it ends in. No Qt in here.
+# Kinds of exports. No Qt.
 
 
 @dataclass(frozen=True)
 class Kind:
     """One kind of export."""
 
-    title: str  # title, tip: As the window calls it
+    title: str
     tip: str
-    # What the name of its file may end in, by title; empty: a folder of files
-    suffixes: dict[str, str]
-    what: str = ""  # Of `bubbleviz.output.export_plan.KINDS`, for a folder
+    suffixes: dict[str, str]  # File suffixes by title of the format; empty: a folder of files
+    what: str = ""  # For a folder: key of `bubbleviz.output.export_plan.KINDS`
 
     @property
     def is_video(self) -> bool:
-        """Pictures of the 3-D view, which only the window can make."""
+        """Whether it is a video of the 3-D view, rendered by the window."""
         return ".mp4" in self.suffixes.values()
 
     @property
     def filters(self) -> str:
-        """What a file dialog offers."""
+        """File filters in Qt's syntax."""
         return ";;".join(f"{title} (*{suffix})" for title, suffix in self.suffixes.items())
 
-    def named(self, path: Path, chosen_filter: str) -> Path:
-        """Path with the filter's suffix where it has none of the kind's."""
+    def with_suffix(self, path: Path, chosen_filter: str) -> Path:
+        """Path with the suffix of the chosen filter, unless it has a suffix of this kind."""
         if not self.suffixes or path.suffix.lower() in self.suffixes.values():
             return path
         title = chosen_filter.split(" (")[0]
@@ -75,21 +74,21 @@ KINDS = (
          "pressure"),
     Kind("Video of the view", "The 3-D view as it is now, frame by frame", {"MP4": ".mp4"}),
 )  # fmt: skip
-"""In the order they are offered."""
+"""In the order of the dialog."""
 
 
-# A video of the 3-D view: the window draws frame by frame, a thread writes.
+# Video of the 3-D view: the window draws the frames, a thread encodes them.
 
 
-WAITING = 2
-"""Pictures that may wait for the encoder; 1920×1080 has 6 MB."""
+MAX_QUEUED = 2
+"""Pictures waiting for the encoder; 6 MB each at 1920×1080."""
 CAPTION_SIZE = 16  # px
-LOOK_S = 0.1
-"""How often the writer looks whether it is still wanted."""
+POLL_S = 0.1
+"""Period at which the writer checks for cancellation."""
 
 
 class VideoExport(QObject):
-    """Goes through frames, and hands a picture of each to `write`, which runs in a thread."""
+    """Draws frames one by one, and passes the pictures to `write`, which runs in a thread."""
 
     _taken = Signal()
 
@@ -107,32 +106,32 @@ class VideoExport(QObject):
         super().__init__()
         self._controller, self._state, self._view = controller, controller.state, view
         self._frames, self._size, self._path, self._fps = frames, size, path, fps
-        # at the bottom of the picture, where nothing else is written
+        # at the bottom, where there is no other text
         self._caption = text_at(view, CAPTION_SIZE, (0.5, 0.015)) if captioned else None
         if self._caption is not None:
             self._caption.GetTextProperty().SetJustificationToCentered()
         self._drawn = 0
-        self._settling: Frame | None = None
-        self._pictures: Queue[np.ndarray] = Queue(WAITING)
+        self._cold_solving: Frame | None = None
+        self._pictures: Queue[np.ndarray] = Queue(MAX_QUEUED)
         self._before = self._state.frame
         self._active = True
-        self._taken.connect(self._go_on, Qt.ConnectionType.QueuedConnection)
-        controller.shown.connect(self._go_on)
+        self._taken.connect(self._draw_next, Qt.ConnectionType.QueuedConnection)
+        controller.shown.connect(self._draw_next)
         self._state.set_playing(False)
-        QTimer.singleShot(0, self._go_on)
+        QTimer.singleShot(0, self._draw_next)
 
     def end(self) -> None:
-        """Draw nothing any more; the cursor goes back to where it was."""
+        """Stop drawing and restore the cursor."""
         if self._active:
             self._active = False
-            self._controller.shown.disconnect(self._go_on)
+            self._controller.shown.disconnect(self._draw_next)
             self._state.seek(self._before)
 
     def write(self, progress: Progress) -> str:
-        """Write the video; in a thread, while the window draws. What was done, in a sentence.
+        """Write the video, in a thread while the window draws; returns a summary.
 
-        Raises InputError: The file exists or cannot be written; Cancelled: By `progress`; nothing
-        is left then.
+        Raises InputError: The file exists or cannot be written; Cancelled: By `progress`; the
+        unfinished file is removed.
         """
         count = len(self._frames)
         with open_mp4(self._path, self._fps) as writer:
@@ -145,14 +144,14 @@ class VideoExport(QObject):
         while True:
             progress("drawing", done)
             try:
-                return self._pictures.get(timeout=LOOK_S)
+                return self._pictures.get(timeout=POLL_S)
             except Empty:
                 continue
 
-    def _go_on(self, _: object = None) -> None:
-        """Draw the next frame once it is shown, and settled as when one stays at it, else ask.
+    def _draw_next(self, _: object = None) -> None:
+        """Draw the next frame once its cold solve is shown, else request that.
 
-        Nothing is done while there is no room for its picture.
+        Returns at once while the queue is full.
         """
         if not self._active or self._drawn == len(self._frames) or self._pictures.full():
             return
@@ -162,19 +161,19 @@ class VideoExport(QObject):
             self._state.seek(wanted)
             return
         if not self._controller.cold_solved:
-            if self._settling is not result.frame:
-                self._settling = result.frame
+            if self._cold_solving is not result.frame:
+                self._cold_solving = result.frame
                 self._controller.cold_solve()
             return
         try:
-            self._pictures.put_nowait(self._still(wanted))
+            self._pictures.put_nowait(self._captioned_picture(wanted))
         except Full:
             return
         self._drawn += 1
-        QTimer.singleShot(0, self._go_on)
+        QTimer.singleShot(0, self._draw_next)
 
-    def _still(self, frame: int) -> np.ndarray:
-        """Picture of the view, with its frame and time where they are wanted."""
+    def _captioned_picture(self, frame: int) -> np.ndarray:
+        """Picture of the view, with a caption if requested."""
         caption, facts = self._caption, self._state.facts
         if caption is None or facts is None:
             return picture_of(self._view, *self._size)
@@ -187,21 +186,21 @@ class VideoExport(QObject):
             self._view.renderer.RemoveViewProp(caption)
 
 
-STILL_FPS = 30.0
-"""Of a video of a single frame."""
+SINGLE_FRAME_FPS = 30.0
+"""Frame rate of a video of a single frame."""
 TOPIC = "export"
-"""Of messages."""
+"""Topic of messages."""
 
 
 class Exporting(QObject):
-    """Exports what is open.
+    """Exports the open source.
 
-    `poses`: Poses found so far, by frame.
+    `poses`: Returns the poses found so far, by frame.
     """
 
     changed = Signal()  # An export began or ended
-    progressed = Signal(str, float)  # What it is at, and the share of it that is done
-    notified = Signal(object)  # A `UserMessage`: what was done, or why not
+    progressed = Signal(str, float)  # Description of the step, and its completed share
+    notified = Signal(object)  # A `UserMessage`
 
     def __init__(
         self, controller: Controller, view: View, poses: Callable[[], dict[int, PoseRow]]
@@ -217,11 +216,11 @@ class Exporting(QObject):
 
     @property
     def busy(self) -> bool:
-        """An export goes on."""
+        """Whether an export is running."""
         return self._worker.busy
 
     def why_not(self) -> str:
-        """Why nothing can be exported now; empty when something can."""
+        """Why nothing can be exported now; empty if export is possible."""
         facts = self._state.facts
         if facts is None or self._controller.sensor is None:
             return "Nothing is open yet."
@@ -232,21 +231,21 @@ class Exporting(QObject):
         return ""
 
     def frames(self, *, all_of_them: bool, step: int = 1) -> range:
-        """Frames of the range that is played, or all; every `step`-th."""
+        """Every `step`-th frame of the played range, or of all frames."""
         count = 0 if self._state.facts is None else self._state.facts.frames
         first, last = self._state.play_range or (0, count - 1)
         return range(0, count, step) if all_of_them else range(first, last + 1, step)
 
     def fps(self, step: int) -> float:
-        """Pictures a second of a video that is as fast as playback."""
+        """Frame rate of a video at the speed of playback."""
         facts = self._state.facts
         rate = float("nan") if facts is None else facts.rate_hz / step * self._state.settings.speed
-        return min(max(rate, 1.0), 120.0) if rate > 0.0 else STILL_FPS
+        return min(max(rate, 1.0), 120.0) if rate > 0.0 else SINGLE_FRAME_FPS
 
     def start(self, kind: Kind, frames: range, path: Path, *, captioned: bool = True) -> None:
-        """Export frames as a kind to a file, or a new folder, of that name.
+        """Export frames to a file or new folder.
 
-        With `captioned` a video has frame number and time in its pictures.
+        `captioned`: Write frame number and time into the pictures of a video.
         """
         source, sensor = self._controller.opening.source, self._controller.sensor
         if self.busy or source is None or sensor is None or not frames:
@@ -259,7 +258,7 @@ class Exporting(QObject):
             )
             job: Callable[[Progress], str] = self._video.write
         else:
-            # with the first export: the window starts without the writers of all kinds
+            # imports all writers: not at start
             from bubbleviz_ui.export.file_export import export_to_files
 
             poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
@@ -271,7 +270,7 @@ class Exporting(QObject):
         self.changed.emit()
 
     def cancel(self) -> None:
-        """Stop; nothing of it is left."""
+        """Stop and remove unfinished files."""
         if self.busy:
             self._worker.cancel()
             self._end_video()
@@ -299,10 +298,10 @@ class Exporting(QObject):
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:
-        """A frame of a video that cannot be shown ends it; the window says why."""
+        """Cancel a video if a frame cannot be shown; the window shows the error."""
         if self._video is not None and failed.key in {"frame", "cold_solve"} and not failed.warning:
             self.cancel()
 
     def _on_opened(self, _: object) -> None:
-        if self._video is not None:  # its frames are gone
+        if self._video is not None:  # its source was closed
             self.cancel()

@@ -1,4 +1,4 @@
-"""Export of frames to files, as a job for a thread. No Qt in here."""
+"""Export of frames to files; runs in a thread. No Qt."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ def export_to_files(
     sensor: Sensor,
     frames: range,
     out: Path,
-    # Of `bubbleviz.output.export_plan.KINDS` for a folder; empty: the suffix of `out` says it
+    # For a folder: key of `bubbleviz.output.export_plan.KINDS`; empty: from the suffix of `out`
     what: str,
     options: FrameOptions,
     estimator: EstimatorOptions,
     poses: dict[int, dict[str, Any]],  # Pose columns by frame, see `bubbleviz.output.pose_writer`
     progress: Progress,
 ) -> str:
-    """Export frames of a source that is opened anew, so that the window's is left alone.
+    """Export frames of a source, which is opened separately from the window's.
 
-    Returns str: What was done, in a sentence.
+    Returns str: Summary, one sentence.
 
     Raises InputError: A file exists or cannot be written, or a frame cannot be read; Cancelled: By
-    `progress`; nothing is left then.
+    `progress`; unfinished files are removed.
     """
     plan = ExportPlan.of(out, [what] if what else [], poses)
     progress("opening", 0.0)

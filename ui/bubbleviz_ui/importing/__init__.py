@@ -1,1 +1,1 @@
-"""What is no recording yet is made one."""
+"""Import of images and other recordings."""

@@ -1,4 +1,4 @@
-"""The dialog that imports: a folder of depth images, or another's recording, as MCAP."""
+"""Import dialog: converts a folder of depth images or another recording to MCAP."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from bubbleviz.files import free_name
 from bubbleviz.progress import Progress
 from bubbleviz.recordings import is_image_folder
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.live.recording_control import make_room
+from bubbleviz_ui.live.recording_control import make_folder
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.panels.binding import options
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, remember
 
-# The name of a file: typed, or chosen in a dialog.
+# File name with a button for the file dialog.
 
 
 class FileField(QWidget):
-    """A line for the name of a file that is there, and a button that chooses it.
+    """Box for the name of an existing file, with a button for the file dialog.
 
-    `title, kinds`: Of the file dialog; filters as Qt writes them.
-    `placeholder`: What counts where the line is empty.
+    `title, kinds`: Title and filters of the file dialog.
+    `placeholder`: Default, shown while the box is empty.
     """
 
-    changed = Signal()  # Another name was typed or chosen
+    changed = Signal()
 
     def __init__(self, title: str, kinds: str, placeholder: str = "") -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class FileField(QWidget):
 
     @property
     def path(self) -> Path | None:
-        """The file; None where no name is given."""
+        """The file; None if empty."""
         name = self.line.text().strip()
         return Path(name) if name else None
 
@@ -70,7 +70,7 @@ class FileField(QWidget):
             self.line.setText(str(path))
 
 
-# What belongs to a folder of depth images: camera, times, unit, and what was measured beside.
+# Options of a folder of depth images: camera, times, unit, other measurements.
 
 
 UNITS = {
@@ -81,16 +81,16 @@ UNITS = {
     1e-4: "0.1 mm",
     1e-6: "µm",
 }
-"""Metres that a pixel's value of 1 stands for; None: by its kind."""
-BY_ITSELF, RATE, TABLE = "times.csv in the folder, else the names", "a rate", "a table"
+"""Metres per unit of a pixel value; None: by its data type."""
+BY_FOLDER, RATE, TABLE = "times.csv in the folder, else the names", "a rate", "a table"
 TABLES = "Tables (*.csv);;All files (*)"
 
 
 class ImageFields:
-    """The options of `bubbleviz convert` for a folder of images.
+    """Options of `bubbleviz convert` for a folder of images.
 
-    `form`: Gets a row for each.
-    `changed`: Called when something else is chosen.
+    `form`: Layout to which the rows are added.
+    `changed`: Called when an option changes.
     """
 
     def __init__(self, form: QFormLayout, changed: Callable[[], None]) -> None:
@@ -102,7 +102,7 @@ class ImageFields:
         self.unit = options(QComboBox(), UNITS)
         self.unit.setToolTip("Depth of a pixel value of 1")
         self.timing = QComboBox()
-        self.timing.addItems([BY_ITSELF, RATE, TABLE])
+        self.timing.addItems([BY_FOLDER, RATE, TABLE])
         self.timing.setToolTip("Where the times of the images come from")
         self.rate = QDoubleSpinBox(minimum=0.01, maximum=1e4, value=30.0, suffix=" Hz")
         self.rate.setToolTip("Images per second")
@@ -135,8 +135,8 @@ class ImageFields:
                 field.valueChanged.connect(lambda _: changed())
 
     @property
-    def beside(self) -> dict[str, Any]:
-        """What is chosen, by the options of `bubbleviz.convert`."""
+    def options(self) -> dict[str, Any]:
+        """The options as arguments of `bubbleviz.convert`."""
         timing = self.timing.currentText()
         return {
             "intrinsics": self.intrinsics.path,
@@ -162,8 +162,8 @@ SUFFIX = ".mcap"
 SUFFIXES = (".bag", ".db3", SUFFIX, ".yaml")
 OTHERS = f"Recordings (*{' *'.join(SUFFIXES)});;All files (*)"
 TOPIC = "import"
-"""Of messages."""
-WIDTH = 560  # px: a path of usual length
+"""Topic of messages."""
+WIDTH = 560  # px
 ABOUT = (
     "Choose a folder of depth images (.npy, 16-bit .png, .tif) or a recording (.bag of ROS 1 or of "
     "the RealSense library, .db3 of ROS 2)."
@@ -171,16 +171,16 @@ ABOUT = (
 
 
 class ImportDialog(QDialog):
-    """Stays open beside the window, which can be used meanwhile."""
+    """Non-modal dialog for imports."""
 
-    notified = Signal(object)  # A `UserMessage`: what was done, or why not
+    notified = Signal(object)  # A `UserMessage`
 
     def __init__(
         self,
         parent: QWidget,
-        worker: Worker,  # Where it is done
-        open_recording: Callable[[Path], None],  # Opens what was made
-        folder: Callable[[], Path],  # Where recordings go
+        worker: Worker,
+        open_recording: Callable[[Path], None],
+        folder: Callable[[], Path],  # Returns the folder of recordings
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import")
@@ -202,7 +202,7 @@ class ImportDialog(QDialog):
         self.begin = QPushButton("Import")
         self.cancel.setToolTip("Stop and remove the unfinished file")
         self.open_made.setToolTip("Open the new recording in the window")
-        self.begin.setToolTip("Convert it to a recording")
+        self.begin.setToolTip("Convert to a recording")
         self._summary: ConvertSummary | None = None
         self._lay_out()
         self._connect()
@@ -210,7 +210,7 @@ class ImportDialog(QDialog):
 
     @property
     def out_path(self) -> Path:
-        """The recording to make."""
+        """The recording to write."""
         name = self.out.text().strip()
         return Path(name if name.lower().endswith(SUFFIX) else name + SUFFIX)
 
@@ -241,7 +241,7 @@ class ImportDialog(QDialog):
             self.source.line.setText(str(path))
 
     def _on_source(self) -> None:
-        """Propose a name in the folder of recordings, unless one was typed."""
+        """Propose an output name, unless one was typed."""
         path = self.source.path
         if path is not None and self.out.text() in ("", self._proposed):
             name = path.stem if path.suffix.lower() in SUFFIXES else path.name
@@ -250,12 +250,12 @@ class ImportDialog(QDialog):
         self._on_field()
 
     def _on_field(self) -> None:
-        """Forget what was wrong with other settings."""
+        """Clear the error of the previous options."""
         self.problem.clear()
         self._show()
 
     def _show(self) -> None:
-        """Show what applies to what was chosen, and what can be done now."""
+        """Update the visible options and enabled buttons."""
         path, busy = self.source.path, self._worker.busy
         self.images.show(path is not None and is_image_folder(path), enabled=not busy)
         self.about.setVisible(path is None)
@@ -272,8 +272,8 @@ class ImportDialog(QDialog):
         path = self.source.path
         if path is None:
             return
-        self._tell(None, "")
-        beside = self.images.beside if is_image_folder(path) else {}
+        self._show_outcome(None, "")
+        beside = self.images.options if is_image_folder(path) else {}
         function = partial(_imported, path, self.out_path, beside, self._worker.progress)
         self._worker.submit(function, self._on_done, self._on_failed, discard=_discard)
         self._on_progress("opening", 0.0)
@@ -288,19 +288,19 @@ class ImportDialog(QDialog):
         self.progress.setValue(round(100.0 * done))
 
     def _on_failed(self, failed: Failed) -> None:
-        self._tell(None, failed.message)
+        self._show_outcome(None, failed.message)
         self._show()
-        if failed.details or not self.isVisible():  # else the dialog says it
+        if failed.details or not self.isVisible():  # else only the dialog shows it
             self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
 
     def _on_done(self, summary: ConvertSummary) -> None:
-        self._tell(summary, "")
+        self._show_outcome(summary, "")
         self._show()
         out = Path(summary.out)
         remember("recording", out)
         self.notified.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
 
-    def _tell(self, summary: ConvertSummary | None, problem: str) -> None:
+    def _show_outcome(self, summary: ConvertSummary | None, problem: str) -> None:
         self._summary = summary
         self.made.setText("" if summary is None else summary.to_text())
         self.problem.setText(problem)
@@ -312,10 +312,10 @@ class ImportDialog(QDialog):
 
 
 def _imported(path: Path, out: Path, beside: dict[str, Any], progress: Progress) -> ConvertSummary:
-    make_room(out)
+    make_folder(out)
     return convert(path, out, progress=progress, **beside)
 
 
 def _discard(summary: ConvertSummary) -> None:
-    """Remove what was finished in the moment it was cancelled."""
+    """Remove a file that was completed just before cancelling."""
     Path(summary.out).unlink(missing_ok=True)

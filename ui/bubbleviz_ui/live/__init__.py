@@ -1,1 +1,1 @@
-"""Live sources in the window: connecting, following, recording, publishing, a second sensor."""
+"""Live sources: connecting, recording, publishing, a second sensor."""

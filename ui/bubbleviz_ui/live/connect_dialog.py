@@ -1,4 +1,4 @@
-"""The dialog that connects to a live source: what there is is offered, not typed from memory."""
+"""Dialog that connects to a live source, with discovery of its topics."""
 
 from __future__ import annotations
 
@@ -45,35 +45,34 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
 
-# What a source offers, found while one chooses it.
+# Discovery of the topics of a source.
 
 
-LOOK_MS = 250  # between looks for new topics
-NOTHING = "\0"
-"""No topic begins with it: topics are looked for and none is subscribed to."""
+UPDATE_MS = 250
+NO_TOPIC = "\0"
+"""Prefix of no topic, so that none is subscribed to during discovery."""
 
 
 class Discovery(QObject):
-    """Looks at one source at a time, until another one or none is asked for."""
+    """Searches the topics of one source at a time."""
 
-    # Topics as `OfferedTopic`, and what is wrong, in a sentence; empty while nothing is
-    found = Signal(object, str)
+    found = Signal(object, str)  # Tuple of `OfferedTopic`, and an error message or empty
 
     def __init__(self) -> None:
         super().__init__()
         self._source: LiveSource | None = None
         self._worker = Worker("discovery")
-        self._timer = QTimer(self, interval=LOOK_MS)
+        self._timer = QTimer(self, interval=UPDATE_MS)
         self._timer.timeout.connect(self._look)
 
-    def look_at(self, text: str, sensor: Sensor) -> None:
-        """Look at a source, given as `--source`."""
+    def search(self, text: str, sensor: Sensor) -> None:
+        """Search the topics of a source, given as for `--source`."""
         self.stop()
         function = partial(_begin, text, sensor)
-        self._worker.submit(function, self._take, self._refuse, discard=LiveSource.stop)
+        self._worker.submit(function, self._take, self._on_failure, discard=LiveSource.stop)
 
     def stop(self) -> None:
-        """Look at nothing."""
+        """Stop searching."""
         self._worker.cancel()
         self._timer.stop()
         source, self._source = self._source, None
@@ -81,7 +80,7 @@ class Discovery(QObject):
             self._worker.submit(source.stop)
 
     def close(self) -> None:
-        """Stop; what is on ends by itself."""
+        """Stop without waiting for the thread."""
         self.stop()
         self._worker.close(0.0)
 
@@ -90,7 +89,7 @@ class Discovery(QObject):
         self._timer.start()
         self._look()
 
-    def _refuse(self, failed: Failed) -> None:
+    def _on_failure(self, failed: Failed) -> None:
         self.found.emit((), failed.message)
 
     def _look(self) -> None:
@@ -101,40 +100,40 @@ class Discovery(QObject):
 
 
 def _begin(text: str, sensor: Sensor) -> LiveSource:
-    """The source, started only where its topics are found by that."""
+    """Create the source, and start it if needed to discover topics."""
     uri = parse_uri(text)
     if uri.scheme != "zenoh":
         return open_stream(text, sensor, any_size=True).source
-    topics = TopicNames(prefix=NOTHING)
+    topics = TopicNames(prefix=NO_TOPIC)
     source = ZenohSource(SessionOptions.of(uri), topics, uri.options.domain)
     source.start(lambda _: None)
     return source
 
 
-ZENOH, REALSENSE, REPLAY, SYNTHETIC, TOGETHER = "zenoh", "realsense", "replay", "synthetic", ""
+ZENOH, REALSENSE, REPLAY, SYNTHETIC, PAIR = "zenoh", "realsense", "replay", "synthetic", ""
 KINDS = {
     ZENOH: "ROS 2 over Zenoh",
     REALSENSE: "RealSense camera",
-    REPLAY: "Recording, as if live",
+    REPLAY: "Recording, replayed live",
     SYNTHETIC: "Simulation",
-    TOGETHER: "Two sensors",
+    PAIR: "Two sensors",
 }
 PLACES = {
-    ZENOH: "Where the robot's router or bridge listens: tcp/HOST:7447; empty: this computer",
+    ZENOH: "Address of the robot's router or bridge: tcp/HOST:7447; empty: this computer",
     REALSENSE: "Serial number, or a file of the RealSense viewer; empty: the first camera found",
     REPLAY: "A recording",
     SYNTHETIC: "Object pressed into the membrane; empty: the built-in press",
-    TOGETHER: "A session preset or file with two sensors",
+    PAIR: "A session preset or file with two sensors",
 }
 AUTOMATIC = "automatic: the preset with images of that size"
-WAIT_MS = 400
-"""How long typing must rest before what was typed is looked at."""
+TYPING_MS = 400
+"""Delay after typing before the search starts."""
 NAME = Qt.ItemDataRole.UserRole
-SIZE = (620, 460)  # px: all boxes of every source
+SIZE = (620, 460)  # px
 
 
 class ConnectDialog(QDialog):
-    """Kind, place, topic, sensor; shows the same words that `--source` takes."""
+    """Kind, address, topic and sensor; shows the equivalent argument of `--source`."""
 
     def __init__(self, parent: QWidget, live: LiveController, sensor_name: str | None) -> None:
         super().__init__(parent)
@@ -166,30 +165,30 @@ class ConnectDialog(QDialog):
         self.source = QLineEdit()
         self.source.setReadOnly(True)
         self.source.setToolTip(
-            "What to give bubbleviz open --source (two sensors: --session) for the same"
+            "Equivalent argument of bubbleviz open --source (two sensors: --session)"
         )
         self.problem = QLabel(wordWrap=True)
         self.problem.setObjectName("problem")
         buttons = QDialogButtonBox.StandardButton
         self.buttons = QDialogButtonBox(buttons.Ok | buttons.Cancel)
         self.buttons.button(buttons.Ok).setText("Connect")
-        self._rest = QTimer(self, singleShot=True, interval=WAIT_MS)
+        self._typing_timer = QTimer(self, singleShot=True, interval=TYPING_MS)
         self._lay_out()
         self._connect()
         self._show_kind()
 
     @property
     def uri(self) -> str:
-        """The source as `--source` takes it, of two sensors the session as `--session` does."""
+        """Argument of `--source`, or for two sensors of `--session`."""
         kind, place = self.kind.currentData(), self.place.currentText().strip()
-        if kind == TOGETHER:
+        if kind == PAIR:
             return place
         topic = self._topic()
         option = f"{'&' if '?' in place else '?'}depth={quote(topic)}" if topic else ""
         return f"{kind}:{place}{option}"
 
     def accept(self) -> None:
-        """Connect, where what was chosen can be read."""
+        """Connect, if session and sensor file can be read."""
         try:
             preset = self._preset()
         except InputError as error:
@@ -199,15 +198,15 @@ class ConnectDialog(QDialog):
         super().accept()
 
     def done(self, result: int) -> None:
-        """Stop looking."""
-        self._rest.stop()
+        """Stop the search."""
+        self._typing_timer.stop()
         self._discovery.close()
         super().done(result)
 
     # -- inside -------------------------------------------------------------------------------
 
     def _preset(self) -> SessionPreset:
-        if self.kind.currentData() == TOGETHER:
+        if self.kind.currentData() == PAIR:
             return load_session(self.place.currentText().strip())
         name = self.sensor.currentData()
         if name != AUTO:
@@ -228,9 +227,9 @@ class ConnectDialog(QDialog):
 
     def _connect(self) -> None:
         self.kind.currentIndexChanged.connect(lambda _: self._show_kind())
-        self.place.editTextChanged.connect(lambda _: self._rest.start())
+        self.place.editTextChanged.connect(lambda _: self._typing_timer.start())
         self.place.editTextChanged.connect(lambda _: self._show_source())
-        self._rest.timeout.connect(self._look)
+        self._typing_timer.timeout.connect(self._look)
         self.sensor.currentIndexChanged.connect(lambda _: self._look())
         self.topics.currentItemChanged.connect(lambda *_: self._show_source())
         self.browse.clicked.connect(self._browse)
@@ -248,21 +247,21 @@ class ConnectDialog(QDialog):
         line = self.place.lineEdit()
         if line is not None:
             line.setPlaceholderText(PLACES[kind])
-        self.browse.setVisible(kind in (REALSENSE, REPLAY, TOGETHER))
+        self.browse.setVisible(kind in (REALSENSE, REPLAY, PAIR))
         self.folder.setVisible(kind == REPLAY)
         self._form.setRowVisible(self.topics, kind in (ZENOH, REPLAY))
-        self._form.setRowVisible(self._sensor_row, kind != TOGETHER)
+        self._form.setRowVisible(self._sensor_row, kind != PAIR)
         self._show_source()
         self._look()
 
     def _look(self) -> None:
-        """Find what there is at the place."""
-        self._rest.stop()
+        """Search the topics at the address."""
+        self._typing_timer.stop()
         self._list(())
         self.problem.setText("")
         kind = self.kind.currentData()
         place = self.place.currentText().strip()
-        if kind == TOGETHER or (kind == REPLAY and not place):
+        if kind == PAIR or (kind == REPLAY and not place):
             self._discovery.stop()
             return
         try:
@@ -273,7 +272,7 @@ class ConnectDialog(QDialog):
             return
         if kind == ZENOH:
             self.problem.setText("Looking for topics…")
-        self._discovery.look_at(f"{kind}:{place}", sensor)
+        self._discovery.search(f"{kind}:{place}", sensor)
 
     def _on_found(self, topics: tuple[OfferedTopic, ...], problem: str) -> None:
         looking = self.kind.currentData() == ZENOH and not topics
@@ -281,14 +280,14 @@ class ConnectDialog(QDialog):
         self._list(tuple(t for t in topics if t.type in DEPTH_TYPES and is_used(*t)))
 
     def _list(self, topics: tuple[OfferedTopic, ...]) -> None:
-        """Offer topics; the one that was chosen stays so."""
+        """List topics, keeping the selection."""
         names = ["", *(topic.name for topic in topics)]
         if names == [self.topics.item(k).data(NAME) for k in range(self.topics.count())]:
             return
         chosen = self._topic()
         self.topics.clear()
         for name, kind in [("", ""), *topics]:
-            text = f"{name}   {kind}" if name else "automatic: the first that is depth"
+            text = f"{name}   {kind}" if name else "automatic: the first depth topic"
             item = QListWidgetItem(text)
             item.setData(NAME, name)
             self.topics.addItem(item)
@@ -304,14 +303,14 @@ class ConnectDialog(QDialog):
 
     def _browse(self) -> None:
         kind = self.kind.currentData()
-        of = "session" if kind == TOGETHER else "recording"
-        self._look_at(file_to_open(self, KINDS[kind], of=of))
+        of = "session" if kind == PAIR else "recording"
+        self._use_path(file_to_open(self, KINDS[kind], of=of))
 
     def _browse_folder(self) -> None:
-        self._look_at(folder_to_open(self, KINDS[REPLAY], of="recording"))
+        self._use_path(folder_to_open(self, KINDS[REPLAY], of="recording"))
 
-    def _look_at(self, path: Path | None) -> None:
-        """Take a place that was chosen in a dialog; None: it was cancelled."""
+    def _use_path(self, path: Path | None) -> None:
+        """Use a path chosen in a dialog; None: cancelled."""
         if path is not None:
             self.place.setEditText(str(path))
             self._look()
@@ -325,7 +324,7 @@ class ConnectDialog(QDialog):
 
 
 def _sensors(present: str | None) -> list[str]:
-    """Sensor files to choose from, the present one first."""
+    """Sensor files offered, the current one first."""
     names = preset_names("sensors")
     return list(dict.fromkeys([*([present] if present else []), AUTO, *names]))
 
@@ -334,6 +333,6 @@ def _offered_places(kind: str) -> list[str]:
     if kind == SYNTHETIC:
         objects = sorted(path.stem for path in presets_folder("objects").glob("*.ply"))
         return ["", *objects, "nut-left", "nut-right"]
-    if kind == TOGETHER:
+    if kind == PAIR:
         return preset_names("sessions")
     return [""]

@@ -1,4 +1,4 @@
-"""Bringing a live session up, however long the robot takes, without anybody waiting for it."""
+"""Connecting to the sources of a live session, in the background."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from bubbleviz_ui.live.live_frames import LiveFrames
 
 @dataclass(frozen=True)
 class LiveRun:
-    """A session whose sensors all have sent a frame."""
+    """A connected session: every sensor has sent a frame."""
 
     preset: SessionPreset
-    session: LiveSession  # Entered
-    frames: tuple[LiveFrames, ...]  # Of each sensor
+    session: LiveSession
+    frames: tuple[LiveFrames, ...]  # One per sensor
 
     def close(self) -> None:
-        """Stop the sources; a recording ends whole."""
+        """Stop the sources; a recording is completed."""
         self.session.__exit__()
         for source in self.frames:
             source.end()
@@ -46,35 +46,35 @@ class Connection(QObject):
         super().__init__()
         self.preset = preset
         self._pre_roll_s = pre_roll_s
-        self._awaited: LiveStream | None = None
+        self._waiting_stream: LiveStream | None = None
         self._worker = Worker("live connection")
 
     def start(self) -> None:
-        """Begin."""
+        """Start connecting."""
         self._worker.submit(
             self._connected, self.ready.emit, self.failed.emit, discard=LiveRun.close
         )
 
     def cancel(self) -> None:
-        """Give up; nothing is emitted any more, and the sources are stopped soon."""
+        """Stop connecting; no signal is emitted any more."""
         self._worker.cancel()
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until the thread is gone."""
+        """Wait until the thread has ended."""
         self._worker.close(timeout_s)
 
     def text(self) -> str:
-        """How far it is, in a few words."""
-        stream = self._awaited
-        return "starting" if stream is None else _waiting_for(stream)
+        """Progress text."""
+        stream = self._waiting_stream
+        return "starting" if stream is None else _waiting_text(stream)
 
     def _connected(self) -> LiveRun:
         def waiting(stream: LiveStream) -> None:
-            self._awaited = stream
-            self._worker.progress("waiting", 0.0)  # cancelled by this
+            self._waiting_stream = stream
+            self._worker.progress("waiting", 0.0)  # raises `Cancelled`
 
         self.preset = _with_sensors(self.preset, waiting)
-        self._awaited = None
+        self._waiting_stream = None
         session = LiveSession(self.preset, self._pre_roll_s)
         session.__enter__()
         frames = tuple(
@@ -105,7 +105,7 @@ def single(source: str, sensor: str, colour_delay_s: float | None = None) -> Ses
     """Session of one sensor.
 
     `sensor`: Sensor file or preset.
-    `colour_delay_s`: In place of the sensor file's, s.
+    `colour_delay_s`: Overrides the sensor file's, s.
     """
     place = SensorPlace(name="sensor", sensor=sensor, source=source, colour_delay_s=colour_delay_s)
     return SessionPreset(title=source, sensors=(place,))
@@ -117,7 +117,7 @@ def _title(preset: SessionPreset, number: int) -> str:
 
 
 def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) -> SessionPreset:
-    """The preset with the names of sensors that were left to the size of the images."""
+    """The preset with automatic sensors resolved by the size of the images."""
     places = tuple(
         place.model_copy(
             update={"sensor": sensor_for_source(place.source, place.sensor, math.inf, waiting)}
@@ -127,8 +127,8 @@ def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) 
     return preset.model_copy(update={"sensors": places})
 
 
-def _waiting_for(stream: LiveStream) -> str:
-    """What a stream without a frame so far is waited for, and what came instead."""
+def _waiting_text(stream: LiveStream) -> str:
+    """Why a stream has no frame yet, and what it sent instead."""
     counters, topics = stream.counters, stream.source.topics
     if counters.problem and not stream.status().problem:
         return f"no depth image yet: {counters.problem}"

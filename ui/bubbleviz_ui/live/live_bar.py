@@ -1,4 +1,4 @@
-"""Live bar: how the source is doing, and what one does with it. Hidden where nothing was live."""
+"""Live bar: status of the live source, recording, publishing. Hidden without a live source."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.view3d.render_view import View
 
-# Record button, with what is written so far, markers and notes.
+# Record button with progress and notes.
 
 
 class RecordControls(QWidget):
-    """Button, pre-roll, folder; while it records elapsed time, size, messages and a note."""
+    """Button, pre-roll, folder; while recording, elapsed time, size, messages and a note."""
 
     def __init__(self, live: LiveController) -> None:
         super().__init__()
@@ -73,8 +73,8 @@ class RecordControls(QWidget):
         self.note.editingFinished.connect(self.note.hide)
         self._show_folder()
 
-    def show_now(self) -> None:
-        """Write how the recording is going."""
+    def update_status(self) -> None:
+        """Show the progress of the recording."""
         state, busy = self._live.recording.state(), self._live.recording.busy
         self._show_folder()
         self.button.setChecked(busy)
@@ -89,8 +89,8 @@ class RecordControls(QWidget):
         if not busy:
             self.note.hide()
 
-    def begin_note(self) -> None:
-        """Write a note about this moment."""
+    def start_note(self) -> None:
+        """Open the box for a note with the current time."""
         if self._live.recording.busy:
             self._noted_ns = time.time_ns()
             self.note.clear()
@@ -98,12 +98,12 @@ class RecordControls(QWidget):
             self.note.setFocus()
 
     def choose_folder(self) -> None:
-        """Choose where recordings go."""
+        """Choose the folder of recordings."""
         folder = self._live.recording.folder
-        present = folder if folder.is_dir() else folder.parent  # it is made with the first
+        present = folder if folder.is_dir() else folder.parent  # created with the first recording
         name = QFileDialog.getExistingDirectory(self, "Record into", str(present))
         if name:
-            self._live.choose_folder(name)
+            self._live.set_folder(name)
             remember("recording", new_name(Path(name)))
             self._show_folder()
 
@@ -118,7 +118,7 @@ class RecordControls(QWidget):
 
 
 def progress(state: RecordingState) -> str:
-    """Elapsed time, size, messages and what waits for the disk."""
+    """Elapsed time, size, number of messages and data not written yet."""
     minutes, seconds = divmod(int(state.elapsed_s), 60)
     status = state.status
     return (
@@ -137,14 +137,14 @@ BADGES: dict[Badge, str] = {
     "ended": theme.NEUTRAL,
     "disconnected": theme.NEUTRAL,
 }
-"""Colour of the badge with each word."""
+"""Colour of each badge."""
 
 SENSOR_TIP = "Show this sensor in the panels (B: switch sensor)"
-RATE_LOOKS = 11
+RATE_SAMPLES = 11
 RATE_FROM_S = 0.5
-"""The rate is counted over the last looks, once they span this."""
+"""The rate is computed over the last updates, once they span this time."""
 
-WRONG = {
+FAULT_COUNTERS = {
     "out_of_order": "out of order",
     "duplicate": "duplicate",
     "undecodable": "undecodable",
@@ -154,17 +154,17 @@ WRONG = {
     "clock_jumps": "clock jumps",
     "missed": "lost",
 }
-"""Counters that are shown once they are not zero."""
+"""Counters that are shown if not zero."""
 
 
 class LiveBar(QFrame):
-    """What it is and can do, in more rows where it is narrow; below it what was counted."""
+    """Badge and controls, wrapped into rows if narrow; message counters below."""
 
     def __init__(self, live: LiveController, units: Units) -> None:
         super().__init__()
         self._live, self._units = live, units
         self.setObjectName("live")
-        self.state = QLabel(wordWrap=True)  # why a robot refuses is a whole sentence
+        self.state = QLabel(wordWrap=True)
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
         self.zero = self._button(
@@ -184,7 +184,7 @@ class LiveBar(QFrame):
         self.show_all()
 
     def show_all(self) -> None:
-        """Another session is connected, or none; another source is open."""
+        """Update everything after a change of session or source."""
         run, waits = self._live.run, self._live.connection is not None
         left = self._live.state.badge == "disconnected"
         self.setVisible(run is not None or waits or left)
@@ -193,26 +193,26 @@ class LiveBar(QFrame):
         self.leave.setVisible(run is not None or waits)
         self.leave.setText("Disconnect" if run is not None else "Cancel")
         self._make_sensors()
-        self._counted = None
-        self.show_now()
+        self._rate_samples = None
+        self.update_status()
 
-    def show_now(self) -> None:
-        """Write how everything is doing now."""
+    def update_status(self) -> None:
+        """Update badge, rate and counters."""
         live = self._live
         if live.sensor is None:
             if live.connection is not None:
-                self._say("connecting", live.connection.text())
+                self._show_badge("connecting", live.connection.text())
             else:
-                self._say(live.state.badge)
+                self._show_badge(live.state.badge)
             return
-        self.record.show_now()
+        self.record.update_status()
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters
         drawn = live.connection_state != "connecting"  # until then something else may be open
         badge = live.state.badge if drawn else "connecting"
-        self._say(badge, status.silence or self._rate_text(counters.frames))
+        self._show_badge(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
-        self._say_doubts()
-        counts = "  ·  ".join([self._zero_text(), *counted(counters), *_problem(counters)])
+        self._show_untrusted()
+        counts = "  ·  ".join([self._zero_text(), *counter_texts(counters), *_problem(counters)])
         self.counts.setText(counts)
         self.counts.setToolTip(counts)
 
@@ -225,25 +225,25 @@ class LiveBar(QFrame):
         return button
 
     def _lay_out(self) -> None:
-        row, self._both = QWidget(), QWidget()
-        self._row = fill(QHBoxLayout(self._both), margins=(0, 0, 0, 0), spacing=6)
-        controls = (self._both, self.record, self.zero, self.publish, self.leave)
+        row, self._sensor_row = QWidget(), QWidget()
+        self._row = fill(QHBoxLayout(self._sensor_row), margins=(0, 0, 0, 0), spacing=6)
+        controls = (self._sensor_row, self.record, self.zero, self.publish, self.leave)
         BarLayout(row, self.state, *controls, margins=(0, 0, 0, 0))
         fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
         live = self._live
         live.changed.connect(self.show_all)
-        live.looked.connect(self.show_now)
+        live.updated.connect(self.update_status)
         live.state.source_changed.connect(self.show_all)
-        live.state.frozen_changed.connect(self.show_now)
-        live.state.connection_changed.connect(self.show_now)
+        live.state.frozen_changed.connect(self.update_status)
+        live.state.connection_changed.connect(self.update_status)
         self.zero.clicked.connect(live.zero_now)
         self.publish.clicked.connect(live.toggle_publishing)
         self.leave.clicked.connect(live.disconnect_all)
 
     def _make_sensors(self) -> None:
-        """A button for each of two sensors; none for one."""
+        """Create a button for each of two sensors."""
         run = self._live.run
         places = run.preset.sensors if run is not None and len(run.preset.sensors) > 1 else ()
         while self.sensors:
@@ -258,38 +258,38 @@ class LiveBar(QFrame):
             )
             button.setCheckable(True)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.setChecked(number == self._live.chosen)
-            button.clicked.connect(lambda _=False, number=number: self._live.choose(number))
+            button.setChecked(number == self._live.selected)
+            button.clicked.connect(lambda _=False, number=number: self._live.select(number))
             self._row.addWidget(button)
             self.sensors.append(button)
-        self._both.setVisible(bool(self.sensors))
+        self._sensor_row.setVisible(bool(self.sensors))
 
-    def _say_doubts(self) -> None:
-        """Which of two sensors is not to be trusted: the readout is of the chosen one alone."""
+    def _show_untrusted(self) -> None:
+        """Show untrusted results on the buttons, as the readout is only of the selected sensor."""
         run = self._live.run
         if run is None:
             return
         for number, button in enumerate(self.sensors):
-            name, doubt = run.preset.sensors[number].name, self._live.doubt_about(number)
+            name, doubt = run.preset.sensors[number].name, self._live.untrusted_text_of(number)
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
 
-    def _say(self, badge: Badge, text: str = "") -> None:
+    def _show_badge(self, badge: Badge, text: str = "") -> None:
         colours = f"background-color:{BADGES[badge]}; color:{theme.ON_BADGE}" if badge else ""
         self.state.setText(f'<b style="{colours}">&nbsp;{badge}&nbsp;</b>&nbsp; {text}')
 
     def _rate_text(self, frames: int) -> str:
-        """The rate at which images come; empty until it is known."""
+        """Rate of received images; empty until known."""
         now = time.monotonic()
-        if self._counted is None or frames < self._counted[-1][1]:
-            self._counted = deque([(now, frames)], maxlen=RATE_LOOKS)
-        self._counted.append((now, frames))
-        then, before = self._counted[0]
+        if self._rate_samples is None or frames < self._rate_samples[-1][1]:
+            self._rate_samples = deque([(now, frames)], maxlen=RATE_SAMPLES)
+        self._rate_samples.append((now, frames))
+        then, before = self._rate_samples[0]
         if now - then < RATE_FROM_S:
             return ""
         return self._units.rate.text((frames - before) / (now - then))
 
-    _counted: deque[tuple[float, int]] | None = None
+    _rate_samples: deque[tuple[float, int]] | None = None
 
     def _zero_text(self) -> str:
         sensor = self._live.sensor
@@ -301,14 +301,14 @@ class LiveBar(QFrame):
         )
 
 
-def counted(counters: Counters) -> list[str]:
-    """What was counted, in words: what came, and what was wrong with it where something was."""
+def counter_texts(counters: Counters) -> list[str]:
+    """Texts of the counters: received messages and images, and faults."""
     words = [
         count_of(counters.received, "message"),
         count_of(counters.frames, "image"),
         f"{counters.skipped} skipped",
     ]
-    for name, word in WRONG.items():
+    for name, word in FAULT_COUNTERS.items():
         count = getattr(counters, name)
         if count:
             words.append(f"{count} {word}")
@@ -319,11 +319,11 @@ def _problem(counters: Counters) -> list[str]:
     return [counters.problem] if counters.problem else []
 
 
-# How old a live frame is when its picture is on the screen.
+# Latency from the time stamp of a live frame to its display.
 
 
-class PictureAge(QObject):
-    """Measures from stamp to picture; from the arrival where the robot has another clock."""
+class DisplayLatency(QObject):
+    """Measures the latency from stamp to display, or from arrival if the clocks differ."""
 
     def __init__(self, controller: Controller, view: View) -> None:
         super().__init__()
@@ -334,7 +334,7 @@ class PictureAge(QObject):
         view.rendered.connect(self._on_rendered)
 
     def begin(self, pictures: int = 600) -> None:
-        """Forget what was measured; from now on the last so many pictures count."""
+        """Restart the measurement, over the last `pictures`."""
         self._shown, self._meter = None, LatencyMeter(pictures)
 
     def _on_opened(self, _: object) -> None:
@@ -342,11 +342,11 @@ class PictureAge(QObject):
 
     @property
     def ages_s(self) -> list[float]:
-        """Age of each picture that counts, s."""
+        """Latency of each measured picture, s."""
         return self._meter.ages_s
 
     def report(self) -> LatencyReport | None:
-        """Ages of the last pictures; None where none was live."""
+        """Latency statistics; None without live pictures."""
         return self._meter.report()
 
     def _on_shown(self, result: Result) -> None:

@@ -1,4 +1,4 @@
-"""The frames of a live stream that were looked at, as a source that grows. No Qt in here."""
+"""Frames taken from a live stream, as a growing frame source. No Qt."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from bubbleviz.recordings import Frame, Gap, usual_step
 from bubbleviz.result import Result
 from bubbleviz_ui.model.frame_history import grown
 
-KEPT_S = 10.0  # s of frames to look back at
-KEPT_BYTES = 128 << 20
-"""Frames one can go back to: of the last seconds, and no more memory than this."""
-SHOWN = 3
-"""Frames that are kept however old: the one in the picture, and those solved or taken meanwhile."""
-RECENT = 100
-"""Frames that tell the usual time from one to the next."""
+FRAMES_KEPT_S = 10.0
+FRAMES_BYTES = 128 << 20
+"""Frames of the last seconds are kept, up to this memory."""
+MIN_KEPT = 3
+"""Frames kept regardless of age: the one shown, and those solved or taken meanwhile."""
+STEP_FRAMES = 100
+"""Frames from which the typical frame interval is computed."""
 
 Listener = Callable[[Result, MembraneMesh], None]
 
 
 class LiveFrames:
-    """A `FrameSource` made of the frames that were taken from a stream, the newest of each moment.
+    """A `FrameSource` of the frames taken from a stream, which keeps only the newest one.
 
-    Frames are counted as they are taken, and timed by their arrival, which unlike their stamps
-    never goes back.
+    Frames are numbered as they are taken, and timed by their arrival, which unlike their stamps is
+    monotonic.
     """
 
     def __init__(
         self,
         name: str,
-        stream: LiveStream,  # Started; whoever started it stops it
+        stream: LiveStream,  # Started and stopped by the caller
         zero: PressureZero,
         *,
-        simulated: bool = False,  # Of a simulation
-        paired: bool = False,  # Another sensor's frames come at the same time
+        simulated: bool = False,
+        paired: bool = False,  # One of two sensors
     ) -> None:
         self.name, self.stream, self.zero = name, stream, zero
         self.simulated, self.paired = simulated, paired
@@ -52,94 +52,94 @@ class LiveFrames:
         self._times_s = np.zeros(0)
         self._lock = threading.Lock()
         self._listeners: tuple[Listener, ...] = ()
-        self._let_go_of_colour: Callable[[], None] | None = None
+        self._unsubscribe_colour: Callable[[], None] | None = None
         self._at_end: Callable[[], None] | None = None
-        self._over = False
-        self.outages: tuple[Gap, ...] = ()  # Where the stream sent nothing
+        self._ended = False
+        self.outages: tuple[Gap, ...] = ()  # Intervals in which the stream sent nothing
 
     @property
     def times_s(self) -> np.ndarray:
-        """Arrival of each frame, s since the first of the session."""
+        """Arrival times, s since the first frame of the session."""
         with self._lock:
             return self._times_s.copy()
 
     def __len__(self) -> int:
-        """Count the frames taken so far."""
+        """Number of frames taken so far."""
         with self._lock:
             return len(self._times_s)
 
     def __getitem__(self, index: int) -> Frame:
-        """A frame that is still kept; InputError for an older one."""
+        """A frame still in memory; InputError for an older one."""
         with self._lock:
             oldest = len(self._times_s) - len(self._kept)
             if index >= oldest:
                 return self._kept[index - oldest]
         raise InputError(
-            f"{self.name}: frame {index} is gone, as only the last {KEPT_S:g} s of a live source "
-            "are kept; record to keep all"
+            f"{self.name}: frame {index} is no longer in memory, which holds the last "
+            f"{FRAMES_KEPT_S:g} s of a live source; record to keep all"
         )
 
     def close(self) -> None:
-        """Nothing: the stream goes on for the recorder, and for another sensor file."""
+        """Do nothing: the stream continues for the recorder, and for another sensor file."""
 
     def at_end(self, callback: Callable[[], None]) -> None:
-        """Have this called, in place of what was to be, once no more frames will come."""
+        """Set the function to call when the stream has ended, replacing the previous one."""
         self._at_end = callback
-        if self._over:
+        if self._ended:
             callback()
 
     def end(self) -> None:
-        """Say that no more frames will come."""
-        self._over = True
+        """The stream has ended."""
+        self._ended = True
         if self._at_end is not None:
             self._at_end()
 
     def begin(self, epoch_ns: int, first: Frame) -> None:
-        """Begin with the first frame; time began at `epoch_ns` for all sensors of a session."""
+        """Start with the first frame; `epoch_ns`: time zero of all sensors of the session."""
         self._epoch_ns = epoch_ns
         self._take(first)
 
     def set_colour(self, on: bool) -> None:
-        """Have the frames from now on with colour images, or without: only who asks gets them."""
-        let_go = self._let_go_of_colour
-        if on and let_go is None:
-            self._let_go_of_colour = self.stream.follow_colour()
-        elif not on and let_go is not None:
-            self._let_go_of_colour = None
-            let_go()
+        """Subscribe to colour images, or unsubscribe."""
+        unsubscribe = self._unsubscribe_colour
+        if on and unsubscribe is None:
+            self._unsubscribe_colour = self.stream.follow_colour()
+        elif not on and unsubscribe is not None:
+            self._unsubscribe_colour = None
+            unsubscribe()
 
     def newest(self, timeout_s: float) -> Frame | None:
-        """The newest frame nobody has seen, waiting for one; None when none came."""
+        """Wait for the newest frame not taken yet; None after the timeout."""
         frame = self.stream.take(timeout_s)
         return None if frame is None else self._take(frame)
 
     @property
     def ended(self) -> bool:
-        """Whether no frame is to be waited for."""
+        """Whether the stream has ended."""
         return self.stream.ended
 
     def at(self, time_s: float) -> int:
-        """The kept frame nearest to a time."""
+        """The frame in memory nearest to a time."""
         with self._lock:
             oldest = len(self._times_s) - len(self._kept)
             return oldest + int(np.abs(self._times_s[oldest:] - time_s).argmin())
 
     def arrival_ns(self, index: int) -> int:
-        """When a frame arrived, ns since 1970."""
+        """Arrival time of a frame, ns since 1970."""
         with self._lock:
             return self._epoch_ns + round(float(self._times_s[index]) * 1e9)
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Have new results passed on, in the solver thread; undo by calling."""
+        """Pass new results to a listener, in the solver thread; returns a function to stop that."""
         self._listeners = (*self._listeners, listener)
 
-        def forget() -> None:
+        def unsubscribe() -> None:
             self._listeners = tuple(k for k in self._listeners if k is not listener)
 
-        return forget
+        return unsubscribe
 
     def publish(self, result: Result, mesh: MembraneMesh) -> None:
-        """Pass a new result on."""
+        """Pass a new result to all listeners."""
         for listener in self._listeners:
             listener(result, mesh)
 
@@ -153,18 +153,18 @@ class LiveFrames:
             self._times_s[-1] = time_s
             self._kept.append(frame)
             self._bytes += frame.depth_m.nbytes
-            while len(self._kept) > SHOWN and (
-                self._bytes > KEPT_BYTES or self._kept[0].time_s < time_s - KEPT_S
+            while len(self._kept) > MIN_KEPT and (
+                self._bytes > FRAMES_BYTES or self._kept[0].time_s < time_s - FRAMES_KEPT_S
             ):
                 self._bytes -= self._kept.popleft().depth_m.nbytes
         return frame
 
     def _note_outages(self, last: int, arrival_ns: int) -> None:
-        """Take those since frame `last`; in what a busy solver left out there may be none."""
+        """Record the outages since frame `last`, even between frames dropped by a busy solver."""
         since_ns = self._kept[-1].arrival_ns
         for before_ns, after_ns in self.stream.outages:
             if since_ns < after_ns <= arrival_ns:
                 silent_s = (after_ns - before_ns) * 1e-9
-                usual_s = usual_step(np.diff(self._times_s[-RECENT:])) or silent_s
+                usual_s = usual_step(np.diff(self._times_s[-STEP_FRAMES:])) or silent_s
                 missing = max(round(silent_s / usual_s) - 1, 1)
                 self.outages = (*self.outages, Gap(last, missing, silent_s))

@@ -1,4 +1,4 @@
-"""Results out of the window: over Zenoh, and into the recording. Off until asked for."""
+"""Publishing of results over Zenoh and into the recording; off by default."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
     from bubbleviz.live import ZenohPublisher
 
 
-# Sends the results of one sensor as ROS 2 messages. No Qt in here.
+# Sends the results of one sensor as ROS 2 messages. No Qt.
 
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
-"""What goes out; there is a pose only where an object is followed."""
-DIAGNOSTICS_S = 1.0  # s between messages, as is usual in ROS
+"""Products that are published; the pose only while an object is tracked."""
+DIAGNOSTICS_S = 1.0  # period of diagnostics, as usual in ROS
 
 
 class ResultSender:
-    """Makes messages of the results of a stream.
+    """Converts the results of a stream to messages.
 
-    `send`: Takes a message, in any thread.
-    `name`: Of the sensor, where there are two; part of the topics, and the frame they are in.
+    `send`: Receives a message, in any thread.
+    `name`: Of the sensor, if there are two; part of the topics, and the frame id.
     """
 
     def __init__(self, stream: LiveStream, send: Callable[[Message], None], name: str = "") -> None:
@@ -45,10 +45,10 @@ class ResultSender:
         self._mesh: MembraneMesh | None = None
         self._messages: ResultMessages | None = None
         self._last: Result | None = None
-        self._told = 0.0
+        self._last_s = 0.0
 
     def __call__(self, result: Result, mesh: MembraneMesh) -> None:
-        """Send what there is of a result; in the solver thread."""
+        """Send a result; called in the solver thread."""
         if self._messages is None or mesh is not self._mesh:
             self._mesh, self._messages = mesh, ResultMessages(mesh, self._prefix, self._frame_id)
             for message in self._messages.placed(self._stream):
@@ -58,32 +58,32 @@ class ResultSender:
             self._send(message)
 
     def diagnose(self) -> None:
-        """Say once a second how the source and the estimate are doing."""
+        """Send the diagnostics of source and estimate, once a second."""
         now = time.monotonic()
-        if self._messages is not None and now - self._told >= DIAGNOSTICS_S:
-            self._told = now
+        if self._messages is not None and now - self._last_s >= DIAGNOSTICS_S:
+            self._last_s = now
             status, counters = self._stream.status(), self._stream.counters
             self._send(self._messages.diagnostics(time.time_ns(), status, counters, self._last))
 
 
 class Publishing(QObject):
-    """Publishes patch, force, pose and diagnostics of every sensor of a run."""
+    """Publishes patch, force, pose and diagnostics of all connected sensors."""
 
-    changed = Signal()  # It is on, or off
+    changed = Signal()  # Switched on or off
     notified = Signal(object)  # A `UserMessage`
 
     def __init__(self) -> None:
         super().__init__()
         self.on = False
-        self.endpoint = LOOPBACK  # Where to listen the next time
+        self.endpoint = LOOPBACK  # Applied at the next start
         self._publisher: ZenohPublisher | None = None
         self._senders: list[ResultSender] = []
-        self._forget: list[Callable[[], None]] = []
+        self._unsubscribe: list[Callable[[], None]] = []
         self._lock = Lock()
         self._worker = Worker("publishing")
 
     def start(self, run: LiveRun) -> None:
-        """Listen at the endpoint and publish what is solved from now on."""
+        """Listen at the endpoint and publish all new results."""
         if self.on:
             return
         self.on, endpoint = True, self.endpoint
@@ -92,17 +92,17 @@ class Publishing(QObject):
             send = _Sender(self, run)
             sender = ResultSender(frames.stream, send, each.place.name if several else "")
             self._senders.append(sender)
-            self._forget.append(frames.listen(sender))
+            self._unsubscribe.append(frames.listen(sender))
         self._worker.submit(partial(_publisher, endpoint), self._on_open, self._on_refused)
         self.changed.emit()
 
     def stop(self) -> None:
-        """Publish nothing any more."""
+        """Stop publishing."""
         if not self.on:
             return
         self.on = False
-        while self._forget:
-            self._forget.pop()()
+        while self._unsubscribe:
+            self._unsubscribe.pop()()
         self._senders.clear()
         with self._lock:
             publisher, self._publisher = self._publisher, None
@@ -111,7 +111,7 @@ class Publishing(QObject):
         self.changed.emit()
 
     def diagnose(self) -> None:
-        """Have the diagnostics told that are due."""
+        """Send the diagnostics that are due."""
         for sender in self._senders:
             sender.diagnose()
 
@@ -122,7 +122,7 @@ class Publishing(QObject):
                 self._publisher.put(message)
 
     def close(self) -> None:
-        """Stop, and wait until it is done."""
+        """Stop, and wait for the thread."""
         self.stop()
         self._worker.close()
 
@@ -141,7 +141,7 @@ class Publishing(QObject):
 
 
 class _Sender:
-    """Where messages of results go: out, and into the recording while there is one."""
+    """Sends messages to the publisher, and to the recording if any."""
 
     def __init__(self, publishing: Publishing, run: LiveRun) -> None:
         self._publishing, self._recorder = publishing, run.session.recorder
@@ -153,7 +153,7 @@ class _Sender:
 
 
 def _publisher(endpoint: str) -> ZenohPublisher:
-    # the window starts without the network's library
+    # imports the network library: not at start
     from bubbleviz.live import SessionOptions, ZenohPublisher
 
     return ZenohPublisher(SessionOptions(f"publish at {endpoint}", None, endpoint))

@@ -1,4 +1,4 @@
-"""Recording from the window: nothing here waits for the disk in the GUI thread."""
+"""Recording of live sources; all disk access is in a thread."""
 
 from __future__ import annotations
 
@@ -15,38 +15,37 @@ from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import MessageKind, UserMessage
 from bubbleviz_ui.shell.file_dialogs import remember
 
-OWN_FOLDER = Path.home() / "bubbleviz-recordings"
-"""Where recordings go unless another folder is chosen."""
+DEFAULT_FOLDER = Path.home() / "bubbleviz-recordings"
+"""Default folder of recordings."""
 
 
 @dataclass(frozen=True)
 class RecordingState:
-    """What is shown of a recording."""
+    """State of a recording."""
 
     elapsed_s: float
     status: RecorderStatus
 
 
 class Recording(QObject):
-    """The record button's work.
+    """Starts and stops recordings.
 
-    `worker`: Where it is done.
+    `worker`: Thread for disk access.
     """
 
-    changed = Signal()  # It began or ended
+    changed = Signal()  # A recording began or ended
     notified = Signal(object)  # A `UserMessage`
 
     def __init__(self, worker: Worker) -> None:
         super().__init__()
-        # Where recordings go, each named by its time; `OWN_FOLDER` is made with the first
-        self.folder = OWN_FOLDER
-        self.busy = False  # A recording is on, or about to be
+        self.folder = DEFAULT_FOLDER  # Created with the first recording
+        self.busy = False  # Recording, or starting
         self._recorder: Recorder | None = None
         self._began = 0.0
         self._worker = worker
 
     def start(self, recorder: Recorder, path: Path | None = None) -> None:
-        """Begin a new file, by default one in the folder that is named by the time."""
+        """Start recording to a new file, by default in `folder` with the time as its name."""
         if self.busy:
             return
         path = path or new_name(self.folder)
@@ -55,20 +54,20 @@ class Recording(QObject):
         self.changed.emit()
 
     def stop(self) -> None:
-        """End it, with everything that arrived."""
+        """Stop recording; everything received so far is written."""
         recorder, self._recorder, self.busy = self._recorder, None, False
         if recorder is not None:
             self._worker.submit(lambda: _stopped(recorder), self._on_stopped, self._on_broken)
             self.changed.emit()
 
     def mark(self, text: str, at_ns: int | None = None) -> None:
-        """Put a marker or a note into the file; nothing where nothing is recorded."""
+        """Write a marker or note to the recording, if any."""
         recorder, when = self._recorder, time.time_ns() if at_ns is None else at_ns
         if recorder is not None:
             self._worker.submit(lambda: recorder.mark(text, when))
 
     def state(self) -> RecordingState | None:
-        """How it goes; None while nothing is recorded. Ends a recording the disk refused."""
+        """State of the recording, or None. Stops it after a disk error."""
         status = None if self._recorder is None else self._recorder.status()
         if status is None:
             return None
@@ -79,42 +78,42 @@ class Recording(QObject):
 
     def _on_refused(self, failed: Failed) -> None:
         self.busy, self._recorder = False, None
-        self._say("error", f"Not recording: {failed.message}")
+        self._notify("error", f"Not recording: {failed.message}")
         self.changed.emit()
 
     def _on_broken(self, failed: Failed) -> None:
-        self._say("error", failed.message)
+        self._notify("error", failed.message)
 
     def _on_stopped(self, status: RecorderStatus | None) -> None:
         if status is None:
             return
         if status.problem:
-            self._say("error", status.problem)
+            self._notify("error", status.problem)
         elif status.messages:
             size = status.size_bytes / 1e6
             text = f"Recorded {status.path}: {count_of(status.messages, 'message')}, {size:.1f} MB"
             remember("recording", Path(status.path))
-            self._say("notice", text, Path(status.path))
+            self._notify("notice", text, Path(status.path))
         else:
-            self._say("warning", "Nothing arrived while recording; no file was written")
+            self._notify("warning", "Nothing arrived while recording; no file was written")
 
-    def _say(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
+    def _notify(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
         self.notified.emit(UserMessage(kind, text, file=file, topic="recording"))
 
 
 def new_name(folder: Path) -> Path:
-    """Name of a new recording, by the time."""
+    """Path of a new recording, named by the current time."""
     return free_name(folder / time.strftime("bubbleviz-%Y%m%d-%H%M%S.mcap"))
 
 
-def make_room(path: Path) -> None:
-    """Make the folder of a recording, where that is `OWN_FOLDER`; no other is made unasked."""
-    if path.parent == OWN_FOLDER:
-        OWN_FOLDER.mkdir(exist_ok=True)
+def make_folder(path: Path) -> None:
+    """Create the folder of a recording only if it is `DEFAULT_FOLDER`."""
+    if path.parent == DEFAULT_FOLDER:
+        DEFAULT_FOLDER.mkdir(exist_ok=True)
 
 
 def _start(recorder: Recorder, path: Path) -> None:
-    make_room(path)
+    make_folder(path)
     recorder.start(path)
 
 

@@ -1,4 +1,4 @@
-"""Two sensors in one view: which one the panels show, and where the other one is."""
+"""Two live sensors in one view: selection for the panels, and drawing of the other one."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
-ALONE_S = 0.15
-"""A sensor without a picture for this long is not waited for by the other."""
+TIMEOUT_S = 0.15
+"""After this time without a picture of the selected sensor, the other one is drawn alone."""
 
 
 class SensorPair(QObject):
-    """The second sensor of a session, while it has one: asked for what is visible in the view.
+    """The second sensor of a session, if any; computes what is visible in the view.
 
-    Time is the session's: while that stands still, it shows the frame of the same moment.
+    While the session is frozen or paused, it shows the frame of the same time.
     """
 
     failed = Signal(object)  # A `Failed` of the second sensor
@@ -37,26 +37,26 @@ class SensorPair(QObject):
         super().__init__()
         self._controller, self._scene, self._view = controller, scene, view
         self._state = state = controller.state
-        self.second: SensorClient | None = None  # The one the panels do not show
+        self.second: SensorClient | None = None  # Not shown by the panels
         self.drawing: SecondScene | None = None
         self._run: LiveRun | None = None
         self._ending: list[Worker] = []
-        self.chosen = 0  # Number of the one they show
+        self.selected = 0  # Index of the sensor shown by the panels
         self._shown_s = 0.0
         controller.shown.connect(self._on_shown)
         state.frame_changed.connect(self._on_frame)
-        state.playing_changed.connect(self._follow)
-        state.frozen_changed.connect(self._follow)
+        state.playing_changed.connect(self._request_frame)
+        state.frozen_changed.connect(self._request_frame)
         state.settings_changed.connect(self._on_settings)
 
     def prepare(self, run: LiveRun) -> None:
-        """Take a run whose first sensor will be opened."""
+        """Set the session whose first sensor will be opened."""
         self.end()
-        self._run, self.chosen = run, 0
+        self._run, self.selected = run, 0
         self._place()
 
     def begin(self) -> None:
-        """The first sensor is open: start the second, where there is one."""
+        """Open the second sensor, if any, after the first."""
         run, state = self._run, self._state
         if run is None or len(run.frames) < 2 or self.second is not None:
             return
@@ -78,35 +78,35 @@ class SensorPair(QObject):
         )
 
     def result_of(self, number: int) -> Result | None:
-        """What the view shows of a sensor; None before its first frame."""
-        client = self._controller.client if number == self.chosen else self.second
+        """Result shown of a sensor; None before its first frame."""
+        client = self._controller.client if number == self.selected else self.second
         return None if client is None else client.result
 
-    def choose(self, number: int) -> bool:
-        """Have the panels show the other sensor; whether they do."""
+    def select(self, number: int) -> bool:
+        """Show a sensor in the panels; returns whether they changed."""
         other = self.second
-        if other is None or other.opened is None or number == self.chosen:
+        if other is None or other.opened is None or number == self.selected:
             return False
-        before, looked = self._T_W_B(self.chosen), self._scene.moved_by_user
+        before, moved = self._T_W_B(self.selected), self._scene.moved_by_user
         self._listen(other, on=False)
-        self.chosen, self.second = number, self._controller.client
+        self.selected, self.second = number, self._controller.client
         self._place()
         self._controller.switch_to(other)
         self._listen(self.second)
         self._draw_second()
-        self._follow()
-        if looked:
+        self._request_frame()
+        if moved:
             self._scene.move_camera(np.linalg.inv(self._T_W_B(number)) @ before)
         return True
 
-    def ask_besides(self, products: frozenset[Product]) -> None:
-        """Have both sensors make what goes out, too."""
+    def set_extra_products(self, products: frozenset[Product]) -> None:
+        """Set products that both sensors compute for publishing."""
         self._controller.client.extra_products = products
         if self.second is not None:
             self.second.extra_products = products
 
     def end(self) -> None:
-        """One sensor again, or none; the other one's solver thread ends by itself."""
+        """Remove the second sensor; its solver thread ends by itself."""
         second, self.second, self._run = self.second, None, None
         if second is not None:
             self._ending = [each for each in [*self._ending, second.worker] if not each.close(0.0)]
@@ -115,24 +115,24 @@ class SensorPair(QObject):
         self._scene.place(np.eye(4), np.empty((0, 3)), None)
 
     def close(self) -> None:
-        """End, and wait for solver threads that have not ended."""
+        """Remove the second sensor, and wait for solver threads."""
         self.end()
         for worker in self._ending:
             worker.close()
 
-    # -- what the second sensor does ----------------------------------------------------------
+    # -- requests of the second sensor --------------------------------------------------------
 
     @property
     def _demand(self) -> Demand:
-        """What is visible in the view."""
+        """Demand of the layers in the view."""
         return Demand.of(replace(self._state.settings, panels=frozenset()))
 
     @property
     def _playing(self) -> bool:
         return self._state.playing and not self._state.frozen
 
-    def _follow(self) -> None:
-        """Go on with the session, or show the frame of its moment."""
+    def _request_frame(self) -> None:
+        """Request the newest frame, or while paused the one of the session's time."""
         second, run, facts = self.second, self._run, self._state.facts
         if second is None or second.opened is None or run is None or facts is None:
             return
@@ -140,7 +140,7 @@ class SensorPair(QObject):
             second.request_newest(self._demand, at_once=True)
         else:
             time_s = float(facts.times_s[self._state.frame])
-            second.request_frame(run.frames[1 - self.chosen].at(time_s), self._demand)
+            second.request_frame(run.frames[1 - self.selected].at(time_s), self._demand)
 
     def _listen(self, client: SensorClient, *, on: bool = True) -> None:
         for signal, slot in (
@@ -153,93 +153,94 @@ class SensorPair(QObject):
 
     def _on_second_paused(self) -> None:
         if self._playing:
-            self._follow()
+            self._request_frame()
 
     def _on_second_solved(self, _: object, newest: bool) -> None:
-        """Go on at once, as the chosen one does: neither waits for the other.
+        """Request the next frame at once: neither sensor waits for the other.
 
-        A frame that was asked for while they went on may come when they stand still, at another
-        moment.
+        A frame requested during playback may arrive after a pause, and has another time then.
         """
         if self._playing or newest:
-            self._follow()
+            self._request_frame()
         self._show()
 
     @property
-    def _alone(self) -> bool:
-        """Whether no picture of the chosen sensor is about to come."""
-        return not self._playing or time.perf_counter() - self._shown_s > ALONE_S
+    def _selected_silent(self) -> bool:
+        """Whether no picture of the selected sensor is expected soon."""
+        return not self._playing or time.perf_counter() - self._shown_s > TIMEOUT_S
 
-    def look(self) -> None:
-        """Let the other sensor go on alone while the chosen one sends nothing."""
-        if self._playing and self._alone:
-            self._follow()
+    def follow_if_alone(self) -> None:
+        """Request frames of the second sensor while the selected one sends nothing."""
+        if self._playing and self._selected_silent:
+            self._request_frame()
 
     def _on_shown(self) -> None:
         self._shown_s = time.perf_counter()
         if self.drawing is not None and not self.drawing.visible:
             self._show()
         if self._playing:
-            self._follow()
+            self._request_frame()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
         if not (by_playback and self._playing):
-            self._follow()
+            self._request_frame()
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if self.second is not None:
             if names & PATCH_SETTINGS:
                 self.second.history.forget_patches()
             self._show()
-            self._follow()
+            self._request_frame()
 
-    # -- where it is --------------------------------------------------------------------------
+    # -- placement ----------------------------------------------------------------------------
 
     def _T_W_B(self, number: int) -> np.ndarray:
         if self._run is None:
             raise RuntimeError("nothing is connected")
         return self._run.preset.sensors[number].T_W_B
 
-    def _T_chosen_other(self) -> np.ndarray:
-        return np.linalg.inv(self._T_W_B(self.chosen)) @ self._T_W_B(1 - self.chosen)
+    def _T_selected_other(self) -> np.ndarray:
+        return np.linalg.inv(self._T_W_B(self.selected)) @ self._T_W_B(1 - self.selected)
 
     def _place(self) -> None:
-        """Tell the scene where the chosen sensor is, and the room the other one takes."""
+        """Set the pose of the selected sensor, and the extent of the other one, in the scene."""
         run, opened = self._run, None if self.second is None else self.second.opened
         if run is None or len(run.frames) < 2:
             self._scene.place(np.eye(4), np.empty((0, 3)), None)
             return
-        beside = np.empty((0, 3))
+        others_m = np.empty((0, 3))
         if opened is not None:
-            T = self._T_chosen_other()
-            beside = opened.mesh.nodes @ T[:3, :3].T + T[:3, 3]
-        self._scene.place(self._T_W_B(self.chosen), beside, run.preset.sensors[self.chosen].colour)
+            T = self._T_selected_other()
+            others_m = opened.mesh.nodes @ T[:3, :3].T + T[:3, 3]
+        self._scene.place(
+            self._T_W_B(self.selected), others_m, run.preset.sensors[self.selected].colour
+        )
 
     def _on_second_open(self, _: object) -> None:
-        looked = self._scene.moved_by_user
+        moved = self._scene.moved_by_user
         self._place()
-        if not looked:
+        if not moved:
             self._scene.reset_view()
         self._draw_second()
-        self._follow()
+        self._request_frame()
 
     def _draw_second(self) -> None:
-        """Place the second sensor in the view, and draw it."""
+        """Place and draw the second sensor."""
         run, second, drawing = self._run, self.second, self.drawing
         if run is None or second is None or drawing is None or second.opened is None:
             return
-        opened, place = second.opened, run.preset.sensors[1 - self.chosen]
-        drawing.set_sensor(opened.sensor, opened.mesh, self._T_chosen_other(), place.colour)
+        opened, place = second.opened, run.preset.sensors[1 - self.selected]
+        drawing.set_sensor(opened.sensor, opened.mesh, self._T_selected_other(), place.colour)
         self._show()
 
     def _show(self) -> None:
-        """Draw with the chosen sensor's next picture: two sensors cost one picture, not two.
+        """Draw the second sensor with the next picture of the selected one, in a single render.
 
-        Not before it has one: until then the colour bars are those of what was open before.
+        Not before the selected one has a result, as the colour bars are of the previous source.
         """
         result = None if self.second is None else self.second.result
         if self.drawing is None or result is None or self._controller.result is None:
             return
         self.drawing.show(result, self._state.settings)
-        if self._alone:
+        if self._selected_silent:
             self._view.refresh()

@@ -1,1 +1,1 @@
-"""Playback: the clock, the timeline, frame ranges and the controls."""
+"""Playback: clock, timeline, frame ranges and controls."""

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def tidy(ranges: Iterable[tuple[int, int]], frames: int) -> Ranges:
-    """Ranges inside 0 … frames, in order, with those that touch joined."""
+    """Ranges clipped to 0 … frames, sorted, overlapping and adjacent ones merged."""
     joined: list[tuple[int, int]] = []
     for start, stop in sorted((max(a, 0), min(b, frames)) for a, b in ranges):
         if start >= stop:
@@ -23,7 +23,7 @@ def tidy(ranges: Iterable[tuple[int, int]], frames: int) -> Ranges:
 
 
 def without(ranges: Ranges, start: int, stop: int) -> Ranges:
-    """Ranges less the frames start … stop − 1."""
+    """Ranges without the frames start … stop − 1."""
     parts = [part for a, b in ranges for part in ((a, min(b, start)), (max(a, stop), b))]
     return tidy([(a, b) for a, b in parts if a < b], max((b for _, b in ranges), default=0))
 

@@ -1,4 +1,4 @@
-"""Playback panel: where we are in time, and the controls to be elsewhere."""
+"""Playback panel: timeline, playback controls, current frame and time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
-# Playback icons, drawn, so they have the window's colours on every desktop.
+# Playback icons, drawn in the theme's colours.
 
 
 SIZE = 64
@@ -63,22 +63,22 @@ def _triangle(centre: float, direction: float, name: str) -> QPolygonF:
     return QPolygonF([QPointF(x * SIZE, y * SIZE) for x, y in corners])
 
 
-SOON_MS = 200
-"""Between repaints of the timeline while playing, ms; new numbers repaint it besides."""
-JUMPS = {
+TIMELINE_EVERY_MS = 200
+"""Period of timeline repaints for new numbers during playback."""
+SECOND_STEPS = {
     -1.0: ("−1", "Ctrl+←"),
     -0.1: ("−0.1", "Shift+←"),
     0.1: ("+0.1", "Shift+→"),
     1.0: ("+1", "Ctrl+→"),
 }
-"""How far, in words and by which keys, by the seconds."""
+"""Label and keys of each step in s."""
 SWITCHES = {
     "Loop": Settings.info("loop").tip,
     "Mark": "Mark this frame (M); PgUp, PgDn go to marked frames",
-    "Freeze": "Hold this frame while the live source continues (F)",
+    "Freeze": "Keep showing this frame while the live source continues (F)",
 }
 MARGIN, SPACING = 10, 4
-"""At both sides of the row, and between what is in it, screen pixels."""
+"""Margins of the button row, and distance between widgets, screen pixels."""
 
 
 def next_speed(speed: float, direction: int) -> float:
@@ -87,7 +87,7 @@ def next_speed(speed: float, direction: int) -> float:
 
 
 class PlaybackPanel(QWidget):
-    """Timeline with contact-free ranges; below it how to move in time, the frame and its time."""
+    """Timeline and contact-free ranges, playback controls, and a readout of frame and time."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -97,18 +97,18 @@ class PlaybackPanel(QWidget):
         self.play = tool_button("", "Play or pause (Space)")
         self.forward = tool_button("", "Next frame (→)")
         self.last = tool_button("", "Last frame (End)")
-        self.jumps = {seconds: self._jump(seconds) for seconds in JUMPS}
+        self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
-        self._due = QTimer(self, singleShot=True, interval=SOON_MS)
-        self._due.timeout.connect(lambda: self.timeline.update())
-        self.strip = RangeStrip()
-        self.strip.hide()
+        self._timeline_timer = QTimer(self, singleShot=True, interval=TIMELINE_EVERY_MS)
+        self._timeline_timer.timeout.connect(lambda: self.timeline.update())
+        self.range_strip = RangeStrip()
+        self.range_strip.hide()
         self.readout = QLabel()
         self.speed, self.mode = control(state, "speed"), control(state, "every_frame")
         self.loop, self.mark, self.freeze = (
             tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
         )
-        self.now = tool_button("Live", "Go live: show the newest frame (N)")
+        self.go_live = tool_button("Live", "Go live: show the newest frame (N)")
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._lay_out()
         self._show_all()
@@ -121,24 +121,24 @@ class PlaybackPanel(QWidget):
                         state.markers_changed):  # fmt: skip
             changed.connect(self._show_all)
 
-    def _jump(self, seconds: float) -> QToolButton:
-        words, keys = JUMPS[seconds]
+    def _step_button(self, seconds: float) -> QToolButton:
+        words, keys = SECOND_STEPS[seconds]
         button = tool_button(f"{words} s", f"{words} seconds ({keys})", slim=True)
         button.clicked.connect(lambda: self._state.step_seconds(seconds))
         return button
 
     def _lay_out(self) -> None:
-        back, on = list(self.jumps.values())[:2], list(self.jumps.values())[2:]
+        back, on = list(self.second_steps.values())[:2], list(self.second_steps.values())[2:]
         moves = (self.first, *back, self.back, self.play, self.forward, *on, self.last)
-        how = (self.mark, self.loop, self.freeze, self.now, self.mode, self.speed)
+        how = (self.mark, self.loop, self.freeze, self.go_live, self.mode, self.speed)
         row = fill(
             QHBoxLayout(), *moves, 1, self.readout, 1, *how, margins=(0, 4, 0, 0), spacing=SPACING
         )
-        self._in_row: tuple[QWidget, ...] = (*moves, self.readout, *how)
+        self._row_widgets: tuple[QWidget, ...] = (*moves, self.readout, *how)
         fill(
             QVBoxLayout(self),
             self.timeline,
-            self.strip,
+            self.range_strip,
             row,
             1,
             margins=(MARGIN, 4, MARGIN, 6),
@@ -156,17 +156,17 @@ class PlaybackPanel(QWidget):
         bind(self.loop, state, "loop")
         self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
         self.freeze.clicked.connect(state.freeze)
-        self.now.clicked.connect(lambda: state.freeze(False))
+        self.go_live.clicked.connect(lambda: state.freeze(False))
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        if not by_playback:  # else shown together with its picture
+        if not by_playback:  # else shown when the frame is drawn
             self.show_frame()
 
     def _on_history(self) -> None:
         if not self._state.playing:
             self.show_frame()
-        elif not self._due.isActive():
-            self._due.start()
+        elif not self._timeline_timer.isActive():
+            self._timeline_timer.start()
 
     def _show_all(self) -> None:
         facts, live = self._state.facts, False
@@ -178,20 +178,20 @@ class PlaybackPanel(QWidget):
             widest = self._text(facts.frames - 1)
             self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 4)
         self.freeze.setVisible(live and not self._state.frozen)
-        self.now.setVisible(live and self._state.frozen)
+        self.go_live.setVisible(live and self._state.frozen)
         self._fit()
         self.show_frame()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Show what there is room for."""
+        """Hide widgets that do not fit."""
         super().resizeEvent(event)
         self._fit()
 
     def _fit(self) -> None:
-        """Leave the jumps out of a narrow window, then the readout: keys and status bar stay."""
-        jumps = tuple(self.jumps.values())
+        """In a narrow window hide the steps, then the readout; keys and status bar remain."""
+        jumps = tuple(self.second_steps.values())
         leaving = (*jumps, self.readout)
-        others = [w for w in self._in_row if w not in leaving and not w.isHidden()]
+        others = [w for w in self._row_widgets if w not in leaving and not w.isHidden()]
         needed = _width(others) + 2 * MARGIN
         self.setMinimumWidth(needed)
         needed += _width([self.readout])
@@ -212,7 +212,7 @@ class PlaybackPanel(QWidget):
             getattr(self, name).setIcon(icon(name, colours))
 
     def show_frame(self) -> None:
-        """Write which frame it is; while playing together with the numbers of its picture."""
+        """Show the current frame; during playback the one drawn."""
         self.timeline.update()
         self.mark.setChecked(self._state.playhead in self._state.markers)
         self.readout.setText(self._text(self._state.playhead))
@@ -229,5 +229,5 @@ class PlaybackPanel(QWidget):
 
 
 def _width(widgets: Sequence[QWidget]) -> int:
-    """Room that widgets in a row need, screen pixels."""
+    """Total width of widgets in a row, screen pixels."""
     return sum(max(w.sizeHint().width(), w.minimumWidth()) + SPACING for w in widgets)

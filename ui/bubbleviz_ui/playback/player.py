@@ -1,4 +1,4 @@
-"""Playback: which frame of a recording is due, by the clock or one after the other."""
+"""Playback of recordings: in real time, or every frame."""
 
 from __future__ import annotations
 
@@ -10,54 +10,54 @@ from PySide6.QtCore import QObject, Qt, QTimer
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PLAYBACK_SETTINGS
 
-# Playback time: which frame is due now, at a speed, with or without a loop. No Qt in here.
+# Playback time: which frame is due, at a speed, with or without a loop. No Qt.
 
 
 class PlayClock:
-    """Turns wall time into the frame that is due.
+    """Maps wall time to the frame due.
 
     `times_s`: (F,) array: Time of each frame, s.
-    `frames`: First and last frame to play; None for all.
+    `frames`: First and last frame to play; None: all.
     """
 
     def __init__(self, times_s: np.ndarray, frames: tuple[int, int] | None = None) -> None:
         times = np.asarray(times_s, dtype=float)
         self._times = times - times[0]
         self._first, self._end = frames or (0, len(times) - 1)
-        self._from_s = 0.0
+        self._start_s = 0.0
         self._wall_s = 0.0
         self._speed = 1.0
         self._last = 0
 
     @property
     def period_s(self) -> float:
-        """Length of one loop: the span of the frames plus one mean interval, s."""
+        """Duration of one loop: time span of the frames plus one mean interval, s."""
         span = float(self._times[self._end] - self._times[self._first])
         return span + (span / (self._end - self._first) if self._end > self._first else 1.0)
 
     def start(self, index: int, wall_s: float, speed: float) -> None:
-        """Play on from frame `index`, shown at wall time `wall_s`, at a speed."""
+        """Start at frame `index`, shown at wall time `wall_s`, at a speed."""
         self._last = min(max(index, self._first), self._end)
-        self._from_s = float(self._times[self._last])
+        self._start_s = float(self._times[self._last])
         self._wall_s = wall_s
         self._speed = speed
 
     def due(self, wall_s: float, *, loop: bool) -> tuple[int, int, bool]:
-        """Frame due now, frames skipped since the last call, and whether playback is over."""
+        """Frame due now, frames skipped since the last call, and whether playback has ended."""
         begin, end = float(self._times[self._first]), float(self._times[self._end])
-        elapsed = self._from_s + (wall_s - self._wall_s) * self._speed
+        elapsed = self._start_s + (wall_s - self._wall_s) * self._speed
         ended = not loop and elapsed >= end
         turns, within = divmod(elapsed - begin, self.period_s) if loop else (0.0, elapsed - begin)
         index = int(np.searchsorted(self._times, begin + within + 1e-9, "right")) - 1
         index = self._end if ended else min(max(index, self._first), self._end)
         if turns:
-            self._from_s, self._wall_s = begin + within, wall_s
+            self._start_s, self._wall_s = begin + within, wall_s
         moved = index + int(turns) * (self._end - self._first + 1) - self._last
         self._last = index
         return index, max(moved - 1, 0), ended
 
-    def following(self, wall_s: float, *, loop: bool) -> tuple[int, bool]:
-        """One frame on, where it is due, and whether playback is over; late is not made up for."""
+    def next_frame(self, wall_s: float, *, loop: bool) -> tuple[int, bool]:
+        """Next frame if it is due, else the last, and whether playback has ended; skips none."""
         if self._last >= self._end:
             if not loop:
                 return self._last, True
@@ -77,37 +77,37 @@ class PlayClock:
 
 
 TICK_MS = 8
-"""How often playback looks at its clock."""
-AHEAD_S = 0.025
-"""How early the next frame may be asked for, so that the solver has work while this is drawn."""
+"""Period of the playback timer."""
+REQUEST_AHEAD_S = 0.025
+"""How early the next frame is requested, so that it is solved while this one is drawn."""
 
 
 class Player(QObject):
-    """Moves the cursor while a recording is played; live sources move it by themselves."""
+    """Moves the cursor during playback of a recording; live sources move it themselves."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.skipped = 0  # Frames passed by because they were over before they could be asked for
+        self.skipped = 0  # Frames skipped to keep real time
         self._clock: PlayClock | None = None
-        self._read_s = 0.0
-        self._came = -1
+        self._clock_s = 0.0
+        self._result_frame = -1
         self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=TICK_MS)
         self._timer.timeout.connect(lambda: self._tick())
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
-        state.source_changed.connect(self._wind)
-        state.range_changed.connect(self._wind)
+        state.source_changed.connect(self._make_clock)
+        state.range_changed.connect(self._make_clock)
         state.settings_changed.connect(self._on_settings)
 
     def on_result(self, frame: int) -> None:
-        """A frame is there to be drawn: the next one may be due soon."""
-        self._came = frame
-        self._tick(AHEAD_S)
+        """A frame was solved: request the next one if it is due soon."""
+        self._result_frame = frame
+        self._tick(REQUEST_AHEAD_S)
 
     def reset_to(self, frame: int) -> None:
-        """Another source is open, and this frame of it is shown."""
-        self.skipped, self._came = 0, frame
+        """Reset for another source, which shows this frame."""
+        self.skipped, self._result_frame = 0, frame
 
     def close(self) -> None:
         """Stop the timer."""
@@ -123,8 +123,8 @@ class Player(QObject):
         grows = facts is not None and facts.grows
         self._timer.start() if playing and not grows else self._timer.stop()
 
-    def _wind(self) -> None:
-        """Take the times of another source, or another range of them."""
+    def _make_clock(self) -> None:
+        """Create the clock for another source or range."""
         facts = self._state.facts
         if facts is not None:
             frames = self._state.play_range
@@ -137,7 +137,7 @@ class Player(QObject):
 
     def _start(self) -> None:
         if self._clock is not None:
-            self._read_s = 0.0
+            self._clock_s = 0.0
             frame = self._state.live_frame if self._state.frozen else self._state.frame
             self._clock.start(frame, time.perf_counter(), self._state.settings.speed)
 
@@ -145,13 +145,13 @@ class Player(QObject):
         state = self._state
         if self._clock is None or not state.playing:
             return
-        now = max(time.perf_counter() + ahead_s, self._read_s)  # never back
-        self._read_s = now
+        now = max(time.perf_counter() + ahead_s, self._clock_s)  # never backwards
+        self._clock_s = now
         loop = state.settings.loop
         if state.settings.every_frame:
-            if self._came != state.frame and not state.frozen:
+            if self._result_frame != state.frame and not state.frozen:
                 return
-            index, ended = self._clock.following(now, loop=loop)
+            index, ended = self._clock.next_frame(now, loop=loop)
         else:
             index, skipped, ended = self._clock.due(now, loop=loop)
             self.skipped += 0 if state.frozen else skipped

@@ -1,4 +1,4 @@
-"""Frame ranges on a timeline: shaded, and dragged at both ends by mouse or keyboard."""
+"""Editable frame ranges below the timeline, and a table of statistics over a range."""
 
 from __future__ import annotations
 
@@ -27,25 +27,30 @@ from bubbleviz_ui.shell import theme
 
 HEIGHT = 16
 MARGIN = 7
-"""Half of a slider's handle, so that frames lie under the slider's."""
-REACH = 7
-"""How near to a handle one must click, screen pixels."""
-FAST = 10
-"""Frames that Shift and an arrow key move by."""
-KEYS = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1, Qt.Key.Key_Down: -FAST, Qt.Key.Key_Up: FAST}
+"""Left and right margin, half of a slider's handle, so that frames align with a slider."""
+GRAB_RADIUS = 7
+"""Largest distance of a click from a handle, screen pixels."""
+SHIFT_FRAMES = 10
+"""Frames per press of ↑ or ↓."""
+KEYS = {
+    Qt.Key.Key_Left: -1,
+    Qt.Key.Key_Right: 1,
+    Qt.Key.Key_Down: -SHIFT_FRAMES,
+    Qt.Key.Key_Up: SHIFT_FRAMES,
+}
 
 Handle = tuple[int, int]
-"""Number of a range, and 0 for its first frame or 1 for its last."""
+"""Index of a range, and 0 for its first or 1 for its last frame."""
 
 
 class RangeStrip(QWidget):
     """Shaded ranges of frames.
 
     Drag an end to move it; drag over empty frames to add a range. By keyboard: Tab to the strip,
-    Space for the next end, arrows to move it, Delete to take its range out.
+    Space selects the next end, arrows move it, Delete removes its range.
     """
 
-    edited = Signal(object, str)  # New ranges, and what was done in words
+    edited = Signal(object, str)  # New ranges, and a description of the change
 
     def __init__(self) -> None:
         super().__init__()
@@ -60,25 +65,25 @@ class RangeStrip(QWidget):
         )
         self._axis = TimeAxis(np.zeros(0))
         self.ranges: Ranges = ()
-        self._moving: Ranges | None = None
+        self._dragged_ranges: Ranges | None = None
         self._handle: Handle = (0, 1)
-        self._from: int | None = None
+        self._drag_start: int | None = None
 
     def set_ranges(self, axis: TimeAxis, ranges: Ranges) -> None:
-        """Show ranges of a source whose frames lie on an axis."""
-        self._axis, self.ranges, self._moving = axis, ranges, None
+        """Show ranges of a source with this time axis."""
+        self._axis, self.ranges, self._dragged_ranges = axis, ranges, None
         self.update()
 
-    def x_of(self, frame: int) -> float:
-        """Where a frame lies, screen pixels."""
+    def x_at(self, frame: int) -> float:
+        """Horizontal position of a frame, screen pixels."""
         return MARGIN + float(self._axis.places[frame]) * (self.width() - 2 * MARGIN)
 
     def sizeHint(self) -> QSize:
-        """As high as a timeline."""
+        """Fixed height."""
         return QSize(200, HEIGHT)
 
     def event(self, event: QEvent) -> bool:
-        """Keep the keys that move an end from the playback's shortcuts."""
+        """Claim the keys that move an end before the playback shortcuts."""
         if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
             own = {*KEYS, Qt.Key.Key_Space, Qt.Key.Key_Delete}
             if event.key() in own and self.ranges:
@@ -87,38 +92,40 @@ class RangeStrip(QWidget):
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Choose an end, move it, or take its range out."""
+        """Select or move an end, or remove its range."""
         key = Qt.Key(event.key())
         if not self.ranges:
             super().keyPressEvent(event)
         elif key in KEYS:
-            number, end = self._known_handle()
+            number, end = self._valid_handle()
             frame = self._end(self.ranges, (number, end)) + KEYS[key]
-            self._tell(self._moved(self.ranges, (number, end), frame), "Move a range's end")
+            self._emit_edited(self._moved(self.ranges, (number, end), frame), "Move a range's end")
         elif key == Qt.Key.Key_Space:
-            number, end = self._known_handle()
+            number, end = self._valid_handle()
             place = (2 * number + end + 1) % (2 * len(self.ranges))
             self._handle = divmod(place, 2)
             self.update()
         elif key == Qt.Key.Key_Delete:
-            number, _ = self._known_handle()
-            self._tell(tuple(r for k, r in enumerate(self.ranges) if k != number), "Remove a range")
+            number, _ = self._valid_handle()
+            self._emit_edited(
+                tuple(r for k, r in enumerate(self.ranges) if k != number), "Remove a range"
+            )
         else:
             super().keyPressEvent(event)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Take hold of an end, or begin a new range."""
+        """Grab an end, or start a new range."""
         if event.button() != Qt.MouseButton.LeftButton or not len(self._axis):
             return
         handle = self._near(event.position().x())
         if handle is not None:
-            self._handle, self._moving = handle, self.ranges
+            self._handle, self._dragged_ranges = handle, self.ranges
             self.setFocus()
         else:
-            self._from = self._frame(event.position().x())
+            self._drag_start = self._frame(event.position().x())
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Move what is held."""
+        """Move the grabbed end, or extend the new range."""
         x = event.position().x()
         if not event.buttons() & Qt.MouseButton.LeftButton:
             near = self._near(x) is not None
@@ -126,34 +133,34 @@ class RangeStrip(QWidget):
                 Qt.CursorShape.SizeHorCursor if near else Qt.CursorShape.PointingHandCursor
             )
             return
-        if self._from is not None:
-            ends = sorted((self._from, self._frame(x)))
-            self._moving = tidy([*self.ranges, (ends[0], ends[1] + 1)], len(self._axis))
-        elif self._moving is not None:
-            self._moving = self._moved(self.ranges, self._handle, self._frame(x))
+        if self._drag_start is not None:
+            ends = sorted((self._drag_start, self._frame(x)))
+            self._dragged_ranges = tidy([*self.ranges, (ends[0], ends[1] + 1)], len(self._axis))
+        elif self._dragged_ranges is not None:
+            self._dragged_ranges = self._moved(self.ranges, self._handle, self._frame(x))
         self.update()
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
-        """One drag is one change."""
-        moving, added = self._moving, self._from is not None
-        self._moving = self._from = None
+        """Emit the change of a completed drag."""
+        moving, added = self._dragged_ranges, self._drag_start is not None
+        self._dragged_ranges = self._drag_start = None
         if moving is not None:
-            self._tell(moving, "Add a range" if added else "Move a range's end")
+            self._emit_edited(moving, "Add a range" if added else "Move a range's end")
         self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Frames in use shaded, their ends as handles."""
+        """Draw the ranges with handles at their ends."""
         painter = QPainter(self)
         colours = theme.of(self)
         painter.fillRect(QRectF(MARGIN, 6, self.width() - 2 * MARGIN, 4), QColor(colours.field))
-        ranges = self.ranges if self._moving is None else self._moving
+        ranges = self.ranges if self._dragged_ranges is None else self._dragged_ranges
         shade = QColor(theme.FORCE)
         for number, (start, stop) in enumerate(ranges):
-            left, right = self.x_of(start), self.x_of(stop - 1)
+            left, right = self.x_at(start), self.x_at(stop - 1)
             shade.setAlpha(110)
             painter.fillRect(QRectF(left, 3, max(right - left, 1.0), 10), shade)
             for end, x in enumerate((left, right)):
-                held = self.hasFocus() and self._known_handle() == (number, end)
+                held = self.hasFocus() and self._valid_handle() == (number, end)
                 painter.fillRect(
                     QRectF(x - 2, 0, 4, HEIGHT), QColor(colours.accent if held else theme.FORCE)
                 )
@@ -164,14 +171,14 @@ class RangeStrip(QWidget):
 
     def _near(self, x: float) -> Handle | None:
         distances = {
-            (number, end): abs(self.x_of(self._end(self.ranges, (number, end))) - x)
+            (number, end): abs(self.x_at(self._end(self.ranges, (number, end))) - x)
             for number in range(len(self.ranges))
             for end in (0, 1)
         }
         nearest = min(distances, key=lambda h: distances[h], default=None)
-        return nearest if nearest is not None and distances[nearest] <= REACH else None
+        return nearest if nearest is not None and distances[nearest] <= GRAB_RADIUS else None
 
-    def _known_handle(self) -> Handle:
+    def _valid_handle(self) -> Handle:
         number, end = self._handle
         return min(number, len(self.ranges) - 1), end
 
@@ -181,21 +188,21 @@ class RangeStrip(QWidget):
         return stop - 1 if handle[1] else start
 
     def _moved(self, ranges: Ranges, handle: Handle, frame: int) -> Ranges:
-        """Ranges with an end at another frame; it goes no further than the other end."""
+        """Ranges with one end moved, at most to the other end."""
         number, end = handle
         start, stop = ranges[number]
         moved = (start, max(frame, start) + 1) if end else (min(frame, stop - 1), stop)
         return tidy([r for k, r in enumerate(ranges) if k != number] + [moved], len(self._axis))
 
-    def _tell(self, ranges: Ranges, what: str) -> None:
+    def _emit_edited(self, ranges: Ranges, what: str) -> None:
         if ranges != self.ranges:
             self.edited.emit(ranges, what)
 
 
-# Statistics of the curves over the range on the timeline, to read and to copy.
+# Statistics of the curves over the range on the timeline.
 
 
-ROW = 18  # px: a line of text
+ROW = 18  # px
 NUMBERS = {
     "mean": "mean",
     "standard_deviation": "standard deviation",
@@ -207,19 +214,19 @@ COPIED_DIGITS = 6
 
 @dataclass(frozen=True)
 class Curve:
-    """What a column is about."""
+    """Values of a column of the table."""
 
     title: str
     unit: Unit
-    values: np.ndarray  # (n,) array: In SI, of the frames in the range; NaN where nothing is known
+    values: np.ndarray  # (n,) SI values of the frames in the range; NaN where unknown
 
 
 class RangeTable(QTableWidget):
-    """A column for each curve; hidden while no range is marked."""
+    """Statistics with a column for each curve; hidden without a range."""
 
     def __init__(self) -> None:
         super().__init__()
-        # Copies the table; to be put where there is room, and seen as long as the table is
+        # placed by the owner; visible with the table
         self.copy = QPushButton("Copy table")
         self.copy.setToolTip("Copy mean, spread and extremes over the range, for a spreadsheet")
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
@@ -236,10 +243,10 @@ class RangeTable(QTableWidget):
     def show_range(
         self, first: int, last: int, curves: Sequence[Curve], kappa: float | None, sensor: str
     ) -> None:
-        """Show the statistics of curves over the frames `first` to `last`; none: nothing.
+        """Show statistics of curves over the frames `first` to `last`; no curves: hide the table.
 
-        What nothing is known of is left out, such as a wrench that was not measured. κ, None where
-        it is automatic, and the sensor are in the copied table alone.
+        Curves without known values are omitted. κ (None: automatic threshold) and sensor appear
+        only in the copied table.
         """
         columns = [(curve, statistics(curve.values)) for curve in curves]
         columns = [column for column in columns if column[1].frames] or columns
@@ -260,7 +267,7 @@ class RangeTable(QTableWidget):
             widget.setVisible(bool(columns))
 
     def _fit(self) -> None:
-        """As high as its rows are."""
+        """Fit the height to the rows."""
         self.resizeColumnsToContents()
         bar = self.horizontalScrollBar().sizeHint().height()
         head = self.horizontalHeader().sizeHint().height()
@@ -273,7 +280,7 @@ def _heading(curve: Curve) -> str:
 
 
 def _shown(curve: Curve, known: Statistics) -> list[str]:
-    """One decimal more than single values have."""
+    """Texts of a column, with one decimal more than single values."""
     numbers = [curve.unit.from_si(getattr(known, name)) for name in NUMBERS]
     digits = curve.unit.digits + 1
     texts = [f"{value:.{digits}f}" if np.isfinite(value) else DASH for value in numbers]
@@ -284,7 +291,7 @@ def _shown(curve: Curve, known: Statistics) -> list[str]:
 def _as_text(
     title: str, columns: Sequence[tuple[Curve, Statistics]], made_by: tuple[str, str]
 ) -> str:
-    """The table as spreadsheets take it; a cell is empty where there is no number."""
+    """The table as tab-separated text for spreadsheets; unknown numbers are empty."""
     lines = [[title, *(_heading(curve) for curve, _ in columns), "κ", "sensor"]]
     for name, words in NUMBERS.items():
         values = [curve.unit.from_si(getattr(known, name)) for curve, known in columns]

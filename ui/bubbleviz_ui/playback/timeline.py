@@ -1,4 +1,4 @@
-"""The timeline: every frame's place, what is known of it, and the cursor. One widget, no items."""
+"""The timeline: frames, contact, gaps, markers, played range and cursor."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from bubbleviz.recordings import Gap, TimeAxis
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, UNTRUSTED
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.playback.range_strip import MARGIN, REACH
+from bubbleviz_ui.playback.range_strip import GRAB_RADIUS, MARGIN
 from bubbleviz_ui.shell import theme
 
 RULER = 16
-"""Height of the upper band, which has the times, markers and the played range."""
+"""Height of the upper band with times, markers and the played range."""
 BAND = 22
-"""Height of the lower band, which has the frames."""
+"""Height of the lower band with the frames."""
 TICK_PIXELS = 5
-"""Frames nearer to each other than this share a tick."""
-NARROW = 4
-"""A gap no wider than this is one line, screen pixels; a wider one is hatched."""
+"""Smallest distance of ticks."""
+HATCHED_FROM = 4
+"""Gaps wider than this are hatched, narrower ones solid, screen pixels."""
 LABEL_PIXELS = 70  # px for one time
 STEPS_S = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600)
-WORDS = {
+CONTACT_TEXTS = {
     UNKNOWN: "not computed yet",
     FREE: "no contact",
     CONTACT: "contact",
@@ -44,17 +44,18 @@ WORDS = {
 
 
 class Timeline(QWidget):
-    """Frames by their time; click or drag below to seek, drag above for a range to play.
+    """Frames over time; click or drag in the lower band to seek, in the upper to set a range.
 
-    Its cost does not grow with the frames: contact is gathered to one value a screen column.
+    Painting time is independent of the number of frames: contact is reduced to one value per
+    screen column.
     """
 
-    range_drawn = Signal(object)  # First and last frame of a range that was dragged
+    range_dragged = Signal(object)  # First and last frame
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self._holding: int | None = None
+        self._fixed_end: int | None = None
         self._dragged: tuple[int, int] | None = None
         self.setObjectName("timeline")
         self.setFixedHeight(RULER + BAND)
@@ -62,51 +63,51 @@ class Timeline(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setMouseTracking(True)
 
-    def x_of(self, frame: int) -> float:
-        """Where a frame lies, screen pixels."""
+    def x_at(self, frame: int) -> float:
+        """Horizontal position of a frame, screen pixels."""
         return MARGIN + float(self._axis.places[frame]) * self._span
 
     def frame_at(self, x: float) -> int:
-        """Frame nearest to a place."""
+        """Frame nearest to a position."""
         return int(self._axis.nearest((x - MARGIN) / self._span))
 
     def sizeHint(self) -> QSize:
-        """As wide as there is room."""
+        """Fixed height, any width."""
         return QSize(300, RULER + BAND)
 
     # -- mouse --------------------------------------------------------------------------------
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Seek, or begin a range; near an end of the range, move that."""
+        """Seek, start a range, or grab an end of the range."""
         if event.button() != Qt.MouseButton.LeftButton or not self._frames:
             return
         x, frame = event.position().x(), self.frame_at(event.position().x())
         shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
         if event.position().y() < RULER or shift:
-            self._holding = self._other_end(x)
-            if self._holding is None:
-                self._holding = frame
+            self._fixed_end = self._other_end(x)
+            if self._fixed_end is None:
+                self._fixed_end = frame
         else:
             self._state.seek(frame)
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Seek or draw the range while the button is held."""
+        """Seek or drag the range while the button is pressed."""
         x, ruler = event.position().x(), event.position().y() < RULER
         if not event.buttons() & Qt.MouseButton.LeftButton:
             end = ruler and self._other_end(x) is not None
             self.setCursor(Qt.CursorShape.SizeHorCursor if end else Qt.CursorShape.ArrowCursor)
-        elif self._holding is not None:
-            first, last = sorted((self._holding, self.frame_at(x)))
+        elif self._fixed_end is not None:
+            first, last = sorted((self._fixed_end, self.frame_at(x)))
             self._dragged = (first, last)
             self.update()
         else:
             self._state.seek(self.frame_at(x))
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
-        """One drag is one range."""
-        dragged, self._holding, self._dragged = self._dragged, None, None
+        """Emit the dragged range."""
+        dragged, self._fixed_end, self._dragged = self._dragged, None, None
         if dragged is not None and dragged[0] < dragged[1]:
-            self.range_drawn.emit(dragged)
+            self.range_dragged.emit(dragged)
         self.update()
 
     def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
@@ -115,19 +116,22 @@ class Timeline(QWidget):
             self._state.set_range(None)
 
     def event(self, event: QEvent) -> bool:
-        """Say what is under the mouse."""
+        """Show the tool tip of the frame under the mouse."""
         if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent) and self._facts:
-            QToolTip.showText(event.globalPos(), self.words(self.frame_at(event.pos().x())), self)
+            QToolTip.showText(event.globalPos(), self.tip(self.frame_at(event.pos().x())), self)
             return True
         return super().event(event)
 
-    def words(self, frame: int) -> str:
-        """What is known about a frame."""
+    def tip(self, frame: int) -> str:
+        """Tool tip of a frame."""
         facts = self._facts
         if facts is None:
             return ""
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
-        parts = [f"frame {frame} · {time_text}", WORDS[int(self._state.history.contact[frame])]]
+        parts = [
+            f"frame {frame} · {time_text}",
+            CONTACT_TEXTS[int(self._state.history.contact[frame])],
+        ]
         parts += [f"{g.missing} missing after it" for g in facts.gaps if g.after_frame == frame]
         if frame in self._state.markers:
             notes = [text for at, text in facts.marks if at == frame]
@@ -138,7 +142,7 @@ class Timeline(QWidget):
     # -- painting -----------------------------------------------------------------------------
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """All of it: a few hundred pixels by as many numbers."""
+        """Paint the timeline."""
         painter = QPainter(self)
         painter.fillRect(QRectF(MARGIN, RULER, self._span, BAND), QColor(theme.of(self).field))
         if self._frames and self._facts is not None:
@@ -179,7 +183,7 @@ class Timeline(QWidget):
     def _paint_times(self, painter: QPainter) -> None:
         span_s = self._axis.span_s
         most = max(self._span / LABEL_PIXELS, 1)
-        longer = (STEPS_S[-1] * 10.0**k for k in count(1))  # of stamps that no clock had
+        longer = (STEPS_S[-1] * 10.0**k for k in count(1))  # for wrong time stamps
         step = next(s for s in chain(STEPS_S, longer) if span_s / s <= most)
         painter.setPen(QColor(theme.of(self).dim))
         font = painter.font()
@@ -198,18 +202,18 @@ class Timeline(QWidget):
     def _paint_gaps(self, painter: QPainter, gaps: tuple[Gap, ...]) -> None:
         field, hatched = QColor(theme.of(self).field), Qt.BrushStyle.BDiagPattern
         for gap in gaps:
-            left, right = self.x_of(gap.after_frame), self.x_of(gap.after_frame + 1)
+            left, right = self.x_at(gap.after_frame), self.x_at(gap.after_frame + 1)
             wide = max(right - left - self._axis.step * self._span, 2.0)
             place = QRectF(0.5 * (left + right - wide), RULER, wide, BAND)
             painter.fillRect(place, field)
-            style = hatched if wide > NARROW else Qt.BrushStyle.SolidPattern
+            style = hatched if wide > HATCHED_FROM else Qt.BrushStyle.SolidPattern
             painter.fillRect(place, QBrush(QColor(theme.GAP), style))
 
     def _paint_range(self, painter: QPainter) -> None:
         frames = self._dragged or self._state.play_range
         if frames is None:
             return
-        left, right = self.x_of(frames[0]), self.x_of(frames[1])
+        left, right = self.x_at(frames[0]), self.x_at(frames[1])
         accent = QColor(theme.of(self).accent)
         shade = QColor(accent)
         shade.setAlpha(90 if self._state.settings.loop else 45)
@@ -222,16 +226,16 @@ class Timeline(QWidget):
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(QColor(theme.of(self).marker))
         for frame in self._state.markers:
-            x, top = self.x_of(frame), RULER - 8.0
+            x, top = self.x_at(frame), RULER - 8.0
             corners = [QPointF(x - 5, top), QPointF(x + 5, top), QPointF(x, RULER + 2.0)]
             painter.drawPolygon(QPolygonF(corners))
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
 
     def _paint_cursor(self, painter: QPainter) -> None:
         if self._state.frozen:
-            now = self.x_of(self._state.live_frame)
+            now = self.x_at(self._state.live_frame)
             painter.fillRect(QRectF(now - 1, RULER, 2, BAND), QColor(theme.FORCE))
-        x = self.x_of(self._state.playhead)
+        x = self.x_at(self._state.playhead)
         painter.fillRect(QRectF(x - 1, RULER - 4, 2, BAND + 4), QColor(theme.of(self).text))
         if self.hasFocus():
             painter.setPen(QPen(QColor(theme.of(self).accent), 1))
@@ -242,7 +246,7 @@ class Timeline(QWidget):
 
     @property
     def _facts(self) -> SourceFacts | None:
-        """Of the source as it is now: a live one grows."""
+        """Current properties, as a live source grows."""
         return self._state.facts
 
     @property
@@ -258,16 +262,16 @@ class Timeline(QWidget):
         return float(max(self.width() - 2 * MARGIN, 1))
 
     def _other_end(self, x: float) -> int | None:
-        """The end of the range that stays when the one near `x` is dragged."""
+        """The end of the range opposite to the one near `x`; None if none is near."""
         frames = self._state.play_range
         if frames is None:
             return None
         for end, other in (frames, frames[::-1]):
-            if abs(self.x_of(end) - x) <= REACH:
+            if abs(self.x_at(end) - x) <= GRAB_RADIUS:
                 return other
         return None
 
 
 def columns(contact: np.ndarray, axis: TimeAxis, width: int) -> np.ndarray:
-    """Highest state (width,) of the frames (F,) that share each screen column."""
+    """Highest contact state (width,) of the frames (F,) in each screen column."""
     return np.maximum.reduceat(contact, axis.nearest(np.linspace(0.0, 1.0, width)))

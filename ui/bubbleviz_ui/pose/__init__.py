@@ -1,1 +1,1 @@
-"""The pose panel: which object, where it begins, how well it fits."""
+"""Pose panel: object, initial pose, registration and tracking."""

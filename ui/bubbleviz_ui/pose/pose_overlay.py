@@ -1,4 +1,4 @@
-"""Between the pose panel and the view: where the object is drawn, and the box that moves it."""
+"""The object in the 3-D view, and the box widget that moves it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from bubbleviz_ui.view3d.scene import Scene
 
 
-# A box around the object with which it is moved and turned in the view.
+# A box widget that moves and rotates the object in the view.
 
 
 class Gizmo:
-    """VTK's box widget: faces turn it, the ball in the middle moves it. GUI thread only.
+    """VTK's box widget: faces rotate the object, the ball in the middle moves it.
 
     `moved`: Called with T_B_O (4, 4) while the box is dragged.
     """
@@ -39,8 +39,8 @@ class Gizmo:
         return self._widget is not None
 
     def show(self, obj: RigidObject, T_B_O: np.ndarray) -> None:
-        """Put the box around the object at a pose (4, 4)."""
-        from vtkmodules.vtkInteractionWidgets import vtkBoxWidget  # 0.1 s later than the window
+        """Show the box around the object at a pose (4, 4)."""
+        from vtkmodules.vtkInteractionWidgets import vtkBoxWidget  # not at start
 
         self.hide()
         self._widget = vtkBoxWidget()
@@ -57,7 +57,7 @@ class Gizmo:
         self._view.refresh()
 
     def hide(self) -> None:
-        """Take the box away and let go of it."""
+        """Remove the box."""
         if self._widget is None:
             return
         self._widget.RemoveObserver(self._tag)
@@ -71,7 +71,7 @@ class Gizmo:
         self._widget.GetTransform(transform)
         matrix = transform.GetMatrix()
         T = np.array([[matrix.GetElement(i, j) for j in range(4)] for i in range(4)])
-        turn = np.linalg.svd(T[:3, :3])  # the widget's numbers drift
+        turn = np.linalg.svd(T[:3, :3])  # the widget's rotation drifts
         T[:3, :3] = turn.U @ turn.Vh
         self._moved(T)
 
@@ -83,11 +83,11 @@ def _transform(T: np.ndarray) -> Any:
 
 
 ABOVE_M = 0.02
-"""Where an object without a pose appears: above the origin of B by this, and by its own size."""
+"""Height of an object without a pose above the origin of B, in addition to its own height."""
 
 
 class PoseOverlay:
-    """Keeps the object in the view as the panel says; on the GUI thread, as all of VTK."""
+    """Draws the object of the pose panel in the view."""
 
     def __init__(self, view: View, scene: Scene, panel: PosePanel) -> None:
         self._view, self._scene, self._panel = view, scene, panel
@@ -95,15 +95,15 @@ class PoseOverlay:
         self._start: np.ndarray | None = None
         self._pose: Pose | None = None
         self.gizmo = Gizmo(view, self._on_dragged)
-        self._wires = [
+        self._connections = [
             panel.session.changed.connect(lambda: self._on_changed()),
             panel.gizmo.connect(lambda on: self._on_gizmo(on)),
         ]
 
     def close(self) -> None:
-        """Take the box away, and let go of the view, before it is gone."""
+        """Remove the box and disconnect, before the view is deleted."""
         self.gizmo.hide()
-        for wire in self._wires:
+        for wire in self._connections:
             QObject.disconnect(wire)
 
     def _on_changed(self) -> None:
@@ -111,17 +111,17 @@ class PoseOverlay:
         if session.obj is not self._obj:
             self._obj = session.obj
             self.gizmo.hide()
-            self._panel.move_it.setChecked(False)
+            self._panel.move_in_view.setChecked(False)
             layer.set_object(session.obj)
         if (session.start is not self._start and session.start is not None) or session.pose is None:
-            self._put_start(session.start)
+            self._draw_start(session.start)
         elif session.pose is not self._pose:
             layer.show_pose(session.pose, self._panel.stage.currentData())
         self._start, self._pose = session.start, session.pose
         self._view.refresh()
 
-    def _put_start(self, start: np.ndarray | None) -> None:
-        """Draw the object where it is to begin, or else above the membrane, as not found yet."""
+    def _draw_start(self, start: np.ndarray | None) -> None:
+        """Draw the object at its initial pose, or above the membrane if there is none."""
         if start is None and self._obj is not None:
             self._scene.object.put(self._above(self._obj), LOST)
         else:

@@ -1,4 +1,4 @@
-"""Pose panel: choose the object and its start, fit once or track, and see how well it fits."""
+"""Pose panel: object, initial pose, single fit or tracking, quality of the fit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import bind_membership, control, watch_controls
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
 from bubbleviz_ui.panels.time_plot import isolated
-from bubbleviz_ui.pose.pose_session import NUMBERS, copied_pose, known_pose, pose_words
+from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -42,18 +42,18 @@ if TYPE_CHECKING:
     from bubbleviz_ui.pose.pose_session import PoseSession
 
 
-# Fitness and rmse over the iterations of a fit, and over time.
+# Plots of fitness and rmse over the iterations of a fit, and over time.
 
 
 Below = Literal["number", "seconds"]
 HEIGHT = 109
-"""Of a plot with its text, screen pixels."""
+"""Height of a plot with its heading, screen pixels."""
 
 
 class Curves(PlotHost):
-    """Fitness and rmse side by side: of the iterations of the fit, and of the frames so far.
+    """Fitness and rmse over the iterations of the last fit, and over the frames so far.
 
-    `iterations, frames`: Fitness, and rmse in the operator's unit of length.
+    `iterations, frames`: Curves of fitness and rmse.
     """
 
     def __init__(self, units: Units) -> None:
@@ -70,22 +70,22 @@ class Curves(PlotHost):
         return list(every)
 
     def draw_iterations(self, one: np.ndarray, two: np.ndarray) -> None:
-        """Histories (i, 2) of the stages, one after the other."""
+        """Draw the histories (i, 2) of both stages, one after the other."""
         both = np.concatenate([one, two])
         self._draw(self.iterations, np.arange(len(both)), both, len(one))
 
     def draw_frames(self, numbers: np.ndarray, time_s: np.ndarray, values: np.ndarray) -> None:
-        """Fitness, and rmse in m, (f, 2) of frames by their numbers; no line across others."""
+        """Draw fitness and rmse in m, (f, 2), over time; lines break at missing frames."""
         breaks = np.flatnonzero(np.diff(numbers) > 1) + 1
         times = np.insert(time_s, breaks, time_s[breaks])
         self._draw(self.frames, times, np.insert(values, breaks, np.nan, axis=0), None)
 
     def clear_iterations(self) -> None:
-        """Draw none: the pose was not fitted."""
+        """Clear the iterations, for a pose that was not fitted."""
         self._draw(self.iterations, np.zeros(0), np.zeros((0, 2)), None)
 
     def clear(self) -> None:
-        """Draw nothing."""
+        """Clear all plots."""
         self.clear_iterations()
         self._draw(self.frames, np.zeros(0), np.zeros((0, 2)), None)
 
@@ -101,14 +101,14 @@ def _pair(below: Below) -> tuple[Curve, Curve]:
 
 
 class Curve:
-    """One quantity in its unit, from 0; its last value is above, a dash where there is none.
+    """One quantity from 0, with its last value in the heading.
 
-    `below`: What the axis below has.
-    `top`: Where the axis ends, SI; at the largest value where not given.
+    `below`: Quantity of the bottom axis.
+    `top`: Upper end of the axis, SI; by default the largest value.
     """
 
     def __init__(self, name: str, colour: str, below: Below, top: float | None = None) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
+        import pyqtgraph as pg  # not at start
 
         self._name, self._colour, self._top = name, colour, top
         self.frame = PlotFrame(below)
@@ -122,7 +122,7 @@ class Curve:
         self.frame.box.addItem(self.change, ignoreBounds=True)
 
     def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
-        """Draw values (k,) in SI, NaN for none, with a line where the second stage begins."""
+        """Draw values (k,) in SI, NaN if missing, with a line at the start of stage two."""
         symbol = "o" if isolated(values).any() else None
         self.line.setData(x, unit.from_si(1.0) * values, symbol=symbol)
         top = self._top or float(np.nanmax(values, initial=0.0))
@@ -135,22 +135,22 @@ class Curve:
         self.frame.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self.frame.paint(dim, dim)
         self.change.setPen(dim)
 
 
-# Six numbers for where the object begins.
+# Boxes for the initial pose.
 
 
-FARTHEST_M = 0.5  # m from B's origin: beyond any bubble
+MAX_DISTANCE_M = 0.5  # from the origin of B, beyond any sensor
 NAMES = ("x", "y", "z")
 
 
 class StartBoxes(QWidget):
     """Position and rotation (about fixed x, then y, then z) of O in B."""
 
-    edited = Signal(object)  # T_B_O (4, 4) as typed
+    edited = Signal(object)  # T_B_O (4, 4)
 
     def __init__(self, units: Units) -> None:
         super().__init__()
@@ -166,7 +166,7 @@ class StartBoxes(QWidget):
             grid.addWidget(self.angles[column], 1, 2 * column + 1)
             grid.setColumnStretch(2 * column + 1, 1)
             self.places[column].setToolTip(f"Initial pose: {name} of T_B_O")
-            self.angles[column].setToolTip(f"Initial pose: turn about {name} of B, degrees")
+            self.angles[column].setToolTip(f"Initial pose: rotation about {name} of B, degrees")
         for box in self.angles:
             box.setRange(-180.0, 180.0)
             box.setDecimals(1)
@@ -175,17 +175,17 @@ class StartBoxes(QWidget):
         self.fit_units()
 
     def fit_units(self) -> None:
-        """Take the units chosen now."""
+        """Apply the current units."""
         unit = self._units.length
         for box in self.places:
             with QSignalBlocker(box):
-                box.setRange(-unit.from_si(FARTHEST_M), unit.from_si(FARTHEST_M))
+                box.setRange(-unit.from_si(MAX_DISTANCE_M), unit.from_si(MAX_DISTANCE_M))
                 box.setDecimals(max(1, unit.digits - 1))
                 box.setSingleStep(unit.from_si(1e-3))
                 box.setSuffix(f" {unit.symbol}")
 
     def show_pose(self, T_B_O: np.ndarray) -> None:
-        """Write a pose (4, 4) into the boxes."""
+        """Show a pose (4, 4) in the boxes."""
         angles = np.degrees(angles_of_pose(T_B_O))
         place = self._units.length.from_si(1.0) * T_B_O[:3, 3]
         values = zip([*self.places, *self.angles], [*place, *angles], strict=True)
@@ -194,7 +194,7 @@ class StartBoxes(QWidget):
                 box.setValue(float(value))
 
     def pose(self) -> np.ndarray:
-        """T_B_O (4, 4) as it is in the boxes."""
+        """T_B_O (4, 4) of the boxes."""
         place = np.array([self._units.length.to_si(box.value()) for box in self.places])
         return pose_of_angles(place, np.radians([box.value() for box in self.angles]))
 
@@ -211,27 +211,27 @@ class StartBoxes(QWidget):
 MESHES = f"Meshes ({' '.join('*' + suffix for suffix in SUFFIXES)});;All files (*)"
 NONE, FROM_FILE = "none", "from a file…"
 EVERY_MS = 150
-"""Numbers and curves are written this often: nobody reads faster."""
+"""Update period of numbers and plots."""
 
 
 class PosePanel(QWidget):
     """Controls of a `PoseSession`."""
 
     notified = Signal(object)  # A `UserMessage`
-    gizmo = Signal(bool)  # Whether the object is to be moved in the view
+    gizmo = Signal(bool)  # Show or hide the box widget in the view
 
     def __init__(self, state: SessionState, session: PoseSession) -> None:
         super().__init__()
         self.setAcceptDrops(True)
         self._state, self.session = state, session
         self._curves: Curves | None = None
-        self.loading = Worker("plots")  # Where what draws its curves is loaded
+        self.loading = Worker("plots")  # Imports the plotting library
         self.object = QComboBox()
         self.unit = control(state, "pose_unit")
         self.start = StartBoxes(state.units)
         self.search = QCheckBox("Search pose")
-        self.move_it = QPushButton("Move in view")
-        self.here = QPushButton("Start from here")
+        self.move_in_view = QPushButton("Move in view")
+        self.from_here = QPushButton("Start from here")
         self.once = QPushButton("Fit once")
         self.once.setToolTip(
             "Register the object on this frame, both stages (section VI of the paper)"
@@ -269,11 +269,11 @@ class PosePanel(QWidget):
             self.use_file(path)
 
     def use_file(self, path: Path) -> None:
-        """Look for the object of a mesh file, in the unit that is chosen."""
+        """Register the object of a mesh file, in the chosen unit."""
         self._choose(str(path.absolute()))
 
     def _choose(self, name: str | None) -> None:
-        """Look for an object, or for none; what draws its curves is loaded meanwhile."""
+        """Register an object, or none; meanwhile import the plotting library."""
         self.loading.submit(import_plots)
         self.session.choose(name)
 
@@ -286,14 +286,14 @@ class PosePanel(QWidget):
         self.object.addItem(FROM_FILE, FROM_FILE)
         self.search.setChecked(True)
         self.search.setToolTip("Search all orientations instead of starting from an initial pose")
-        self.move_it.setCheckable(True)
-        self.move_it.setToolTip(
-            "Drag the box around the object: handles turn it, the middle moves it"
+        self.move_in_view.setCheckable(True)
+        self.move_in_view.setToolTip(
+            "Drag the box around the object: handles rotate it, the middle moves it"
         )
-        self.here.setToolTip("Use the displayed pose as the initial pose")
+        self.from_here.setToolTip("Use the displayed pose as the initial pose")
         self.track.setCheckable(True)
         self.track.setToolTip(Settings.info("pose_track").tip)
-        self.reset.setToolTip("Forget every pose and stop tracking (Ctrl+Shift+F)")
+        self.reset.setToolTip("Discard all poses and stop tracking (Ctrl+Shift+F)")
         self.patch.setToolTip(LAYERS["object_patch"].tip)
 
     def _lay_out(self) -> None:
@@ -302,7 +302,7 @@ class PosePanel(QWidget):
         column.setSpacing(6)
         for row in (
             (self.object, self.unit),
-            (self.search, self.here, self.move_it),
+            (self.search, self.from_here, self.move_in_view),
             (self.start,),
             (self.once, self.track, self.reset),
         ):
@@ -315,8 +315,8 @@ class PosePanel(QWidget):
         form.addRow(self.stage.accessibleName(), self.stage)
         form.addRow("Outline", self.patch)
         column.addLayout(form)
-        self._room = QVBoxLayout()
-        fill(column, self._room, _row(QLabel("Export"), self.csv, self.tum), 1)
+        self._curves_column = QVBoxLayout()
+        fill(column, self._curves_column, _row(QLabel("Export"), self.csv, self.tum), 1)
         for name, value in self.values.items():
             value.setObjectName(f"pose_{name}")
             value.setWordWrap(True)
@@ -332,8 +332,8 @@ class PosePanel(QWidget):
         bind_membership(self.patch, state, "layers", "object_patch")
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)
-        self.move_it.toggled.connect(self.gizmo)
-        self.here.clicked.connect(lambda: self._start_here())
+        self.move_in_view.toggled.connect(self.gizmo)
+        self.from_here.clicked.connect(lambda: self._start_here())
         self.once.clicked.connect(lambda: session.fit_once())
         self.track.clicked.connect(lambda on: session.track(on))
         self.reset.clicked.connect(lambda: session.reset())
@@ -344,18 +344,18 @@ class PosePanel(QWidget):
         state.settings_changed.connect(self._on_settings)
 
     def use_start(self, T_B_O: np.ndarray) -> None:
-        """Begin at a pose (4, 4)."""
+        """Set the initial pose (4, 4)."""
         self.session.set_start(T_B_O)
 
     def _start_here(self) -> None:
         pose = self.session.pose
-        if known_pose(pose):
+        if has_pose(pose):
             self.use_start(pose.T_B_O)
 
     def _copy(self) -> None:
         pose = self.session.pose
-        if known_pose(pose):
-            QGuiApplication.clipboard().setText(copied_pose(pose))
+        if has_pose(pose):
+            QGuiApplication.clipboard().setText(pose_report(pose))
 
     def _on_object(self) -> None:
         name = self.object.currentData()
@@ -372,14 +372,14 @@ class PosePanel(QWidget):
         name = self.session.object_name
         if name is not None and self.object.findData(name) < 0:
             self.object.insertItem(self.object.count() - 1, Path(name).name, name)
-        self.object.setCurrentIndex(self.object.findData(name))  # which activates nothing
+        self.object.setCurrentIndex(self.object.findData(name))  # does not emit `activated`
 
     def _show_start(self) -> None:
         start = self.session.start
         with QSignalBlocker(self.search):
             self.search.setChecked(start is None)
         if start is not None and not np.allclose(self.start.pose(), start, atol=1e-9):
-            self.start.show_pose(start)  # angles that were typed stay as typed
+            self.start.show_pose(start)  # else keep the angles as typed
 
     def _export(self, form: str) -> None:
         path = file_to_save(self, "Export poses", f"poses.{form}", of="export")
@@ -404,30 +404,37 @@ class PosePanel(QWidget):
         self._on_changed()
 
     def _on_changed(self) -> None:
-        self._lock()
+        self._enable_controls()
         if not self._due.isActive():
             self._due.start()
 
-    def _lock(self) -> None:
-        """What can be used now: nothing while a fit runs."""
+    def _enable_controls(self) -> None:
+        """Enable the controls; none while a fit is running."""
         session = self.session
         idle, has = not session.busy, session.obj is not None
         self.object.setEnabled(idle)
         self.unit.setEnabled(idle)
-        for widget in (self.search, self.start, self.once, self.track, self.reset, self.move_it):
+        for widget in (
+            self.search,
+            self.start,
+            self.once,
+            self.track,
+            self.reset,
+            self.move_in_view,
+        ):
             widget.setEnabled(idle and has)
-        known = known_pose(session.pose)
-        self.here.setEnabled(idle and has and known)
+        known = has_pose(session.pose)
+        self.from_here.setEnabled(idle and has and known)
         self.copy.setEnabled(known)
         for button in (self.csv, self.tum):
             button.setEnabled(idle and bool(session.rows))
         self.track.setChecked(self._state.settings.pose_track)
 
     def _write(self) -> None:
-        """Numbers and curves of the pose that is shown."""
-        self._lock()
+        """Update numbers and plots of the pose shown."""
+        self._enable_controls()
         self._show_object()
-        for name, text in pose_words(self.session, self._state.units).items():
+        for name, text in pose_texts(self.session, self._state.units).items():
             self.values[name].setText(text)
         title, by_object = LAYERS["object_patch"].title, self.session.object_patch
         area = "" if by_object is None else self._state.units.area.text(by_object.area_m2)
@@ -435,7 +442,7 @@ class PosePanel(QWidget):
         pose = self.session.pose
         if pose is None and self._curves is None:
             return
-        curves = self._made_curves()
+        curves = self._get_curves()
         if pose is None:
             curves.clear()
         elif pose.stage_one is not None and pose.stage_two is not None:
@@ -448,10 +455,10 @@ class PosePanel(QWidget):
             values = np.array([(row["fitness"], row["rmse_m"]) for row in rows])
             curves.draw_frames(numbers, times, values)
 
-    def _made_curves(self) -> Curves:
+    def _get_curves(self) -> Curves:
         if self._curves is None:
             self._curves = Curves(self._state.units)
-            self._room.addWidget(self._curves)
+            self._curves_column.addWidget(self._curves)
         return self._curves
 
 

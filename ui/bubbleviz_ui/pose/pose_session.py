@@ -1,4 +1,4 @@
-"""What the pose panel shows and changes: the object, its start, and the poses found so far."""
+"""State of the pose panel: object, initial pose, and the poses found so far."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bubbleviz_ui.model.settings import POSE_SETTINGS
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.model.units import DASH, Units
 
-# A pose in words and numbers.
+# Texts about a pose.
 
 
 NUMBERS = {
@@ -35,13 +35,13 @@ NUMBERS = {
 STATES = {
     "ok": "found",
     "lost": "lost; the last good pose is kept",
-    "no_contact": "nothing touches the membrane",
-    "few_points": "the patch has fewer points than a pose needs",
+    "no_contact": "no contact",
+    "few_points": "the patch has too few points for a pose",
     "no_data": "no trusted estimate of the membrane",
 }
 
 
-def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
+def pose_texts(session: PoseSession, units: Units) -> dict[str, str]:
     """Texts of the panel by name."""
     pose = session.pose
     texts = dict.fromkeys(NUMBERS, DASH)
@@ -52,13 +52,13 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     elif pose is None:
         texts["state"] = "not fitted yet"
     else:
-        texts["state"] = state_words(pose)
-    if known_pose(pose):
+        texts["state"] = status_text(pose)
+    if has_pose(pose):
         texts["place"], texts["turn"] = _place(pose.T_B_O, units), _turn(pose.T_B_O)
     if pose is None or pose.stage_one is None or pose.stage_two is None:
         return texts
     texts["fit"], texts["first"] = _stage(pose.stage_two, units), _stage(pose.stage_one, units)
-    texts["open"] = open_words(pose)
+    texts["open"] = undetermined_text(pose)
     deviation = np.sqrt(np.diag(pose.covariance))
     degrees = np.degrees(np.linalg.norm(deviation[3:]))
     texts["spread"] = f"{units.length.text(float(np.linalg.norm(deviation[:3])))}, {degrees:.1f}°"
@@ -67,25 +67,25 @@ def pose_words(session: PoseSession, units: Units) -> dict[str, str]:
     return texts
 
 
-def state_words(pose: Pose) -> str:
-    """What became of it, and whether the contact leaves a direction open."""
+def status_text(pose: Pose) -> str:
+    """Status, and the number of directions not determined by the contact."""
     left = int(np.count_nonzero(~pose.determined)) if pose.status == "ok" else 0
-    if pose.status == "lost" and not known_pose(pose):
+    if pose.status == "lost" and not has_pose(pose):
         return "not found yet"
     return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
 
 
-def known_pose(pose: Pose | None) -> TypeGuard[Pose]:
-    """Whether there is one, be it of an earlier frame."""
+def has_pose(pose: Pose | None) -> TypeGuard[Pose]:
+    """Whether there is a pose, possibly of an earlier frame."""
     return pose is not None and bool(np.isfinite(pose.T_B_O).all())
 
 
-def copied_pose(pose: Pose) -> str:
-    """T_B_O as lines of text with units, for other programs."""
+def pose_report(pose: Pose) -> str:
+    """T_B_O as text with units, for other programs."""
     numbers = pose_numbers(pose.T_B_O)
     return "\n".join(
         [
-            f"T_B_O, object to bubble frame: {state_words(pose)}",
+            f"T_B_O, object to bubble frame: {status_text(pose)}",
             f"position x y z, m: {_digits(numbers[:3])}",
             f"quaternion x y z w, no unit: {_digits(numbers[3:])}",
             "matrix 4×4, translation in m:",
@@ -114,17 +114,17 @@ def _stage(stage: Stage, units: Units) -> str:
     )
 
 
-def open_words(pose: Pose) -> str:
-    """Which directions the contact does not determine."""
+def undetermined_text(pose: Pose) -> str:
+    """Directions not determined by the contact."""
     open_ = pose.motions[:, ~pose.determined]
     if not open_.size:
         return "none (all 6 DoF observable)"
     shifts, turns = (len(axes) for axes in open_axes(open_))
     parts = []
     if shifts:
-        parts.append("shift along 1 direction" if shifts == 1 else f"shift along {shifts}")
+        parts.append(f"translation along {count_of(shifts, 'direction')}")
     if turns:
-        parts.append("turn about 1 axis" if turns == 1 else f"turn about {turns} axes")
+        parts.append("rotation about 1 axis" if turns == 1 else f"rotation about {turns} axes")
     return " and ".join(parts)
 
 
@@ -132,8 +132,8 @@ FileUnit = Literal["m", "mm"]
 
 
 @dataclass(frozen=True)
-class _Found:
-    """What there is of an object in a session of the solver, for undo."""
+class _Poses:
+    """Poses of an open source, for undo."""
 
     session: object
     pose: Pose | None = None
@@ -142,23 +142,21 @@ class _Found:
 
 
 class PoseSession(QObject):
-    """The object that is looked for: the one of `Settings`, so that undo and sessions know it."""
+    """The object to register, stored in `Settings` for undo and session files, and its poses."""
 
-    changed = Signal()  # Another object, start or pose, or a fit began or ended
+    changed = Signal()  # Object, initial pose or pose changed, or a fit began or ended
 
     def __init__(self, controller: Controller, undo: UndoRecorder) -> None:
         super().__init__()
         self._undo = undo
         self._controller, self._state = controller, controller.state
-        self.obj: RigidObject | None = None  # What the solver thread made of it
-        # (4, 4) array or None: T_B_O to begin at; None to search
-        self.start: np.ndarray | None = None
+        self.obj: RigidObject | None = None  # Loaded in the solver thread
+        self.start: np.ndarray | None = None  # (4, 4) initial pose T_B_O; None: global search
         self._loaded: tuple[str | None, FileUnit | None] = (None, None)
-        self.pose: Pose | None = None  # Of the frame that is shown, or the last one there was
+        self.pose: Pose | None = None  # Of the frame shown, or the last one found
         self._shown: Pose | None = None
-        self.busy = False  # A one-shot fit runs
-        # `PoseRow` by frame: every pose since the object was chosen
-        self.rows: dict[int, PoseRow] = {}
+        self.busy = False  # A single fit is running
+        self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
         controller.opened.connect(self._on_opened)
         controller.object_changed.connect(self._on_object_changed)
         controller.failed.connect(self._on_failed)
@@ -168,63 +166,63 @@ class PoseSession(QObject):
 
     @property
     def object_name(self) -> str | None:
-        """Preset or file; None for none."""
+        """Preset or file; None: no object."""
         return self._state.settings.pose_object
 
     def choose(self, name: str | None) -> None:
-        """Look for another object, or for none; the same one is read again."""
+        """Register another object, or none; the same one is loaded again."""
         before = self._state.settings
         self._state.change(pose_object=name, pose_start=None)
         if self._state.settings is before:
-            self._look_for_it()
+            self._register_object()
 
     def set_start(self, T_B_O: np.ndarray | None) -> None:
-        """Begin at a pose (4, 4), or search."""
+        """Set the initial pose (4, 4); None: global search."""
         self._state.change(pose_start=None if T_B_O is None else pose_numbers(T_B_O))
 
     def fit_once(self) -> None:
-        """Fit the frame at the cursor from the start."""
+        """Fit the object to the frame at the cursor, from the initial pose."""
         if self.obj is None or self.busy:
             return
         self._state.set_playing(False)
         self.busy = True
-        self._follow(fit=True)
+        self._set_object(fit=True)
 
     def track(self, on: bool) -> None:
-        """Follow the object from frame to frame, from the start on."""
+        """Start or stop tracking the object from frame to frame."""
         if on and self.obj is not None:
-            self._follow(fit=False)
+            self._set_object(fit=False)
         self._state.change(pose_track=on)
         self.changed.emit()
 
     @property
     def object_patch(self) -> ObjectPatch | None:
-        """Of the frame that is shown, where it was asked for."""
+        """Patch by the object of the frame shown, if requested."""
         result = self._controller.result
         return None if result is None else result.object_patch
 
     def reset(self) -> None:
-        """Forget every pose and stop tracking, as a step for undo; object and start stay."""
+        """Discard all poses and stop tracking, as an undo step; object and initial pose stay."""
         session, track = self._controller.client.session, self._state.settings.pose_track
         if self.pose is not None or self.rows or track:
-            found = _Found(session, self.pose, self.rows, track)
-            self._undo.push("reset pose", self._use, found, _Found(session))
+            found = _Poses(session, self.pose, self.rows, track)
+            self._undo.push("reset pose", self._use, found, _Poses(session))
 
-    def _use(self, found: _Found) -> None:
-        """Show these poses, and track on from the last; nothing where another source is open."""
+    def _use(self, found: _Poses) -> None:
+        """Restore poses and tracking, unless another source is open."""
         if found.session is not self._controller.client.session:
             return
         pose, self.rows = found.pose, dict(found.rows)
         self.pose, start = pose, self.start
-        if found.track and known_pose(pose):
+        if found.track and has_pose(pose):
             start = pose.T_B_O
         settings = self._state.settings
         self._controller.set_object(settings.pose_object, settings.pose_unit, start, fit=False)
         self._state.change(pose_track=found.track)
-        self.changed.emit()  # last: the choice has the last result drawn once more, with its pose
+        self.changed.emit()  # last, as the change of settings redraws the last result's pose
 
     def export(self, path: Path, form: Literal["csv", "tum"]) -> int:
-        """Write the poses found so far; count of lines.
+        """Write the poses found so far; returns the number of lines.
 
         Raises InputError: The file exists or cannot be written.
         """
@@ -234,11 +232,11 @@ class PoseSession(QObject):
         self.pose, self.rows = None, {}
         self.changed.emit()
 
-    def _look_for_it(self) -> None:
+    def _register_object(self) -> None:
         self._forget()
-        self._follow(fit=False)
+        self._set_object(fit=False)
 
-    def _follow(self, *, fit: bool) -> None:
+    def _set_object(self, *, fit: bool) -> None:
         settings = self._state.settings
         self._controller.set_object(settings.pose_object, settings.pose_unit, self.start, fit=fit)
         self.changed.emit()
@@ -249,33 +247,33 @@ class PoseSession(QObject):
 
     def _on_source(self) -> None:
         if self.object_name is not None:
-            self._follow(fit=self._state.settings.pose_track)
+            self._set_object(fit=self._state.settings.pose_track)
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if "pose_start" in names:
-            self._take_start()
+            self._apply_start()
         if names & POSE_SETTINGS:
-            self._look_for_it()
+            self._register_object()
         elif "pose_start" in names:
-            self._follow(fit=False) if self._state.settings.pose_track else self.changed.emit()
+            self._set_object(fit=False) if self._state.settings.pose_track else self.changed.emit()
 
-    def _take_start(self) -> None:
+    def _apply_start(self) -> None:
         numbers = self._state.settings.pose_start
         try:
             self.start = None if numbers is None else pose_matrix(np.array(numbers))
-        except InputError:  # of a session that somebody has edited
+        except InputError:  # of a session file edited by hand
             self.start = None
 
     def _on_object_changed(self, followed: ObjectChange) -> None:
         asked = (followed.object_name, followed.unit)
-        if self.obj is None or asked != self._loaded:  # the same one stays the same
+        if self.obj is None or asked != self._loaded:  # keep the identity of the same object
             self.obj, self._loaded = followed.obj, asked
         if followed.fitted:
             self.busy = False
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:
-        """An object that cannot be used stays chosen, for undo and for the next source."""
+        """Register no object; one that cannot be used stays selected, for undo."""
         request = failed.request
         if isinstance(request, ObjectChange):
             self.busy = False
@@ -285,7 +283,7 @@ class PoseSession(QObject):
 
     def _on_shown(self, result: Result) -> None:
         if result.pose is None or result.pose is self._shown:
-            return  # a frame that is settled keeps its pose, though it was reset meanwhile
+            return  # a cold solve keeps the frame's pose, which may have been reset meanwhile
         self.pose = self._shown = result.pose
         self.rows[result.frame.index] = pose_row(result)
         self.changed.emit()

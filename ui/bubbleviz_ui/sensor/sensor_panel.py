@@ -1,4 +1,4 @@
-"""Sensor panel: which sensor is in use, what its file says, and a copy with other values."""
+"""Sensor panel: values of the sensor in use, and editing of a copy."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
 
-# What the window says about a sensor and its file. No Qt in here.
+# Texts about a sensor and its file. No Qt.
 
 
-PLAIN = Unit("", 1.0, 4)
-NOT_THERE = "not in the file"
+DIMENSIONLESS = Unit("", 1.0, 4)
+NOT_IN_FILE = "not in the file"
 
 
 @dataclass(frozen=True)
@@ -45,30 +45,30 @@ class Value:
     title: str
     tip: str
     si: str = ""  # Unit in the file
-    unit: str = ""  # Of `Units`; empty for a pure number
-    # interval, rests_on: Keys of `bubbleviz.sensor.Calibration` that tell how it was measured;
-    # empty for none
+    unit: str = ""  # Attribute of `Units`; empty if dimensionless
+    # interval, source_key: Keys of `bubbleviz.sensor.Calibration` with its 95 % interval and
+    # origin, or empty
     interval: str = ""
-    rests_on: str = ""
+    source_key: str = ""
 
     def unit_in(self, units: Units) -> Unit:
-        """The operator's unit of it."""
-        unit = getattr(units, self.unit) if self.unit else PLAIN
+        """Its displayed unit."""
+        unit = getattr(units, self.unit) if self.unit else DIMENSIONLESS
         assert isinstance(unit, Unit)
         return unit
 
-    def of(self, sensor: Sensor) -> float | None:
-        """The number, SI; None where the file has none."""
+    def number(self, sensor: Sensor) -> float | None:
+        """The number, SI; None if not in the file."""
         number: float | None = attrgetter(self.key)(sensor)
         return number
 
     def text(self, sensor: Sensor, units: Units) -> str:
         """The number with its unit."""
-        number = self.of(sensor)
-        return NOT_THERE if number is None else self.unit_in(units).text(number).rstrip()
+        number = self.number(sensor)
+        return NOT_IN_FILE if number is None else self.unit_in(units).text(number).rstrip()
 
     def interval_text(self, sensor: Sensor, units: Units) -> str:
-        """95 % interval, where the file has one."""
+        """95 % interval, or empty."""
         unit = self.unit_in(units)
         ends = getattr(sensor.calibration, self.interval, None) if self.interval else None
         if ends is None:
@@ -76,18 +76,18 @@ class Value:
         return unit.between(*ends).rstrip()
 
     def origin(self, sensor: Sensor) -> str:
-        """What the number rests on, where the file says so."""
-        rests_on = getattr(sensor.calibration, self.rests_on, None) if self.rests_on else None
-        return f"from {rests_on}" if rests_on else ""
+        """Origin of the number, or empty."""
+        source_key = getattr(sensor.calibration, self.source_key, None) if self.source_key else None
+        return f"from {source_key}" if source_key else ""
 
     def written(self, sensor: Sensor) -> str:
-        """The number as the file has it, without its unit."""
-        number = self.of(sensor)
+        """The number in the unit of the file."""
+        number = self.number(sensor)
         return "" if number is None else str(number)
 
     @staticmethod
     def read(text: str) -> float | str | None:
-        """The number of a text; what is none, as it was typed."""
+        """Parse a number; invalid text is returned unchanged."""
         try:
             return float(text) if text.strip() else None
         except ValueError:
@@ -115,7 +115,7 @@ VALUES = (
 
 
 def file_text(sensor: Sensor) -> str:
-    """Where a sensor is from, in short: its file's name, `preset`, or `not saved`."""
+    """Origin of a sensor: its file's name, `preset`, or `not saved`."""
     name = name_of(sensor)
     if name is None:
         return "not saved"
@@ -128,7 +128,7 @@ def title_text(sensor: Sensor) -> str:
 
 
 def identified_text(sensor: Sensor) -> str:
-    """When a sensor was identified, and whether its values were changed by hand since."""
+    """When a sensor was identified, and whether its values were edited since."""
     calibration = sensor.calibration
     if calibration is None:
         return "never; nominal values"
@@ -137,19 +137,19 @@ def identified_text(sensor: Sensor) -> str:
     return f"{when}, edited since" if calibration.edited else when
 
 
-# A number of the sensor file with its interval, or a box to type another one.
+# Row of the panel: a number with its interval, or a box to edit it.
 
 
-BOX_WIDTH = 70  # px: less than ten digits, more scroll
+BOX_WIDTH = 70  # px
 
 
 class ValueRow(QWidget):
-    """Shows one number of a sensor in the operator's unit; edits it in the file's."""
+    """Shows one number of a sensor in the displayed unit; edits it in the unit of the file."""
 
     def __init__(self, value: Value, units: Units) -> None:
         super().__init__()
         self.value, self._units = value, units
-        # The 95 % interval, for a row of its own
+        # interval: placed in a row of its own
         self.shown, self.unit, self.interval = QLabel(), QLabel(value.si), QLabel()
         self.box = QLineEdit()
         self.box.setMinimumWidth(BOX_WIDTH)
@@ -160,7 +160,7 @@ class ValueRow(QWidget):
         fill(QHBoxLayout(self), self.shown, (self.box, 1), self.unit, margins=(0, 0, 0, 0))
 
     def show_value(self, sensor: Sensor, *, editing: bool) -> None:
-        """Show the number of a sensor, or offer it to be edited."""
+        """Show the number of a sensor, or a box to edit it."""
         self.shown.setText(self.value.text(sensor, self._units))
         self.interval.setText(self.value.interval_text(sensor, self._units))
         self.interval.setToolTip(self.value.origin(sensor))
@@ -171,19 +171,19 @@ class ValueRow(QWidget):
         self.shown.setVisible(not editing)
 
     def read(self) -> float | str | None:
-        """The number in the box, SI; what is none, as it was typed."""
+        """The number in the box, SI; invalid text is returned unchanged."""
         return self.value.read(self.box.text())
 
 
 class SensorPanel(QWidget):
-    """The sensor that the other panels show."""
+    """Values of the sensor in use."""
 
     notified = Signal(object)  # A `UserMessage`
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
         self._state, self._opening = state, controller.opening
-        self._copied: Sensor | None = None  # while a copy of it is edited
+        self._copied: Sensor | None = None  # original of the copy being edited
         self.name, self.file = QLineEdit(), QLineEdit(readOnly=True)
         self.camera, self.identified, self.difference = QLabel(), QLabel(), QLabel()
         self.recording = QLineEdit(readOnly=True)
@@ -201,7 +201,7 @@ class SensorPanel(QWidget):
         self.cancel.clicked.connect(self._end)
         for box in (self.name, *(row.box for row in self.rows.values())):
             box.textEdited.connect(self._check)
-        self._watch.told.connect(self._on_difference)
+        self._watch.changed.connect(self._on_difference)
         controller.opened.connect(self._on_opened)
         state.settings_changed.connect(self._on_settings)
 
@@ -229,7 +229,7 @@ class SensorPanel(QWidget):
 
     @property
     def _sensor(self) -> Sensor | None:
-        """What is shown: the sensor that is copied, else the one in use."""
+        """The original of the copy being edited, else the sensor in use."""
         return self._copied or self._opening.sensor
 
     def _show(self) -> None:
@@ -238,8 +238,8 @@ class SensorPanel(QWidget):
         self.difference.setVisible(bool(self.difference.text()))
         self.name.setReadOnly(not editing)
         recording = (sensor and sensor.calibration and sensor.calibration.recording) or ""
-        for told in (self.camera, self.identified):
-            self._form.setRowVisible(told, not editing)
+        for label in (self.camera, self.identified):
+            self._form.setRowVisible(label, not editing)
         self._form.setRowVisible(self.recording, bool(recording) and not editing)
         self.recording.setText(recording)
         for button, there in (
@@ -285,7 +285,7 @@ class SensorPanel(QWidget):
         self._show()
 
     def _check(self) -> Sensor | None:
-        """The copy as it is typed; why it is none is said below the boxes."""
+        """The edited copy; None if invalid, with the reason shown below the boxes."""
         if self._copied is None:
             return None
         typed = {key: row.read() for key, row in self.rows.items()}
@@ -330,7 +330,7 @@ class SensorPanel(QWidget):
 
     def _on_opened(self, opened: Opened) -> None:
         self.difference.clear()
-        self._watch.follow(opened.sensor)
+        self._watch.watch(opened.sensor)
         if self._copied is None:
             self._show()
 
@@ -347,6 +347,6 @@ class SensorPanel(QWidget):
 
 
 def _proposed(sensor: Sensor) -> str:
-    """Name for a copy: beside a file of the user's, else in the present folder."""
+    """Proposed path of a copy: next to the user's file, else in the current folder."""
     name = f"{Path(sensor.file or 'sensor').stem}_edited.toml"
     return str(sensor.resolve(name).absolute()) if file_text(sensor) == sensor.file else name

@@ -1,4 +1,4 @@
-"""Notices that the files of the sensor in use say something else now."""
+"""Detects changes on disk of the files of the sensor in use."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from PySide6.QtCore import QFileSystemWatcher, QObject, QTimer, Signal
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor, load_sensor
 
-WRITTEN_MS = 200
-"""Editors write a file in several steps."""
+WRITE_DELAY_MS = 200
+"""Delay before comparing, as editors write a file in several steps."""
 RELOAD = "Reload in the Sensor panel"
 
 
 class SensorWatch(QObject):
-    """Compares a sensor with its file, mesh and pixels whenever they, or their folder, change."""
+    """Compares a sensor with its file, mesh and pixels whenever they or their folder change."""
 
-    # What happened to the file, to be written after its name; empty: it is what is in use
-    told = Signal(str)
+    changed = Signal(str)  # What changed, to follow the file name; empty: no difference
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
@@ -26,12 +25,12 @@ class SensorWatch(QObject):
         self._difference = ""
         self._written: dict[str, int] = {}
         self._files = QFileSystemWatcher(self)
-        self._due = QTimer(self, singleShot=True, interval=WRITTEN_MS)
-        self._due.timeout.connect(self._look)
+        self._due = QTimer(self, singleShot=True, interval=WRITE_DELAY_MS)
+        self._due.timeout.connect(self._compare)
         self._files.fileChanged.connect(self._due.start)
         self._files.directoryChanged.connect(self._due.start)
 
-    def follow(self, sensor: Sensor) -> None:
+    def watch(self, sensor: Sensor) -> None:
         """Watch the file of another sensor."""
         if watched := [*self._files.files(), *self._files.directories()]:
             self._files.removePaths(watched)
@@ -39,21 +38,21 @@ class SensorWatch(QObject):
         if sensor.file:
             self._files.addPath(str(sensor.folder.absolute()))
             self._written = _written(sensor)
-            self._look()
+            self._compare()
 
-    def _look(self) -> None:
+    def _compare(self) -> None:
         if self._sensor is None or not self._sensor.file:
             return
         path = self._sensor.resolve(self._sensor.file).absolute()
         written = _written(self._sensor)
-        # many editors put a new file in place of the old one
+        # many editors replace the file
         self._files.addPaths([str(path), *written])
         difference = _difference(self._sensor, path)
         if not difference and written != self._written:
             difference = f"its mesh or pixels have changed on disk; {RELOAD} uses them"
         if difference != self._difference:
             self._difference = difference
-            self.told.emit(difference)
+            self.changed.emit(difference)
 
 
 def _difference(sensor: Sensor, path: Path) -> str:
@@ -69,7 +68,7 @@ def _difference(sensor: Sensor, path: Path) -> str:
 
 
 def _written(sensor: Sensor) -> dict[str, int]:
-    """When the mesh and the pixels were written, ns since 1970; 0: they are gone."""
+    """Modification times of mesh and pixels, ns since 1970; 0: missing."""
     calibration = sensor.calibration
     named = (sensor.membrane.mesh_file, calibration and calibration.pixels_file)
     paths = [sensor.resolve(file).absolute() for file in named if file]

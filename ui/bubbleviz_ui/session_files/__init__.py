@@ -1,1 +1,1 @@
-"""The session in files: what of the window is kept, and how it comes back."""
+"""Session files: saving and restoring the state of the window."""

@@ -1,4 +1,4 @@
-"""A session as a file: what was open, where in it, and everything the user chose. No Qt in here."""
+"""Format of session files: open source, cursor, settings, layout. No Qt."""
 
 from __future__ import annotations
 
@@ -21,38 +21,38 @@ from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import SYNTHETIC
 from bubbleviz_ui.model.settings import USER_SETTINGS, ComparedSetting, Settings
 
-# Live sensors in a session file: what of the disk they name. No Qt in here.
+# File names in live sources.
 
 
 ON_DISK = ("replay", "realsense")
-"""Schemes whose place may be a file."""
+"""URI schemes whose path may be a file."""
 SAFE = "/:\\ "
-"""What a place may have as it is."""
+"""Characters of a path that are not percent-encoded."""
 
 Rename = Callable[[str], str]
 
 
 def with_paths(live: SessionPreset, rename: Rename) -> SessionPreset:
-    """The same live sensors with other names for every sensor file and recording."""
+    """Live sensors with all names of sensor files and recordings replaced."""
     places = tuple(
         place.model_copy(
             update={"sensor": rename(place.sensor), "source": source_with(place.source, rename)}
         )
         for place in live.sensors
     )
-    title = source_with(live.title, rename)  # of a single sensor: its source
+    title = source_with(live.title, rename)  # a single sensor's title is its source
     return live.model_copy(update={"title": title, "sensors": places})
 
 
 def with_sensor(live: SessionPreset, number: int, sensor: str) -> SessionPreset:
-    """The same live sensors, one of them with another sensor file."""
+    """Live sensors with one sensor file replaced."""
     places = list(live.sensors)
     places[number] = places[number].model_copy(update={"sensor": sensor})
     return live.model_copy(update={"sensors": tuple(places)})
 
 
 def source_with(source: str, rename: Rename) -> str:
-    """A source with another name for the file it plays, where it plays one."""
+    """A live source with its file name, if any, replaced."""
     scheme, colon, rest = source.partition(":")
     place, question, options = rest.partition("?")
     if scheme not in ON_DISK or not place:
@@ -60,15 +60,15 @@ def source_with(source: str, rename: Rename) -> str:
     return f"{scheme}{colon}{quote(rename(unquote(place)), safe=SAFE)}{question}{options}"
 
 
-MOST_RECENT = 10  # in the menu
-FARTHEST_M = 1e3  # of a point of view
+MAX_RECENT = 10  # in the menu
+MAX_DISTANCE_M = 1e3  # of a viewpoint
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
 _SETTINGS = TypeAdapter(Settings)
 
 
 class SavedCamera(BaseModel):
-    """Point of view in B: m, and the angle of view in degrees."""
+    """Camera of the 3-D view: points in B, m; view angle in degrees."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -80,7 +80,7 @@ class SavedCamera(BaseModel):
     @model_validator(mode="after")
     def _is_a_view(self) -> SavedCamera:
         place, centre, up = (np.array(p) for p in (self.position, self.focal_point, self.up))
-        if max(np.abs(p).max() for p in (place, centre, up)) > FARTHEST_M:
+        if max(np.abs(p).max() for p in (place, centre, up)) > MAX_DISTANCE_M:
             raise ValueError("the viewpoint is not in metres")
         if not np.linalg.norm(np.cross(centre - place, up)) > 0.0:
             raise ValueError("the viewpoint lacks a direction or an up vector")
@@ -88,49 +88,49 @@ class SavedCamera(BaseModel):
 
 
 class SavedSession(BaseModel):
-    """What a session file holds; keys of later versions are passed over."""
+    """Contents of a session file; unknown keys of later versions are ignored."""
 
     model_config = ConfigDict(frozen=True)
 
     schema_version: Literal[1] = 1
-    # A recording's path or `synthetic:`; None when a source cannot be opened by name
+    # Path of a recording, or `synthetic:`; None for a source that cannot be opened by name
     source: str | None = None
-    truth: str | None = None  # TRUTH.npz of that recording, where the user has named one
-    live: SessionPreset | None = None  # Live sensors that were connected
+    truth: str | None = None  # TRUTH.npz of that recording, if chosen by the user
+    live: SessionPreset | None = None  # Connected live sensors
     sensor: str | None = None  # Sensor file or preset
     frame: int = Field(default=0, ge=0)
     play_range: tuple[int, int] | None = None
     markers: tuple[int, ...] = ()
     choices: dict[str, Any] = {}  # Fields of `Settings`
-    camera: SavedCamera | None = None  # Where the user has moved the view
-    # geometry, layout: The window's place and its docks, Base64 of what Qt makes of them
+    camera: SavedCamera | None = None  # If moved by the user
+    # geometry, layout: Position of the window and its docks, Qt's data in Base64
     geometry: str = ""
     layout: str = ""
-    shortcuts: dict[str, str] = {}  # Keys by action, where the user has changed them
+    shortcuts: dict[str, str] = {}  # Changed keys by action
 
     @property
-    def chosen(self) -> Settings:
-        """The settings; what this version does not know is left at its default."""
+    def settings(self) -> Settings:
+        """The settings; values unknown to this version have their defaults."""
         return usable_settings(self.choices)
 
 
 class UserFile(BaseModel):
-    """The user's own file: the last session, and what belongs to no session."""
+    """The user's file: last session, recent files, and whether the hint was read."""
 
     session: SavedSession = SavedSession()
-    recent: tuple[str, ...] = ()  # Files opened, the newest first
+    recent: tuple[str, ...] = ()  # Newest first
     hinted: bool = False  # The first-run hint was read
 
 
 def plain_settings(settings: Settings) -> dict[str, Any]:
-    """Settings as JSON has them."""
+    """Settings as JSON values."""
     fields: dict[str, Any] = _SETTINGS.dump_python(settings, mode="json")
     return {k: sorted(v) if isinstance(getattr(settings, k), frozenset) else v
             for k, v in fields.items()}  # fmt: skip
 
 
 def usable_settings(fields: dict[str, Any]) -> Settings:
-    """Settings of a file, each field on its own: one that cannot be used costs no other."""
+    """Settings of a file; invalid fields have their defaults."""
     usable: dict[str, Any] = {}
     for name, value in fields.items():
         try:
@@ -147,7 +147,7 @@ def usable_settings(fields: dict[str, Any]) -> Settings:
 
 
 def name_of(sensor: Sensor) -> str | None:
-    """Preset's name or file of a sensor; None when it is of no file."""
+    """Preset name or absolute file of a sensor; None if it was not loaded from a file."""
     if not sensor.file:
         return None
     path = sensor.resolve(sensor.file).absolute()
@@ -156,10 +156,10 @@ def name_of(sensor: Sensor) -> str | None:
     return str(path)
 
 
-def for_colleague(saved: SavedSession, file: Path) -> SavedSession:
-    """Session whose paths start at its file's folder, so that all can be sent together.
+def portable(saved: SavedSession, file: Path) -> SavedSession:
+    """Session with paths relative to its file, so that the folder can be moved or sent.
 
-    What is the user's own, keys and colours of the window for one, is left out.
+    Settings of the user, such as keys and theme, are removed.
     """
     folder = file.absolute().parent
 
@@ -177,7 +177,7 @@ def for_colleague(saved: SavedSession, file: Path) -> SavedSession:
 
 
 def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
-    """The same session with other names for every file."""
+    """Session with all file names replaced."""
     choices = dict(saved.choices)
     if isinstance(choices.get("pose_object"), str):
         choices["pose_object"] = rename(choices["pose_object"])
@@ -192,22 +192,22 @@ def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
     )
 
 
-def located(saved: SavedSession, file: Path | None) -> SavedSession:
-    """Session whose files are named by where they are; those that are not there keep their name.
+def with_absolute_paths(saved: SavedSession, file: Path | None) -> SavedSession:
+    """Session with absolute paths; names of missing files are unchanged.
 
-    `file`: Where it was read from; files are looked for beside it.
+    `file`: The session file, next to which files are searched.
     """
     return _renamed(saved, lambda name: absolute(name, file))
 
 
 def absolute(name: str, file: Path | None = None) -> str:
-    """Absolute path of a file of a session; what is no file, or is not there, as it is named."""
-    path = found(name, file)
+    """Absolute path of a file of a session; the unchanged name if there is no such file."""
+    path = find_file(name, file)
     return name if path is None else str(path.absolute())
 
 
 def missing(saved: SavedSession) -> dict[str, str]:
-    """Files a located session names that are not there, by the field they belong to."""
+    """Missing files of a session with absolute paths, by the field they belong to."""
     named = {"recording": saved.source, "truth": saved.truth, "sensor": saved.sensor}
     if saved.source == SYNTHETIC.name:
         del named["recording"]
@@ -219,8 +219,8 @@ def missing(saved: SavedSession) -> dict[str, str]:
     return {what: name for what, name in named.items() if name and not Path(name).exists()}
 
 
-def found(name: str, file: Path | None) -> Path | None:
-    """Where a file of a session is: as named, from the session's folder, or beside it."""
+def find_file(name: str, file: Path | None) -> Path | None:
+    """Path of a file of a session: as named, relative to the session file, or next to it."""
     places = [Path(name)]
     if file is not None:
         folder = file.absolute().parent
@@ -229,17 +229,17 @@ def found(name: str, file: Path | None) -> Path | None:
 
 
 def read_session(path: Path) -> SavedSession:
-    """Session of a file.
+    """Read a session file.
 
-    Raises InputError: It cannot be read or is no session.
+    Raises InputError: It cannot be read or is not a session.
     """
     return _read(path, SavedSession)
 
 
 def read_user_file(path: Path) -> UserFile:
-    """The user's file; a new one where there is none yet.
+    """Read the user's file, or create a new one.
 
-    Raises InputError: It cannot be read; it is put aside under another name.
+    Raises InputError: It cannot be read, and was renamed.
     """
     if not path.exists():
         return UserFile()
@@ -267,21 +267,20 @@ def _read(path: Path, kind: type[Any]) -> Any:
         ) from error
 
 
-# A sensor of no file of the user's, kept beside a session file. No Qt in here.
+# Copies of unsaved sensors next to a session file.
 
 
 FILE = "sensor.toml"
 
 
-def kept_beside(sensor: Sensor, file: Path) -> Path:
-    """Copy a sensor, with the files it names, into a folder beside a session's file.
+def copy_next_to(sensor: Sensor, file: Path) -> Path:
+    """Copy a sensor with its files into a folder next to a session file.
 
-    The folder is named after the session and what is in it: another sensor gets another folder,
-    and the same one costs nothing.
+    The folder's name contains a hash of its contents, so that the same sensor is copied only once.
 
     Returns Path: The sensor file in that folder.
 
-    Raises InputError: A file the sensor names is gone, or the copy cannot be written.
+    Raises InputError: A file of the sensor is missing, or the copy cannot be written.
     """
     content = _content(sensor)
     digest = hashlib.sha256()
@@ -296,13 +295,13 @@ def kept_beside(sensor: Sensor, file: Path) -> Path:
     return folder / FILE
 
 
-def is_beside(sensor: Sensor, file: Path) -> bool:
-    """Whether a sensor is one that was kept beside this session."""
+def is_copy_next_to(sensor: Sensor, file: Path) -> bool:
+    """Whether a sensor is a copy next to this session file."""
     return sensor.folder.absolute() in _folders(file)
 
 
-def forget_others(file: Path, kept: Path | None) -> None:
-    """Remove the sensors once kept beside a session, but for the one that still is."""
+def remove_other_copies(file: Path, kept: Path | None) -> None:
+    """Remove all copies of sensors next to a session file, except `kept`."""
     for folder in _folders(file):
         if kept is None or folder != kept.parent:
             shutil.rmtree(folder, ignore_errors=True)
@@ -313,7 +312,7 @@ def _folders(file: Path) -> list[Path]:
 
 
 def _content(sensor: Sensor) -> dict[str, bytes]:
-    """Bytes by name: the sensor's file and those it names, all in one folder."""
+    """Contents by file name of a self-contained copy of a sensor."""
     membrane, calibration, content = sensor.membrane, sensor.calibration, dict[str, bytes]()
     if membrane.mesh_file is not None:
         name = Path(membrane.mesh_file).name

@@ -1,4 +1,4 @@
-"""Keeps the session: what of the window goes into a file, comes back from it, and when."""
+"""Saving, autosaving and restoring of the session."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
 from bubbleviz_ui.model.settings import USER_SETTINGS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.session_file import (
-    MOST_RECENT,
+    MAX_RECENT,
     SavedCamera,
     SavedSession,
     UserFile,
     absolute,
-    for_colleague,
-    forget_others,
-    is_beside,
-    kept_beside,
-    located,
+    copy_next_to,
+    is_copy_next_to,
     missing,
     name_of,
     plain_settings,
+    portable,
     read_session,
     read_user_file,
+    remove_other_copies,
+    with_absolute_paths,
     with_paths,
     with_sensor,
 )
-from bubbleviz_ui.shell.file_dialogs import agreed
+from bubbleviz_ui.shell.file_dialogs import ask_yes_no
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.window_parts import WindowParts
 
 EVERY_MS = 3000
-"""How much of a session a crash may cost."""
-OF_SOURCE = ("source", "truth", "live", "sensor", "frame", "play_range", "markers", "camera")
-"""Fields of a session that are kept as they were while its source is not there."""
+"""Period of autosaving."""
+SOURCE_FIELDS = ("source", "truth", "live", "sensor", "frame", "play_range", "markers", "camera")
+"""Fields of a session that are kept unchanged while its source is missing."""
 
 
 def user_file() -> Path:
-    """Where the user's session lives, in the folder the system has for such files."""
+    """Path of the user's file, in the system's configuration folder."""
     place = QStandardPaths.StandardLocation.AppConfigLocation
     return Path(QStandardPaths.writableLocation(place)) / "session.json"
 
@@ -59,17 +59,17 @@ def user_file() -> Path:
 class SessionSaver(QObject):
     """Session files of one window."""
 
-    recent_changed = Signal()  # Another file is among the recent ones
+    recent_changed = Signal()
 
     def __init__(self, frame: QMainWindow, window: WindowParts) -> None:
         super().__init__(frame)
         self._frame, self._window = frame, window
-        self.recent: tuple[str, ...] = ()  # Files opened, the newest first
-        self.hinted = False  # The user has read the first-run hint
+        self.recent: tuple[str, ...] = ()  # Recent files, newest first
+        self.hinted = False  # The first-run hint was read
         self._opened: Opened | None = None
-        self._pending: SavedSession | None = None
-        self._absent: SavedSession | None = None  # something else is open in its place
-        self._to_connect: SessionPreset | None = None
+        self._restoring: SavedSession | None = None
+        self._absent: SavedSession | None = None  # its source is missing; another one is open
+        self._connect_later: SessionPreset | None = None
         self._problems: list[str] = []
         self._origin = ""
         self._copied: tuple[Sensor, Path, Path] | None = None
@@ -85,16 +85,16 @@ class SessionSaver(QObject):
     # -- the user's own file ------------------------------------------------------------------
 
     def keep_in(self, file: Path) -> SavedSession:
-        """Keep the session in a file from now on; returns what it held.
+        """Autosave the session to a file from now on; returns the session read from it.
 
-        A file that cannot be read is a message, and a new session.
+        A file that cannot be read gives a message and a new session.
         """
         self._file = file
         try:
             user = read_user_file(file)
         except InputError as error:
             user = UserFile()
-            self._tell("error", str(error))
+            self._notify("error", str(error))
         self.recent, self.hinted = user.recent, user.hinted
         self._window.hint.setVisible(not self.hinted)
         self.recent_changed.emit()
@@ -102,30 +102,30 @@ class SessionSaver(QObject):
         return user.session
 
     def save(self) -> None:
-        """Write the user's file where something has changed, whole or not at all."""
+        """Write the user's file atomically, if something has changed."""
         if self._file is None or self._opened is None:
             return
         self._file.parent.mkdir(parents=True, exist_ok=True)
         user = UserFile(session=self.snapshot(self._file), recent=self.recent, hinted=self.hinted)
         if user != self._written:
-            write_whole(self._file, user)
+            write_atomically(self._file, user)
             self._written = user
 
     def close(self) -> None:
-        """Write for the last time."""
+        """Save a last time."""
         self._timer.stop()
         with suppress(InputError, OSError):  # a full disk must not keep the window open
             self.save()
             if self._file is not None and self._written is not None:
                 sensor = self._written.session.sensor
-                forget_others(self._file, None if sensor is None else Path(sensor))
+                remove_other_copies(self._file, None if sensor is None else Path(sensor))
 
     # -- sessions -----------------------------------------------------------------------------
 
     def snapshot(self, file: Path | None = None) -> SavedSession:
-        """Session as it is now; a sensor that is in no file of the user's is kept beside `file`.
+        """Current session; an unsaved sensor is copied next to `file`.
 
-        Raises InputError: That sensor cannot be kept.
+        Raises InputError: The sensor cannot be copied.
         """
         window, state = self._window, self._window.state
         sensor, source = self._sensor_name(file), self._source
@@ -140,61 +140,61 @@ class SessionSaver(QObject):
             markers=state.markers,
             choices=plain_settings(state.settings),
             camera=_camera(window.view) if moved else None,
-            geometry=_text(self._frame.saveGeometry()),
-            layout=_text(self._frame.saveState()),
+            geometry=_base64(self._frame.saveGeometry()),
+            layout=_base64(self._frame.saveState()),
             shortcuts=window.shortcuts.changed,
         )
         absent = self._absent
         if absent is None:
             return now
-        kept = {name: getattr(absent, name) for name in OF_SOURCE}
+        kept = {name: getattr(absent, name) for name in SOURCE_FIELDS}
         obj = now.choices["pose_object"] or absent.choices.get("pose_object")
         return now.model_copy(update={**kept, "choices": {**now.choices, "pose_object": obj}})
 
     def save_as(self, path: Path) -> None:
-        """Write the session for a colleague; what is the user's own stays here."""
+        """Write a portable session file, without settings of the user."""
         try:
-            write_whole(path, for_colleague(self.snapshot(path), path))
+            write_atomically(path, portable(self.snapshot(path), path))
         except InputError as error:
-            self._tell("error", str(error), topic="session")
+            self._notify("error", str(error), topic="session")
         else:
             self._remember(str(path.absolute()))
-            self._tell("notice", f"Saved {path}", path, topic="session")
+            self._notify("notice", f"Saved {path}", path, topic="session")
 
     def open(self, path: Path) -> None:
-        """Open a session file; what of it cannot be opened is a message, the rest is restored."""
+        """Open a session file; parts that cannot be opened give messages."""
         try:
             saved = read_session(path)
         except InputError as error:
-            self._tell("error", str(error), topic=OPENING)
+            self._notify("error", str(error), topic=OPENING)
             return
         self.restore(saved, path)
 
     def restore(self, saved: SavedSession, path: Path) -> bool:
-        """Restore a session that was read from a file; whether its source is being opened."""
+        """Restore a session read from a file; returns whether its source is being opened."""
         self._remember(str(path.absolute()))
-        saved = self._allowed(saved, path)
+        saved = self._without_refused_sources(saved, path)
         present = plain_settings(self._window.state.settings)
         own = {name: present[name] for name in USER_SETTINGS}
         saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
-        return self.open_source(saved, path, partial(self.use, saved, path))
+        return self.open_source(saved, path, partial(self.apply_settings, saved, path))
 
-    def _allowed(self, saved: SavedSession, path: Path) -> SavedSession:
-        """The session without its live sensors, unless the user agrees where they connect to.
+    def _without_refused_sources(self, saved: SavedSession, path: Path) -> SavedSession:
+        """The session, without its live sensors if the user refuses to connect to them.
 
-        A file may come from anybody: it names computers, and files with passwords for them.
+        A file from others may name computers, and files with passwords for them.
         """
         places = [] if saved.live is None else [each.source for each in saved.live.sensors]
         remote = [place for place in places if place.startswith("zenoh:")]
         question = "\n".join([f"{path.name} connects to", *remote, "Connect?"])
-        if not remote or agreed(self._frame, "Open session", question):
+        if not remote or ask_yes_no(self._frame, "Open session", question):
             return saved
         return saved.model_copy(update={"live": None})
 
-    def use(self, saved: SavedSession, file: Path | None = None) -> None:
+    def apply_settings(self, saved: SavedSession, file: Path | None = None) -> None:
         """Apply settings and layout of a session."""
-        window, saved = self._window, located(saved, file)
-        settings, gone = saved.chosen, missing(saved).get("object")
+        window, saved = self._window, with_absolute_paths(saved, file)
+        settings, gone = saved.settings, missing(saved).get("object")
         self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
         if gone is not None:
             settings = replace(settings, pose_object=None)
@@ -210,17 +210,17 @@ class SessionSaver(QObject):
     def open_source(
         self,
         saved: SavedSession,
-        file: Path | None = None,  # It was read from
-        first: Callable[[], None] | None = None,  # Done before, unless what is open is to stay
+        file: Path | None = None,  # The session file
+        first: Callable[[], None] | None = None,  # Called before, unless opening is refused
     ) -> bool:
-        """Ask for the source of a session, to come back to the same frame of it.
+        """Open the source of a session at the same frame.
 
-        What is not there, or not yet, is a message; it is asked for again at the next start,
-        unless the user opens something else meanwhile.
+        A missing source gives a message, and is tried again at the next start, unless the user
+        opens another one meanwhile.
 
         Returns bool: Whether it is being opened.
         """
-        saved = located(saved, file)
+        saved = with_absolute_paths(saved, file)
         gone = missing(saved)
         lacks = [f"{k} {name} is missing" for k, name in gone.items() if k != "object"]
 
@@ -228,7 +228,7 @@ class SessionSaver(QObject):
             if first is not None:
                 first()
             self._problems += lacks
-            self._pending = saved
+            self._restoring = saved
 
         source: Source | None = None
         if saved.source == SYNTHETIC.name:
@@ -238,7 +238,7 @@ class SessionSaver(QObject):
             source = Source.of_recording(Path(saved.source), truth)
         if source is None:
             begin()
-            self._go_without(saved)
+            self._restore_without_source(saved)
             return False
         sensor = None if "sensor" in gone else saved.sensor
         return self._window.controller.opening.open(
@@ -249,13 +249,13 @@ class SessionSaver(QObject):
             before=begin,
         )
 
-    def expect(self, saved: SavedSession, path: Path) -> None:
-        """Take range, markers and view of a session if this is its recording."""
+    def restore_after_open(self, saved: SavedSession, path: Path) -> None:
+        """Restore range, markers and view after opening, if this is the session's recording."""
         if saved.source is not None and Path(saved.source) == path.absolute():
-            self._pending = saved
+            self._restoring = saved
 
     def reload(self) -> None:
-        """Open recording and sensor anew from their files."""
+        """Read recording and sensor again from their files."""
         opened, state = self._opened, self._window.state
         if opened is None or state.facts is None:
             return
@@ -276,38 +276,38 @@ class SessionSaver(QObject):
             self.save()
         except (InputError, OSError) as error:
             self._timer.stop()
-            self._tell("error", f"Autosave stopped: {error}")
+            self._notify("error", f"Autosave stopped: {error}")
 
     # -- inside -------------------------------------------------------------------------------
 
     @property
     def _source(self) -> Source | None:
-        """The source that is open."""
+        """The open source."""
         return None if self._opened is None else self._opened.request.source
 
     def _sensor_name(self, file: Path | None) -> str | None:
-        """The sensor in use: a preset, a file of the user's, or its copy beside `file`."""
+        """The sensor in use: a preset, a file of the user, or its copy next to `file`."""
         if self._opened is None:
             return None
         sensor = self._opened.sensor
         if file is None or not self._is_unsaved(sensor):
             return name_of(sensor)
         if self._copied is None or self._copied[0] is not sensor or self._copied[1] != file:
-            self._copied = sensor, file, kept_beside(sensor, file)
+            self._copied = sensor, file, copy_next_to(sensor, file)
         return str(self._copied[2])
 
     def _is_unsaved(self, sensor: Sensor) -> bool:
-        """Whether a sensor is in no file that the user knows of."""
-        beside = self._file is not None and is_beside(sensor, self._file)
+        """Whether a sensor was not saved by the user."""
+        beside = self._file is not None and is_copy_next_to(sensor, self._file)
         return not sensor.file or beside
 
     def _live(self, sensor: str | None) -> SessionPreset | None:
-        """Live sensors that are connected and shown, the chosen one with its present sensor."""
+        """Connected live sensors, the selected one with its current sensor file."""
         controller = self._window.live_controller
         if controller.run is None or not self._is_live:
             return None
         live = with_paths(controller.run.preset, absolute)
-        return live if sensor is None else with_sensor(live, controller.chosen, sensor)
+        return live if sensor is None else with_sensor(live, controller.selected, sensor)
 
     @property
     def _is_live(self) -> bool:
@@ -319,13 +319,13 @@ class SessionSaver(QObject):
             return False
         return saved.live is not None if self._is_live else saved.source == source.name
 
-    def _go_without(self, saved: SavedSession) -> None:
-        """Wait for what a session's source lacks beside what is open, or will be in its place."""
+    def _restore_without_source(self, saved: SavedSession) -> None:
+        """Restore a session whose source is missing: connect its live sensors, or keep it."""
         if self._opened is None:
             has_one = saved.source is not None or saved.live is not None
-            self._absent, self._to_connect = saved if has_one else None, saved.live
+            self._absent, self._connect_later = saved if has_one else None, saved.live
         else:
-            self._tell_problems()
+            self._report_problems()
             if saved.live is not None:
                 self._window.live_controller.connect_to(saved.live)
 
@@ -353,33 +353,33 @@ class SessionSaver(QObject):
             self._remember(str(source.path.absolute()))
 
     def _forget_absent(self) -> None:
-        """The user has opened something else, or what was absent came."""
+        """Discard the missing session: its source arrived, or the user opened another one."""
         if self._absent is not None and not self._is_live:
-            # else it would come in place of what the user has opened
+            # else it would replace the source that the user has opened
             self._window.live_controller.cancel()
         self._absent = None
 
     def _on_failed(self, failed: Failed) -> None:
-        if failed.key == "open" and self._pending is not None:
+        if failed.key == "open" and self._restoring is not None:
             if self._opened is None:
                 self._problems = [failed.message]
-                self._absent = self._pending
-            self._pending = None
+                self._absent = self._restoring
+            self._restoring = None
 
     def _on_source(self, facts: SourceFacts) -> None:
-        """Once the source is open: what belongs to it."""
-        self._tell_problems()
-        pending, live = self._pending, self._to_connect
-        self._to_connect = None
+        """Restore the state that belongs to the source, once it is open."""
+        self._report_problems()
+        pending, live = self._restoring, self._connect_later
+        self._connect_later = None
         if live is not None:
             self._window.live_controller.connect_to(live)
             return
-        self._pending = None
+        self._restoring = None
         if pending is not None and self._is_open(pending):
-            self._take_what_belongs(pending, facts.frames)
+            self._restore_source_state(pending, facts.frames)
 
-    def _take_what_belongs(self, saved: SavedSession, frames: int) -> None:
-        """Take range, markers and point of view."""
+    def _restore_source_state(self, saved: SavedSession, frames: int) -> None:
+        """Restore range, markers and viewpoint."""
         with self._window.undo_recorder.unrecorded():
             state = self._window.state
             state.set_range(saved.play_range)
@@ -393,26 +393,26 @@ class SessionSaver(QObject):
     def _on_hint_read(self) -> None:
         self.hinted = True
 
-    def _tell_problems(self) -> None:
+    def _report_problems(self) -> None:
         if self._problems:
             text = " and ".join(self._problems)
-            self._tell("warning", f"{self._origin}{text}; the rest is restored.")
+            self._notify("warning", f"{self._origin}{text}; the rest is restored.")
             self._problems = []
 
-    def _tell(
+    def _notify(
         self, kind: MessageKind, text: str, file: Path | None = None, topic: str = ""
     ) -> None:
         self._window.messages.add(UserMessage(kind, text, file=file, topic=topic))
 
     def _remember(self, path: str) -> None:
-        recent = (path, *(other for other in self.recent if other != path))[:MOST_RECENT]
+        recent = (path, *(other for other in self.recent if other != path))[:MAX_RECENT]
         if recent != self.recent:
             self.recent = recent
             self.recent_changed.emit()
 
 
-def write_whole(path: Path, what: BaseModel) -> None:
-    """Write a file whole or not at all; one that is there is replaced.
+def write_atomically(path: Path, what: BaseModel) -> None:
+    """Write or replace a file atomically.
 
     Raises InputError: It cannot be written.
     """
@@ -433,7 +433,7 @@ def _camera(view: View) -> SavedCamera:
     )
 
 
-def _text(data: QByteArray) -> str:
+def _base64(data: QByteArray) -> str:
     return bytes(data.toBase64().data()).decode()
 
 

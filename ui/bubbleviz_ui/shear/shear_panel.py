@@ -1,4 +1,4 @@
-"""Shear panel: what shear is measured against, how, and the numbers of the frame."""
+"""Shear panel: settings of the traction with friction, and its numbers."""
 
 from __future__ import annotations
 
@@ -29,15 +29,14 @@ from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE
 
-# The tangential force and its 95 % region, seen along z of the bubble frame.
+# Plot of the tangential force and its 95 % region.
 
 
-HEIGHT = 170
-"""Screen pixels."""
+HEIGHT = 170  # screen pixels
 
 
 class ShearPlot(PlotHost):
-    """An arrow's line from no force to the tangential force, and an ellipse around its end."""
+    """Tangential force as a line from the origin, with an ellipse around its end."""
 
     def __init__(self) -> None:
         super().__init__(self._fill)
@@ -45,7 +44,7 @@ class ShearPlot(PlotHost):
         self.setToolTip("Tangential force along x and y of the bubble frame, with its 95 % region")
 
     def _fill(self) -> list[Part]:
-        import pyqtgraph as pg  # 0.2 s later than the window
+        import pyqtgraph as pg  # not at start
 
         self._frame = PlotFrame("number")
         self._frame.box.setMouseEnabled(x=False, y=False)
@@ -58,7 +57,7 @@ class ShearPlot(PlotHost):
         return [self]
 
     def draw(self, ellipse: ShearEllipse | None, unit: Unit) -> None:
-        """Draw it in a unit of force, or nothing."""
+        """Draw a force in a unit; None: no force."""
         if not self.ready:
             return
         self._frame.write(f"Tangential y over x, {unit.symbol}")
@@ -69,11 +68,11 @@ class ShearPlot(PlotHost):
             item.setData(unit.from_si(1.0) * (np.empty((0, 2)) if points is None else points))
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Take the theme's colours."""
+        """Apply the theme's colours."""
         self._frame.paint(dim, text)
 
 
-# Force with friction and slip in words and numbers; ± is half of the 95 % interval.
+# Texts of force with friction, and of slip; ± is half of the 95 % interval.
 
 
 NUMBERS = {
@@ -87,22 +86,22 @@ TIPS = {
     "tangential": "Component across the mean normal of the contact",
     "direction": "Angle of the tangential force about z, from x towards y of the bubble frame",
     "torque": "About the mean normal through the contact's centre",
-    "displacement": "Largest displacement along the membrane where it is touched",
+    "displacement": "Largest displacement along the membrane within the contact",
     "slip": "Share of the patch that slipped relative to the rest since contact; none if too "
-    "little of the patch sticks to tell",
+    "little of the patch sticks",
 }
 UNVERIFIED = "not verified on real sensors"
 STATES = {
     "ok": "depth and texture",
-    "no_contact": "nothing touches the membrane",
+    "no_contact": "no contact",
     "depth_alone": "depth alone",
     "no_data": "no trusted depth image",
     "not_converged": "no trusted solution",
 }
 
 
-def shear_words(result: Result | None, units: Units) -> dict[str, str]:
-    """Texts by name, `state` among them."""
+def shear_texts(result: Result | None, units: Units) -> dict[str, str]:
+    """Texts by name, including `state`."""
     traction = None if result is None else result.traction
     if result is None or traction is None:
         return dict.fromkeys(("state", *NUMBERS), DASH)
@@ -122,9 +121,9 @@ def shear_words(result: Result | None, units: Units) -> dict[str, str]:
     }
 
 
-def copied_shear(result: Result, units: Units) -> str:
-    """The same as lines of text, for other programs."""
-    words = shear_words(result, units)
+def shear_report(result: Result, units: Units) -> str:
+    """Status and numbers as text, for other programs."""
+    words = shear_texts(result, units)
     lines = [f"frame {result.frame.index}, {units.time.text(result.frame.time_s)}"]
     lines += [f"status: {words['state']}"]
     lines += [f"{title}: {words[name]}" for name, title in NUMBERS.items()]
@@ -136,22 +135,22 @@ def _text(measure: Measure, unit: Unit) -> str:
 
 
 EVERY_MS = 150
-"""Numbers are written this often: nobody reads faster."""
-LOOKING = "Looking for contact-free colour images…"
-MU = 0.5
-"""Friction bound to begin with."""
+"""Update period of the numbers."""
+SEARCHING = "Looking for contact-free colour images…"
+INITIAL_MU = 0.5
+"""Initial friction bound."""
 
 
 class ShearPanel(QWidget):
-    """Settings of the traction with friction, and its numbers with their 95 % intervals."""
+    """Settings of the traction with friction, and its numbers with 95 % intervals."""
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
         self._state, self._controller = state, controller
         self.reference = QLabel(DASH, wordWrap=True)
         self.reference.setToolTip("Contact-free colour images from which motion is measured")
-        self.collect = QPushButton("Collect again")
-        self.collect.setToolTip(
+        self.search_reference = QPushButton("Collect again")
+        self.search_reference.setToolTip(
             "Find the contact-free colour images again; do not touch the sensor meanwhile"
         )
         self.flow = control(state, "flow_preset")
@@ -169,7 +168,7 @@ class ShearPanel(QWidget):
             label.setObjectName("value")
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
         self.plot = ShearPlot()
-        self.plot.seen.connect(self._later)
+        self.plot.seen.connect(self._write_soon)
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("These numbers as text, with their units")
         self._lay_out()
@@ -191,7 +190,7 @@ class ShearPanel(QWidget):
             self.plot,
             settings,
             self.reference,
-            fill(QHBoxLayout(), self.collect, 1),
+            fill(QHBoxLayout(), self.search_reference, 1),
             1,
             margins=(12, 10, 12, 12),
         )
@@ -200,12 +199,12 @@ class ShearPanel(QWidget):
         bind(self.bounded, state, "friction", lambda mu: mu is not None, self._bound)
         self._mu = bind(self.friction, state, "friction")
         if state.settings.friction is None:
-            self._mu.show(MU)
+            self._mu.show(INITIAL_MU)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._write)
-        self.collect.clicked.connect(controller.find_reference)
+        self.search_reference.clicked.connect(controller.find_reference)
         self.copy.clicked.connect(self._copy)
-        controller.shown.connect(self._later)
+        controller.shown.connect(self._write_soon)
         state.settings_changed.connect(self._on_settings)
         self._on_settings(frozenset({"friction"}))
 
@@ -216,16 +215,16 @@ class ShearPanel(QWidget):
         if "friction" in names:
             self.friction.setEnabled(self._state.settings.friction is not None)
         if names & (UNIT_CHOICES.keys() | {"panels"}):
-            self._later()
+            self._write_soon()
 
-    def _later(self) -> None:
+    def _write_soon(self) -> None:
         if "shear" in self._state.settings.panels and not self._due.isActive():
             self._due.start()
 
     def _write(self) -> None:
         result = self._controller.result
-        words = shear_words(result, self._state.units)
-        self.reference.setText(self._controller.inspection.reference or LOOKING)
+        words = shear_texts(result, self._state.units)
+        self.reference.setText(self._controller.inspection.reference or SEARCHING)
         self.state.setText(words["state"])
         for name, label in self.values.items():
             label.setText(words[name])
@@ -237,4 +236,4 @@ class ShearPanel(QWidget):
     def _copy(self) -> None:
         result = self._controller.result
         if result is not None and result.traction is not None:
-            QGuiApplication.clipboard().setText(copied_shear(result, self._state.units))
+            QGuiApplication.clipboard().setText(shear_report(result, self._state.units))

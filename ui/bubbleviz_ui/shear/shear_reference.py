@@ -1,4 +1,4 @@
-"""Contact-free colour images that flow is measured from, in the solver thread. No Qt in here."""
+"""Contact-free reference images of the optical flow; used in the solver thread. No Qt."""
 
 from __future__ import annotations
 
@@ -15,67 +15,67 @@ if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
 
 
-LONG = 3000
-"""Frames beyond which a recording is not searched: the solver would wait for minutes."""
+MAX_SEARCHED = 3000
+"""Longer recordings are not searched, as that would take minutes."""
 SHEAR: frozenset[Product] = frozenset({"flow", "traction", "slip"})
-NO_RUBBER = (
+NEEDS_RUBBER = (
     "Shear needs the exact membrane: choose the solver rubber, or a sensor file with a prestretch"
 )
 
 
 class ShearReference:
-    """Gives the pipeline of one source what shear is measured against, once it is asked for.
+    """Provides the pipeline of one source with the reference images of shear, when requested.
 
-    Of a recording from its own contact-free frames; of a long one, and of any other source, from
-    the frames without contact that pass, where they have colour images.
+    A recording is searched for contact-free frames; for a long one, and any other source, the
+    contact-free frames with colour images are collected while they are processed.
     """
 
     def __init__(self) -> None:
-        self.words = ""  # What there is, or why there is nothing, in one sentence
+        self.message = ""  # Description of the reference, or why there is none
         self._options: ShearOptions | None = None
         self._possible = True
         self._passing: PassingTexture | None = None
         self._frame = 0
 
-    def forget(self) -> None:
-        """Find the reference anew for the next frame."""
+    def reset(self) -> None:
+        """Search the reference again at the next frame."""
         self._options = None
 
     def products(
         self, source: FrameSource, pipeline: Pipeline, index: int, demand: Demand
     ) -> frozenset[Product]:
-        """What of a demand can be made of a frame; sees to the reference where that needs one."""
+        """Products of a demand that are possible for a frame; provides the reference if needed."""
         if not demand.products & SHEAR:
             return demand.products
         if demand.shear != self._options:
             self._options, self._passing = demand.shear, None
             self._begin(source, pipeline, demand.shear)
         elif index < self._frame:
-            pipeline.restart()  # what slipped is told by frames that follow one another
+            pipeline.restart()  # slip needs frames in order
         self._frame = index
         return demand.products if self._possible else demand.products - SHEAR
 
-    def collect(self, result: Result) -> None:
-        """Take the colour image of a frame without contact, until there are enough."""
+    def add_frame(self, result: Result) -> None:
+        """Use the colour image of a contact-free frame, until there are enough."""
         if self._passing is not None:
             self._passing.take(result)
-            self.words = self._passing.words
+            self.message = self._passing.words
 
     def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
-        # what shear needs takes long to load, and nobody else needs it
+        # slow imports that only shear needs
         from bubbleviz.recordings import find_contact_free
         from bubbleviz.shear import PassingTexture, TractionOptions, watch_recorded_texture
 
         self._possible = pipeline.estimator.solver_name == RUBBER
         if not self._possible:
-            self.words = NO_RUBBER
+            self.message = NEEDS_RUBBER
             return
-        if not isinstance(source, Recording) or source.colour is None or len(source) > LONG:
+        if not isinstance(source, Recording) or source.colour is None or len(source) > MAX_SEARCHED:
             self._passing = PassingTexture(pipeline, options.friction, options.flow)
             return
         pipeline.use_optical_flow(None, options=TractionOptions(options.friction))
         try:
-            self.words = watch_recorded_texture(
+            self.message = watch_recorded_texture(
                 pipeline,
                 source,
                 lambda: find_contact_free(source).frames,
@@ -83,4 +83,4 @@ class ShearReference:
                 options.flow,
             )
         except InputError as error:
-            self.words = f"Depth alone: {error}"
+            self.message = f"Depth alone: {error}"

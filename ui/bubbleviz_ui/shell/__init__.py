@@ -1,1 +1,1 @@
-"""Around the panels: menus, shortcuts, command palette, theme, docks, messages."""
+"""Shell of the window: menus, shortcuts, command palette, theme, docks, messages."""

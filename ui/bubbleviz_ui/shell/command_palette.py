@@ -1,4 +1,4 @@
-"""Command palette: every action of the menus by a few letters, with the keyboard alone."""
+"""Command palette: fuzzy search of all menu actions, by keyboard."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from bubbleviz_ui.shell.shortcuts import Shortcuts, ranked
 
 WIDTH, HEIGHT = 520, 340
 TOP = 60
-"""Distance from the window's upper edge, screen pixels."""
-NOTHING_FITS = "No matching command"
-MOVES = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
+"""Distance from the window's top edge, screen pixels."""
+NO_MATCH = "No matching command"
+LIST_KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
 
 
 class CommandPalette(QDialog):
-    """Type letters, choose with the arrow keys, Enter does it, Escape leaves."""
+    """Search box and list of actions; Enter runs the selected one, Escape closes."""
 
     def __init__(self, parent: QWidget, shortcuts: Shortcuts) -> None:
         super().__init__(parent, Qt.WindowType.Popup)
@@ -25,25 +25,25 @@ class CommandPalette(QDialog):
         self.resize(WIDTH, HEIGHT)
         self._shortcuts = shortcuts
         self.search = QLineEdit()
-        self.search.setPlaceholderText("Type a command.  ↑ ↓ choose, Enter runs it, Esc closes")
+        self.search.setPlaceholderText("Type a command.  ↑ ↓ select, Enter runs it, Esc closes")
         self.list = QListWidget()
         self.list.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         fill(QVBoxLayout(self), self.search, self.list, margins=(8, 8, 8, 8))
         self.search.textChanged.connect(self._find)
         self.search.installEventFilter(self)
-        self.list.itemClicked.connect(lambda _: self.do())
+        self.list.itemClicked.connect(lambda _: self.run())
         self._find("")
 
     def open_over(self, window: QWidget) -> None:
-        """Appear in the middle of a window's upper half."""
+        """Open in the upper half of a window, centred."""
         place = window.mapToGlobal(window.rect().topLeft())
         self.move(place.x() + (window.width() - WIDTH) // 2, place.y() + TOP)
         self.show()
         self.search.setFocus()
 
-    def do(self) -> None:
-        """Do what is chosen, once the palette is gone."""
+    def run(self) -> None:
+        """Close the palette and run the selected action."""
         item = self.list.currentItem()
         if item is None or not item.flags():
             return
@@ -52,13 +52,13 @@ class CommandPalette(QDialog):
         action.trigger()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Keys that move in the list go there; the text keeps the focus."""
+        """Pass navigation keys to the list; the search box keeps the focus."""
         if event.type() == QEvent.Type.KeyPress and isinstance(event, QKeyEvent):
-            if event.key() in MOVES:
+            if event.key() in LIST_KEYS:
                 self.list.event(event)
                 return True
             if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-                self.do()
+                self.run()
                 return True
         return super().eventFilter(watched, event)
 
@@ -72,7 +72,7 @@ class CommandPalette(QDialog):
             item.setData(Qt.ItemDataRole.UserRole, name)
             self.list.addItem(item)
         if not self.list.count():
-            nothing = QListWidgetItem(NOTHING_FITS)
+            nothing = QListWidgetItem(NO_MATCH)
             nothing.setFlags(Qt.ItemFlag.NoItemFlags)
             self.list.addItem(nothing)
         self.list.setCurrentRow(0)

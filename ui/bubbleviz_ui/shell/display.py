@@ -1,4 +1,4 @@
-"""A screen to draw on: the user's, or a private virtual one."""
+"""Detection of a display, and a private virtual one (Xvfb)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from bubbleviz.errors import InputError
 
 
 def has_display(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether there is a screen that answers.
+    """Whether there is a working display.
 
-    Raises InputError: It is a Wayland session without an X server, through which VTK draws.
+    Raises InputError: Wayland without an X server, which VTK needs.
     """
     if not sys.platform.startswith("linux") or _answers(environment.get("DISPLAY", "")):
         return True
@@ -32,10 +32,10 @@ def has_display(environment: Mapping[str, str] = os.environ) -> bool:
 
 @contextmanager
 def private_display(width: int, height: int) -> Iterator[None]:
-    """Run with a virtual screen (Xvfb) of a size that nobody sees.
+    """Run with a virtual display (Xvfb).
 
-    A Qt application stays connected until the process ends, and Xlib would say "fatal IO error"
-    if the screen went first. So the screen ends itself with its last client (`-terminate`).
+    A Qt application stays connected until the process ends, and Xlib reports "fatal IO error" if
+    the server ends first. So the server ends itself with its last client (`-terminate`).
 
     Raises InputError: Xvfb is not installed or does not start.
     """
@@ -74,13 +74,13 @@ def private_display(width: int, height: int) -> Iterator[None]:
 
 
 def _has_application() -> bool:
-    """Whether Qt is connected to a screen."""
+    """Whether there is a Qt application."""
     qt = sys.modules.get("PySide6.QtCore")
     return qt is not None and qt.QCoreApplication.instance() is not None
 
 
 def _answers(display: str) -> bool:
-    """Whether an X server is there; one on another host is taken on trust."""
+    """Whether an X server is running; not checked on another host."""
     host, _, rest = display.partition(":")
     number = rest.split(".")[0]
     if not number.isdigit():

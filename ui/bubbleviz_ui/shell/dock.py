@@ -1,4 +1,4 @@
-"""Docks that become tabs of others when they are opened, and panels that scroll when short."""
+"""Docks, tracking of open panels, and layout helpers."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ from bubbleviz_ui.model.session_state import SessionState
 
 
 class Dock(QDockWidget):
-    """Panel at the window's edge.
+    """Dock whose placement as a tab is deferred until it is first shown.
 
-    Tabs are made just before they are seen: Qt draws those of docks that were never shown, and a
-    dock that is shown before it is a tab makes the window grow.
+    Otherwise Qt would draw tabs of docks that were never shown; and a dock shown before it is a tab
+    makes the window grow.
     """
 
     _neighbour: QDockWidget | None = None
     _narrower_than: int | None = None
-    _high = _takes_all = False
+    _at_hint = _maximises = False
 
-    def open_high(self) -> None:
-        """Open as high as the panel asks to be, where there is room; else it would be lowest."""
-        self._high = True
+    def open_at_hint_height(self) -> None:
+        """Open at the panel's size hint instead of its minimum height."""
+        self._at_hint = True
 
-    def take_free_height(self) -> None:
-        """Take what others in its column do not need whenever it is opened."""
-        self._takes_all = True
+    def maximise_height(self) -> None:
+        """Whenever opened, take all height that other docks of its column do not need."""
+        self._maximises = True
 
     def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
-        """Open as a tab of another dock, unless the user has moved it elsewhere.
+        """Open as a tab of another dock the first time.
 
-        `narrower_than`: Only in a window that is less wide, screen pixels.
+        `narrower_than`: Only if the window is narrower than this, screen pixels.
         """
         self._neighbour, self._narrower_than = neighbour, narrower_than
 
     def setVisible(self, visible: bool) -> None:
-        """Become a tab first, the first time."""
+        """Show or hide; the first time, become a tab before that."""
         window, neighbour, limit = self.parentWidget(), self._neighbour, self._narrower_than
         first = visible and neighbour is not None
         if first and neighbour is not None and isinstance(window, QMainWindow):
@@ -61,10 +61,10 @@ class Dock(QDockWidget):
         super().setVisible(visible)
         if first:
             self.raise_()
-        if visible and self._high and isinstance(window, QMainWindow):
-            self._high = False
+        if visible and self._at_hint and isinstance(window, QMainWindow):
+            self._at_hint = False
             window.resizeDocks([self], [self.sizeHint().height()], Qt.Orientation.Vertical)
-        if visible and self._takes_all and isinstance(window, QMainWindow):
+        if visible and self._maximises and isinstance(window, QMainWindow):
             area, mine = window.dockWidgetArea(self), [self, *window.tabifiedDockWidgets(self)]
             others = [
                 dock
@@ -76,7 +76,7 @@ class Dock(QDockWidget):
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
-    """Panel that scrolls up and down where it is too short, so that the window need not grow."""
+    """The panel in a vertical scroll area, so that it does not enlarge the window."""
     area = QScrollArea()
     area.setWidget(panel)
     area.setWidgetResizable(True)
@@ -87,46 +87,46 @@ def scrolled(panel: QWidget) -> QScrollArea:
     return area
 
 
-# Which panels are open: what a person opens and closes, not which tab is in front.
+# Which panels are open, whether or not their tab is in front.
 
 
 STATUS = "status"
 
 
 class OpenPanels(QObject):
-    """Panels of the window by their names in scene presets."""
+    """Tracks the open panels, by their names in scene presets."""
 
     changed = Signal()  # A panel was opened or closed
     _status_changed = Signal()
 
     def __init__(self, panels: Mapping[str, QWidget], state: SessionState, parent: QObject) -> None:
         super().__init__(parent)
-        self._status_changed.connect(self._note_status)
+        self._status_changed.connect(self._on_status_changed)
         self._panels, self._state = panels, state
         for panel in panels.values():
             panel.installEventFilter(self)
 
     @property
     def names(self) -> frozenset[str]:
-        """Those that are open."""
+        """Names of the open panels."""
         return frozenset(name for name, panel in self._panels.items() if not panel.isHidden())
 
     def show_only(self, names: frozenset[str]) -> None:
-        """Open these and close the others."""
+        """Open these panels and close all others."""
         for name, panel in self._panels.items():
             panel.setVisible(name in names)
 
     def close(self) -> None:
-        """Watch no more: the window takes its panels down one by one."""
+        """Stop tracking, before the window destroys its panels."""
         for panel in self._panels.values():
             panel.removeEventFilter(self)
 
-    def _note_status(self) -> None:
-        """Docks ask for what they show while they are in front; the status bar always is."""
+    def _on_status_changed(self) -> None:
+        """Update the settings of the status bar; docks do that by their visibility."""
         self._state.set_panel_open(STATUS, STATUS in self.names)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Notice that somebody has opened or closed one; hiding the window closes none."""
+        """Detect that a panel was opened or closed; hiding the window does not count."""
         if event.type() in (QEvent.Type.ShowToParent, QEvent.Type.HideToParent):
             if watched is self._panels[STATUS]:
                 self._status_changed.emit()
@@ -134,11 +134,11 @@ class OpenPanels(QObject):
         return False
 
 
-# Layouts, filled in one statement; bars and labels that fit where there is little room.
+# Layout helpers, and bars and labels for narrow windows.
 
 
-LEAST_TEXT = 240
-"""Width that a long text has at least beside controls, screen pixels."""
+MIN_TEXT = 240
+"""Smallest width of a long text next to controls, screen pixels."""
 
 Item = QWidget | QLayout | int
 B = TypeVar("B", bound=QBoxLayout)
@@ -150,9 +150,10 @@ def fill(
     margins: tuple[int, int, int, int] | None = None,  # Left, top, right and bottom, screen pixels
     spacing: int | None = None,  # Between the items, screen pixels
 ) -> B:
-    """Fill a row or a column.
+    """Add items to a row or column.
 
-    `items`: One after the other; with its stretch where it has one. A number alone is a stretch.
+    `items`: Widgets or layouts, each optionally in a tuple with its stretch; a number alone is a
+    stretch.
     """
     if margins is not None:
         layout.setContentsMargins(*margins)
@@ -170,7 +171,7 @@ def fill(
 
 
 class BarLayout(QLayout):
-    """A text with controls beside it; below it, in rows, where both have no room."""
+    """A text followed by controls, which wrap into rows below it if narrow."""
 
     def __init__(
         self,
@@ -187,56 +188,56 @@ class BarLayout(QLayout):
             self.addWidget(widget)
 
     def addItem(self, item: QLayoutItem) -> None:
-        """Add at the end."""
+        """Append an item."""
         self._items.append(item)
 
     def count(self) -> int:
-        """Of text and controls, the hidden ones too."""
+        """Number of items, including hidden ones."""
         return len(self._items)
 
     def itemAt(self, index: int) -> QLayoutItem | None:
-        """Nothing beyond the last, as Qt wants it."""
+        """Item by index; None beyond the last."""
         return self._items[index] if 0 <= index < len(self._items) else None
 
     def takeAt(self, index: int) -> QLayoutItem | None:
-        """Give up an item."""
+        """Remove and return an item."""
         return self._items.pop(index) if 0 <= index < len(self._items) else None
 
     def hasHeightForWidth(self) -> bool:
-        """A narrow bar has more rows."""
+        """Whether the height depends on the width."""
         return True
 
     def heightForWidth(self, width: int) -> int:
-        """Height that all rows need, screen pixels."""
+        """Height of all rows, screen pixels."""
         return self._place(QRect(0, 0, width, 0), move=False)
 
     def sizeHint(self) -> QSize:
-        """All in one row."""
+        """Size of all items in one row."""
         hints = [item.sizeHint() for item in self._shown()]
         width = sum(hint.width() + self.spacing() for hint in hints)
-        return self._around(QSize(width, max((hint.height() for hint in hints), default=0)))
+        return self._with_margins(QSize(width, max((hint.height() for hint in hints), default=0)))
 
     def minimumSize(self) -> QSize:
-        """Each control in a row of its own; the height of one row, as the view yields first."""
+        """Width of the widest item, and height of one row."""
         least = QSize()
         for item in self._shown():
             least = least.expandedTo(item.minimumSize())
-        return self._around(least)
+        return self._with_margins(least)
 
     def setGeometry(self, area: QRect) -> None:
-        """Place everything."""
+        """Place all items."""
         super().setGeometry(area)
         self._place(area, move=True)
 
     def _shown(self) -> list[QLayoutItem]:
         return [item for item in self._items if not item.isEmpty()]
 
-    def _around(self, size: QSize) -> QSize:
+    def _with_margins(self, size: QSize) -> QSize:
         margins = self.contentsMargins()
         return size.grownBy(margins)
 
     def _place(self, area: QRect, *, move: bool) -> int:
-        """Height that is needed in an area of that width; with `move`, put everything there."""
+        """Height needed for the width of an area; with `move`, place the items there."""
         inner, gap = area.marginsRemoved(self.contentsMargins()), self.spacing()
         top = inner.top()
         for row in self._rows(inner.width()):
@@ -250,13 +251,13 @@ class BarLayout(QLayout):
         return top - gap - area.top() + self.contentsMargins().bottom()
 
     def _rows(self, room: int) -> list[list[tuple[QLayoutItem, int]]]:
-        """Items of each row, with their widths."""
+        """Items of each row with their widths."""
         shown, gap = self._shown(), self.spacing()
         if not shown:
             return []
         text, controls = shown[0], shown[1:]
         rest = room - sum(item.sizeHint().width() + gap for item in controls)
-        if rest >= min(text.sizeHint().width(), LEAST_TEXT):
+        if rest >= min(text.sizeHint().width(), MIN_TEXT):
             return [[(text, rest), *((item, item.sizeHint().width()) for item in controls)]]
         rows, left = list[list[QLayoutItem]](), 0
         for item in controls:
@@ -269,7 +270,7 @@ class BarLayout(QLayout):
 
 
 def _widths(row: list[QLayoutItem], room: int) -> list[tuple[QLayoutItem, int]]:
-    """Items with their widths: the least, and what is left goes to the first that wants more."""
+    """Items with their widths: the minimum, and the rest to the first ones up to their hints."""
     left, sized = room - sum(item.minimumSize().width() for item in row), []
     for item in row:
         least = item.minimumSize().width()
@@ -284,10 +285,10 @@ def _height(item: QLayoutItem, width: int) -> int:
 
 
 class Elided(QLabel):
-    """A label that leaves out some of what does not fit; its tool tip may have all.
+    """A label that elides its text.
 
-    `where`: What is left out.
-    `least`: A text that is always whole.
+    `where`: Position of the ellipsis.
+    `least`: Text that determines the minimum width.
     """
 
     def __init__(self, where: Qt.TextElideMode, least: str = "") -> None:
@@ -295,11 +296,11 @@ class Elided(QLabel):
         self._where, self._least = where, least
 
     def minimumSizeHint(self) -> QSize:
-        """As wide as the text that is always whole."""
+        """Width of `least`."""
         least = self.fontMetrics().horizontalAdvance(self._least)
         return QSize(least, super().minimumSizeHint().height())
 
     def paintEvent(self, _: QPaintEvent) -> None:
-        """Write what fits."""
+        """Draw the elided text."""
         text = self.fontMetrics().elidedText(self.text(), self._where, self.width())
         QPainter(self).drawText(self.rect(), Qt.AlignmentFlag.AlignVCenter, text)

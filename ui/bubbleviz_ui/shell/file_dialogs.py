@@ -1,6 +1,6 @@
-"""Asking for files: dialogs come back to the folder of the last file of the same kind.
+"""File dialogs, which start in the folder of the last file of the same kind.
 
-When saving, the suffix is there before it is asked whether a file may be replaced.
+When saving, the suffix is added before the question whether a file may be replaced.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
 def file_to_open(
     parent: QWidget, title: str, kinds: str = "", *, of: str, by_default: Path | None = None
 ) -> Path | None:
-    """File to read; None to cancel.
+    """Ask for a file to read; None: cancelled.
 
-    `kinds`: Filters of file names, as Qt writes them.
-    `of`: Kind of the file, whose last folder the dialog shows.
-    `by_default`: Folder to show before there is one.
+    `kinds`: File filters in Qt's syntax.
+    `of`: Kind of file, whose last folder the dialog shows.
+    `by_default`: Folder shown if there is none yet.
     """
     name, _ = QFileDialog.getOpenFileName(parent, title, _folder(of, by_default), kinds)
     return _remembered(of, name)
 
 
 def folder_to_open(parent: QWidget, title: str, *, of: str) -> Path | None:
-    """Folder to read; None to cancel."""
+    """Ask for a folder to read; None: cancelled."""
     return _remembered(of, QFileDialog.getExistingDirectory(parent, title, _folder(of)))
 
 
-def unsaved(parent: QWidget, title: str, text: str) -> Answer:
-    """Ask what becomes of something unsaved that would be lost."""
+def ask_to_save(parent: QWidget, title: str, text: str) -> Answer:
+    """Ask whether to save or discard unsaved work."""
     kind = QMessageBox.StandardButton
     question = QMessageBox(parent)
     question.setWindowTitle(title)
@@ -51,8 +51,8 @@ def unsaved(parent: QWidget, title: str, text: str) -> Answer:
     return answers.get(question.exec(), "cancel")
 
 
-def agreed(parent: QWidget, title: str, text: str) -> bool:
-    """Ask whether to do something; no is the answer that Enter gives."""
+def ask_yes_no(parent: QWidget, title: str, text: str) -> bool:
+    """Ask a yes-no question; No is the default button."""
     kind = QMessageBox.StandardButton
     answer = QMessageBox.question(parent, title, text, kind.Yes | kind.No, kind.No)
     return bool(answer == kind.Yes)
@@ -61,9 +61,9 @@ def agreed(parent: QWidget, title: str, text: str) -> bool:
 def file_to_save(
     parent: QWidget, title: str, proposed: str, kinds: str = "", *, of: str
 ) -> Path | None:
-    """File to write, with the suffix of the proposed name where it is given none; None to cancel.
+    """Ask for a file to write, by default with the suffix of `proposed`; None: cancelled.
 
-    One that is there may be replaced.
+    An existing file may be replaced, after a question.
     """
     dialog = QFileDialog(parent, title, _folder(of), kinds)
     dialog.setDefaultSuffix(Path(proposed).suffix)
@@ -73,23 +73,22 @@ def file_to_save(
 def new_file(
     parent: QWidget, title: str, proposed: str, kinds: str = "", *, of: str
 ) -> tuple[Path | None, str]:
-    """Name of a file or folder to make, None to cancel, and the filter that was chosen.
+    """Ask for a new file or folder; returns its path (None: cancelled) and the selected filter.
 
-    A file of one kind gets its suffix where it is given none. The proposed name has a number behind
-    it where it is taken. Nothing is asked about one that is there: whoever writes it refuses to
-    replace it.
+    With a single filter, a missing suffix is added. The proposed name gets a number if it exists.
+    There is no question about replacing a file, as the writers never replace one.
     """
     free = free_name(Path(_folder(of)) / proposed)
     dialog = QFileDialog(parent, title, str(free.parent), kinds)
     dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)
-    if ";;" not in kinds:  # else it is that of the filter
+    if ";;" not in kinds:  # else it depends on the filter
         dialog.setDefaultSuffix(free.suffix)
     name, chosen = _saved_as(dialog, free.name)
     return _remembered(of, name), chosen
 
 
 def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
-    """Name, empty to cancel, and filter that a dialog is answered with."""
+    """Show the dialog; returns the name (empty: cancelled) and the selected filter."""
     dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
     dialog.selectFile(proposed)
     name = dialog.selectedFiles()[0] if dialog.exec() else ""
@@ -98,13 +97,13 @@ def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
 
 
 def _folder(of: str, by_default: Path | None = None) -> str:
-    """Where the last file of a kind was; empty for nowhere, or where that is gone."""
+    """Folder of the last file of a kind; empty if there is none any more."""
     folder = str(_folders().value(of, by_default or ""))
     return folder if folder and Path(folder).is_dir() else ""
 
 
 def remember(of: str, path: Path) -> None:
-    """Have the next dialog for a kind of file begin where this one is."""
+    """Store the folder of a file for the next dialog of its kind."""
     _folders().setValue(of, str(path.absolute().parent))
 
 
@@ -120,7 +119,7 @@ def _folders() -> QSettings:
 
 
 def picture_saved(path: Path, *, written: bool) -> UserMessage:
-    """What to tell of a picture that was written, or could not be."""
+    """Message about a picture that was written, or could not be."""
     if written:
         return UserMessage("notice", f"Saved {path}", file=path, topic="picture")
     problem = f"{path}: cannot be written; choose another place"
@@ -128,7 +127,7 @@ def picture_saved(path: Path, *, written: bool) -> UserMessage:
 
 
 def picture_format(path: Path) -> str:
-    """Format of a picture by the suffix of its file; PNG where that names none."""
+    """Image format by the suffix of a file; PNG if unknown."""
     known = {bytes(name.data()).decode() for name in QImageWriter.supportedImageFormats()}
     suffix = path.suffix.removeprefix(".").lower()
     return suffix if suffix in known else "png"

@@ -1,4 +1,4 @@
-"""Menus and shortcuts of the window."""
+"""Menus and their default shortcuts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, file_to_save, folder_to_open
-from bubbleviz_ui.shell.shortcuts import UNLISTED
+from bubbleviz_ui.shell.shortcuts import DYNAMIC
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
 
@@ -71,7 +71,7 @@ class Menus:
         self._add(menu, "&Quit", self._bar.window().close, "Ctrl+Q")
 
     def _recent(self, menu: QMenu) -> None:
-        menu.setProperty(UNLISTED, True)
+        menu.setProperty(DYNAMIC, True)
 
         def fill() -> None:
             menu.clear()
@@ -96,7 +96,7 @@ class Menus:
         about = QMessageBox(self._bar)
         about.setWindowTitle("About bubbleviz")
         about.setText(
-            f"bubbleviz {bubbleviz.__version__}\nCalibrate, watch and debug Soft-bubble tactile "
+            f"bubbleviz {bubbleviz.__version__}\nCalibrate, view and debug Soft-bubble tactile "
             "sensors.\nMIT licence."
         )
         about.setInformativeText(
@@ -173,7 +173,7 @@ class Menus:
             live.recording.changed,
         )
         self._add(menu, "Recording &folder…", window.live.record.choose_folder)
-        self._add(menu, "Add a &note…", window.live.record.begin_note, "Shift+M")
+        self._add(menu, "Add a &note…", window.live.record.start_note, "Shift+M")
         CheckMark(
             self._switch(menu, "&Publish results", "Ctrl+Shift+R"),
             lambda: live.publishing.on,
@@ -182,7 +182,7 @@ class Menus:
         )
         self._add(menu, "Publish &at…", self._publish_at)
         self._add(menu, "&Zero gas pressure", live.zero_now, "Ctrl+Shift+G")
-        self._add(menu, "&Switch sensor", live.choose_other, "B")
+        self._add(menu, "&Switch sensor", live.switch_sensor, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window
@@ -226,7 +226,7 @@ class Menus:
             bind_membership(self._switch(menu, kind.title), self._window.state, "layers", name)
 
     def _tool(self, menu: QMenu, name: str, title: str) -> None:
-        """What a click in the 3-D view does; nothing but rotating where it is unchecked."""
+        """Add an action that selects a tool; unchecked, the mouse only rotates."""
         tools = self._window.tools
         CheckMark(
             self._switch(menu, title),
@@ -240,7 +240,7 @@ class Menus:
         window.setWindowState(window.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _one_of(self, menu: QMenu, *fields: str) -> None:
-        """An action for each value of each setting, with a line between settings."""
+        """Add exclusive actions for the values of each setting."""
         menu.setObjectName(menu.title().replace("&", "menu_").lower())
         for field in fields:
             group = QActionGroup(menu)
@@ -265,7 +265,7 @@ class Menus:
         return action
 
     def _switch(self, menu: QMenu, title: str, keys: str = "") -> QAction:
-        """An action with a check mark, to be bound to a choice or to follow something else."""
+        """Add a checkable action."""
         action = QAction(title, menu, checkable=True)
         action.setShortcut(QKeySequence(keys))
         menu.addAction(action)
@@ -321,7 +321,7 @@ class Menus:
         endpoint, chosen = QInputDialog.getText(
             self._bar,
             "Publish results",
-            "Listen at (127.0.0.1: this computer only; a network address: others, too)",
+            "Listen at (127.0.0.1: this computer only; a network address: others too)",
             text=state.settings.publish_at,
         )
         if chosen:
@@ -352,7 +352,7 @@ class Menus:
             self._window.controller.opening.use_ground_truth(path)
 
     def _close(self) -> None:
-        """Close the recording or the live source; what is being recorded is whole then."""
+        """Close the recording or the live source; a running recording is completed."""
         self._window.live_controller.disconnect_all()
         self._window.controller.opening.close_source()
 
@@ -375,18 +375,18 @@ class Menus:
 
 
 class CheckMark(QObject):
-    """Keeps an action's mark what `is_on` says, also where turning it on or off is refused.
+    """Keeps an action's check mark equal to `is_on`, even if switching fails.
 
-    It lives as long as the action; a lambda that a signal holds would keep the window alive.
+    Owned by the action, as a lambda connected to a signal would keep the window alive.
 
-    `*changed`: It may have been turned on or off.
+    `*changed`: Signals after which the state may differ.
     """
 
     def __init__(
         self,
         action: QAction,  # Checkable
-        is_on: Callable[[], bool],  # Whether what the action stands for is on
-        turn: Callable[[bool], object],  # Turns it on or off
+        is_on: Callable[[], bool],
+        turn: Callable[[bool], object],  # Switches it on or off
         *changed: SignalInstance,
     ) -> None:
         super().__init__(action)

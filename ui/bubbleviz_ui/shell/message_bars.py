@@ -1,4 +1,4 @@
-"""Bars above the view: what went wrong, what one waits for, how to begin; and what went well."""
+"""Bars above the view: errors and warnings, progress, first-run hint, notices; step buttons."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 
-SHOWN_AFTER_MS = 400
-"""What is done sooner needs no bar."""
+BUSY_AFTER_MS = 400
+"""Delay before the progress bar appears."""
 NOTICE_MS = 6000
-"""Long enough to read a path and to reach a button."""
+"""Duration of a notice, enough to read a path and click a button."""
 GAP = 16
-"""Between the menus and a notice, screen pixels."""
+"""Distance of a notice from the menus, screen pixels."""
 HINT = (
-    "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → go frame by frame. "
-    "Ctrl+K finds everything else; hold the mouse over a control to see what it does."
+    "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → step by one frame. "
+    "Ctrl+K finds all commands; hold the mouse over a control to see what it does."
 )
 
 
 class _Bar(QFrame):
-    """A line of text with buttons; hidden while there is nothing to say."""
+    """A line of text with buttons; initially hidden."""
 
     def __init__(self, parent: QWidget, name: str, *widgets: QWidget) -> None:
         super().__init__(parent)
@@ -52,9 +52,9 @@ class _Bar(QFrame):
 
 
 class MessageBar(_Bar):
-    """Warnings and errors, which stay until they are dismissed: errors first, then the newest."""
+    """Warnings and errors until they are dismissed: errors first, then the newest."""
 
-    asked = Signal()  # The user wants to read all messages
+    open_requested = Signal()  # Open the list of all messages
 
     def __init__(self, parent: QWidget) -> None:
         self._open: list[UserMessage] = []
@@ -66,25 +66,25 @@ class MessageBar(_Bar):
         self.dismiss.setToolTip("Next message; Help → Messages lists all")
         super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
         self.kind.show()
-        self.more.clicked.connect(self.asked)
+        self.more.clicked.connect(self.open_requested)
         self.copy.clicked.connect(
             lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open))
         )
         self.dismiss.clicked.connect(lambda: self._keep(lambda message: message is not self._shown))
 
     def show_message(self, message: UserMessage) -> None:
-        """Show a message; one that is told again counts once."""
+        """Show a message; a repeated one replaces the earlier."""
         same = (message.kind, message.text)
         self._open = [other for other in self._open if (other.kind, other.text) != same]
         self._open.append(message)
         self._show_open()
 
     def drop_warnings(self) -> None:
-        """Remove warnings: the source they are about is closed."""
+        """Remove warnings, when their source is closed."""
         self._keep(lambda message: message.kind == "error")
 
     def drop_topic(self, topic: str) -> None:
-        """Remove what went wrong with something that has succeeded since."""
+        """Remove messages of a topic, after a success."""
         self._keep(lambda message: message.topic != topic)
 
     @property
@@ -93,7 +93,7 @@ class MessageBar(_Bar):
         return (errors or self._open)[-1]
 
     def _keep(self, wanted: Callable[[UserMessage], bool]) -> None:
-        """Remove all other messages."""
+        """Keep only the wanted messages."""
         self._open = [message for message in self._open if wanted(message)]
         self._show_open()
 
@@ -103,7 +103,7 @@ class MessageBar(_Bar):
             return
         shown = self._shown
         self.setObjectName(shown.kind)
-        self.style().polish(self)  # the style sheet goes by the name
+        self.style().polish(self)  # the style sheet selects by object name
         self.kind.setText(shown.kind.capitalize())
         self.label.setText(shown.text)
         self.more.setText(f"{len(self._open) - 1} more…")
@@ -112,42 +112,44 @@ class MessageBar(_Bar):
 
 
 class NoticeBar(QFrame):
-    """What went well, for some seconds; with the file that was written.
+    """Notice of a success for some seconds, with the file that was written.
 
-    It takes what the menus leave of their bar, so that nothing below moves.
+    It is shown in the free part of the menu bar, so that nothing below moves.
     """
 
-    asked = Signal(object)  # The user wants to open a file: its path
+    open_requested = Signal(object)  # Path of a file or folder to open
 
     def __init__(self, bar: QMenuBar) -> None:
         super().__init__(bar)
         self.setObjectName("notice")
         self._bar, self._room = bar, QSize()
         self._file: Path | None = None
-        self.label = Elided(Qt.TextElideMode.ElideMiddle)  # a path's ends say most
+        self.label = Elided(Qt.TextElideMode.ElideMiddle)  # keep both ends of a path
         self.open = _button("Open", "Open the file here, or in the desktop's program for its kind")
         self.folder = _button("Show in folder", "Open the folder it is in")
         self.dismiss = _button("Dismiss", "Close; Help → Messages lists all")
         buttons = self.open, self.folder, self.dismiss
         fill(QHBoxLayout(self), (self.label, 1), *buttons, margins=(8, 0, 4, 0), spacing=2)
         self._due = QTimer(self, interval=NOTICE_MS)
-        self._due.timeout.connect(self._leave)
-        self.open.clicked.connect(lambda: self.asked.emit(self._file))
-        self.folder.clicked.connect(lambda: self.asked.emit(self._file and self._file.parent))
+        self._due.timeout.connect(self._hide_unless_hovered)
+        self.open.clicked.connect(lambda: self.open_requested.emit(self._file))
+        self.folder.clicked.connect(
+            lambda: self.open_requested.emit(self._file and self._file.parent)
+        )
         self.dismiss.clicked.connect(self.hide)
         self.hide()
         bar.setCornerWidget(self)
 
     def sizeHint(self) -> QSize:
-        """No wider than what the menus leave, and no higher than they are."""
+        """At most the free space of the menu bar."""
         return super().sizeHint().boundedTo(self._room)
 
     def minimumSizeHint(self) -> QSize:
-        """It is as large as it asks to be."""
+        """The same as the size hint."""
         return self.sizeHint()
 
     def show_message(self, message: UserMessage) -> None:
-        """Show a message in place of the one before."""
+        """Show a message in place of the previous one."""
         self.label.setText(message.text)
         self.label.setToolTip(message.text)
         self._file = None if message.file is None else message.file.absolute()
@@ -159,8 +161,8 @@ class NoticeBar(QFrame):
         self._room = QSize(self._bar.width() - menus.right() - GAP, menus.height())
         self.show()
 
-    def _leave(self) -> None:
-        if not self.underMouse():  # somebody is about to click
+    def _hide_unless_hovered(self) -> None:
+        if not self.underMouse():  # else the user may be about to click
             self._due.stop()
             self.hide()
 
@@ -174,7 +176,7 @@ def _button(text: str, tip: str) -> QToolButton:
 
 
 class BusyBar(_Bar):
-    """What is being opened or closed, once it takes a while."""
+    """Progress of opening or closing, shown if it takes a while."""
 
     def __init__(self, parent: QWidget) -> None:
         self.progress = QProgressBar(minimum=0, maximum=0)
@@ -182,11 +184,11 @@ class BusyBar(_Bar):
         self.cancel = QPushButton("Cancel")
         self.cancel.setToolTip("The current source stays open")
         super().__init__(parent, "busy", self.progress, self.cancel)
-        self._due = QTimer(self, singleShot=True, interval=SHOWN_AFTER_MS)
+        self._due = QTimer(self, singleShot=True, interval=BUSY_AFTER_MS)
         self._due.timeout.connect(self.show)
 
     def wait_for(self, what: str) -> None:
-        """Say what is being done, unless it is over soon; nothing: it is over."""
+        """Show a progress text after a delay; empty: finished."""
         self.label.setText(what)
         if what and not self.isVisible():
             self._due.start()
@@ -196,7 +198,7 @@ class BusyBar(_Bar):
 
 
 class HintBar(_Bar):
-    """What a new user should know, once."""
+    """First-run hint."""
 
     def __init__(self, parent: QWidget) -> None:
         self.understood = QPushButton("Got it")
@@ -205,15 +207,15 @@ class HintBar(_Bar):
         self.understood.clicked.connect(self.hide)
 
 
-# Steps in a row: number, name, and how far each is.
+# A row of step buttons with number, name and state.
 
 
 SMALL = "font-size: 8pt;"
-"""Seven names have room in a panel of 380 pixels."""
+"""Seven names fit in a panel of 380 pixels."""
 
 
 class StepState(Enum):
-    """How far a step is; its value is the mark on its button."""
+    """State of a step; the value is the mark on its button."""
 
     TO_DO = ""
     DONE = " ✓"
@@ -221,20 +223,20 @@ class StepState(Enum):
 
     @property
     def words(self) -> str:
-        """For people."""
+        """Text for tool tips."""
         return self.name.replace("_", " ").lower()
 
 
 class StepButtons(QButtonGroup):
-    """A button for each step; one is checked.
+    """Exclusive buttons of the steps.
 
-    `titles`: In full, by the name on the button.
+    `titles`: Full titles by the name on the button.
     """
 
     def __init__(self, parent: QWidget, titles: Mapping[str, str]) -> None:
         super().__init__(parent)
         self._titles = titles
-        self.row = QWidget()  # Has the buttons
+        self.row = QWidget()  # Contains the buttons
         for number in range(len(titles)):
             button = QToolButton()
             button.setCheckable(True)
@@ -243,7 +245,7 @@ class StepButtons(QButtonGroup):
         fill(QHBoxLayout(self.row), *self.buttons(), 1, margins=(0, 0, 0, 0), spacing=1)
 
     def show_states(self, states: Sequence[StepState]) -> None:
-        """Say of each step how far it is."""
+        """Show the state of each step."""
         colours = theme.of(self.row)
         colour = {StepState.DONE: colours.good, StepState.NEEDS_ATTENTION: colours.doubtful}
         named = zip(self._titles.items(), states, strict=True)

@@ -1,4 +1,4 @@
-"""Everything the menus offer, by name, and the keys for it: the user's where they were changed."""
+"""Fuzzy search of menu actions, and keyboard shortcuts that the user can change."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.shell.dock import fill
 
-# Fuzzy search: letters in order, better close together and where words begin.
+# Fuzzy search: letters in order, scored by adjacency and word starts.
 
 
 STEP = " › "
-"""Between the names of menus and of what is in them."""
-AT_WORD, NEXT_TO, GAP = 3.0, 2.0, 0.05  # scores of a letter; chosen
+"""Separator of menu names in the path of an action."""
+AT_WORD, NEXT_TO, GAP = 3.0, 2.0, 0.05  # scores of a letter
 
 
 def score(query: str, text: str) -> float | None:
-    """How well a text fits what was typed; None when its letters are not there in this order."""
+    """Match score of a text; None if it does not contain the letters in this order."""
     wanted, there = query.lower().replace(" ", ""), text.lower()
-    best: list[float | None] = [None] * len(there)  # of matches that end at each letter
+    best: list[float | None] = [None] * len(there)  # best score of matches ending at each letter
     if not wanted:
         return 0.0
     for k, letter in enumerate(wanted):
         now: list[float | None] = [None] * len(there)
-        before: float | None = 0.0 if k == 0 else None  # best that ended further left, with gaps
+        before: float | None = 0.0 if k == 0 else None  # best score so far, minus gaps
         for i, other in enumerate(there):
             if other == letter:
                 candidates = [] if before is None else [before]
@@ -61,16 +61,16 @@ def score(query: str, text: str) -> float | None:
 
 
 def ranked(query: str, paths: list[str]) -> list[str]:
-    """Paths of items that fit, the best first; equally good ones in the order given.
+    """Matching paths, best first; equal ones in the given order.
 
-    Words of an item's own name come before those of its path, and words before scattered letters.
+    Matches in an item's own name rank before its path, and words before scattered letters.
     """
     ranks = {path: rank for path in paths if (rank := _rank(query, path)) is not None}
     return sorted(ranks, key=lambda path: ranks[path])
 
 
 def _rank(query: str, path: str) -> tuple[int, float] | None:
-    """Kind of the match and how poor it is among its kind; None for no match."""
+    """Sort key: kind of the match, negative score; None for no match."""
     name = path.split(STEP)[-1]
     of_name, of_path = score(query, name), score(query, path)
     typed = query.lower().split()
@@ -86,7 +86,7 @@ def _rank(query: str, path: str) -> tuple[int, float] | None:
 
 
 def _begin(typed: list[str], text: str) -> bool:
-    """Whether each word that was typed begins a word of the text."""
+    """Whether each typed word is the start of a word of the text."""
     return all(any(word.startswith(part) for word in _words(text)) for part in typed)
 
 
@@ -94,23 +94,23 @@ def _words(text: str) -> list[str]:
     return re.findall(r"\w+", text.lower())
 
 
-UNLISTED = "unlisted"
-"""Property of a menu whose actions come and go, such as recent files."""
+DYNAMIC = "unlisted"
+"""Property of a menu with changing actions, such as recent files."""
 
 
 class Shortcuts(QObject):
-    """Keys of a window's actions."""
+    """Keyboard shortcuts of a window's actions."""
 
-    edited = Signal()  # Some action has other keys
+    edited = Signal()  # Some shortcuts changed
 
     def __init__(self, bar: QMenuBar) -> None:
         super().__init__(bar)
-        self.actions = dict(_named(bar, ""))  # Actions of the menus by name: `View › Theme › Dark`
+        self.actions = dict(_named(bar, ""))  # By path: `View › Theme › Dark`
         self._defaults = {name: list(a.shortcuts()) for name, a in self.actions.items()}
 
     @property
     def changed(self) -> dict[str, str]:
-        """Keys by action where they are not the default ones; empty for none."""
+        """Changed keys by action; empty text: no keys."""
         return {
             name: QKeySequence.listToString(action.shortcuts())
             for name, action in self.actions.items()
@@ -118,12 +118,12 @@ class Shortcuts(QObject):
         }
 
     def keys(self, name: str) -> str:
-        """Keys of an action as the platform writes them."""
+        """Keys of an action in the platform's notation."""
         native = QKeySequence.SequenceFormat.NativeText
         return "  or  ".join(keys.toString(native) for keys in self.actions[name].shortcuts())
 
-    def taken_by(self, keys: QKeySequence, name: str) -> str | None:
-        """Other action that has these keys, or begins with them, or that they begin with."""
+    def used_by(self, keys: QKeySequence, name: str) -> str | None:
+        """Another action with these keys, or with keys of which one is the start of the other."""
         none = QKeySequence.SequenceMatch.NoMatch
         for other, action in self.actions.items():
             for theirs in action.shortcuts() if other != name else ():
@@ -132,11 +132,11 @@ class Shortcuts(QObject):
         return None
 
     def set_keys(self, name: str, keys: QKeySequence) -> str:
-        """Give an action other keys; empty keys take them away.
+        """Set the keys of an action; empty keys remove them.
 
-        Returns str: Why not, in one sentence; empty when it is done.
+        Returns str: Error message, or empty.
         """
-        other = self.taken_by(keys, name) if not keys.isEmpty() else None
+        other = self.used_by(keys, name) if not keys.isEmpty() else None
         if other is not None:
             native = keys.toString(QKeySequence.SequenceFormat.NativeText)
             return f"{native} is used by “{other}”; choose other keys or remove them there."
@@ -145,9 +145,9 @@ class Shortcuts(QObject):
         return ""
 
     def reset(self, name: str) -> str:
-        """Give an action its default keys again; says why not, as `set_keys`."""
+        """Restore the default keys of an action; returns an error message or empty."""
         for keys in self._defaults[name]:
-            other = self.taken_by(keys, name)
+            other = self.used_by(keys, name)
             if other is not None:
                 native = keys.toString(QKeySequence.SequenceFormat.NativeText)
                 return f"{native} is used by “{other}” now; reset that first."
@@ -156,17 +156,17 @@ class Shortcuts(QObject):
         return ""
 
     def reset_all(self) -> None:
-        """Give every action its default keys again."""
+        """Restore the default keys of all actions."""
         for name, action in self.actions.items():
             action.setShortcuts(self._defaults[name])
         self.edited.emit()
 
     def use(self, changed: Mapping[str, str]) -> None:
-        """Take keys from a session, the default ones for the rest; what is taken stays as it is."""
+        """Apply the changed keys of a session, and defaults for the rest; conflicts are skipped."""
         for name, action in self.actions.items():
             action.setShortcuts(self._defaults[name])
         for name in changed.keys() & self.actions.keys():
-            self.actions[name].setShortcuts([])  # first room for all, then each in its place
+            self.actions[name].setShortcuts([])  # first clear all, so that keys can be swapped
         for name, text in changed.items():
             for keys in QKeySequence.listFromString(text) if name in self.actions else ():
                 self.set_keys(name, keys)
@@ -178,20 +178,20 @@ def _named(menu: QMenuBar | QMenu, path: str) -> Iterator[tuple[str, QAction]]:
         name = path + action.text().replace("&", "").rstrip("…")
         inner = action.menu()
         if isinstance(inner, QMenu):
-            if not inner.property(UNLISTED):
+            if not inner.property(DYNAMIC):
                 yield from _named(inner, name + STEP)
         elif not action.isSeparator():
             yield name, action
 
 
-# The dialog that lists the keys of every action and changes them.
+# Dialog that lists and changes the keys of all actions.
 
 
-SIZE = (560, 520)  # px: fits a screen of 1024×700
+SIZE = (560, 520)  # px
 
 
 class ShortcutsDialog(QDialog):
-    """Find an action, press new keys for it. Keys that are taken are refused with a sentence."""
+    """Lists all actions and edits their keys; conflicting keys are rejected with a message."""
 
     def __init__(self, parent: QWidget, shortcuts: Shortcuts) -> None:
         super().__init__(parent)
@@ -218,7 +218,7 @@ class ShortcutsDialog(QDialog):
 
     @property
     def name(self) -> str:
-        """The action that is chosen."""
+        """The selected action."""
         item = self.table.item(self.table.currentRow(), 0)
         return item.text() if item is not None else ""
 
@@ -245,15 +245,15 @@ class ShortcutsDialog(QDialog):
         self.table.cellDoubleClicked.connect(lambda *_: self.keys.setFocus())
         self.set.clicked.connect(lambda: self._set(self.keys.keySequence()))
         self.clear.clicked.connect(lambda: self._set(QKeySequence()))
-        self.reset.clicked.connect(lambda: self._say(self._shortcuts.reset(self.name)))
+        self.reset.clicked.connect(lambda: self._show_problem(self._shortcuts.reset(self.name)))
         self.reset_all.clicked.connect(self._shortcuts.reset_all)
         self._shortcuts.edited.connect(self._fill)
 
     def _set(self, keys: QKeySequence) -> None:
         if self.name:
-            self._say(self._shortcuts.set_keys(self.name, keys))
+            self._show_problem(self._shortcuts.set_keys(self.name, keys))
 
-    def _say(self, problem: str) -> None:
+    def _show_problem(self, problem: str) -> None:
         self.problem.setText(problem)
 
     def _fill(self) -> None:
@@ -263,7 +263,7 @@ class ShortcutsDialog(QDialog):
         self._show_keys()
 
     def _show_keys(self) -> None:
-        self._say("")
+        self._show_problem("")
         action = self._shortcuts.actions.get(self.name)
         if action is not None:
             self.keys.setKeySequence(action.shortcut())

@@ -1,4 +1,4 @@
-"""Dialogs with text to read: the messages, what a recording has in it, the pages."""
+"""Dialogs with text: messages, contents of a recording, documentation."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.sensor.sensor_panel import title_text
 from bubbleviz_ui.shell.dock import fill
 
-SIZE = (640, 360)  # px: fits a screen of 1024×700
+SIZE = (640, 360)  # px
 PAGES_SIZE = (860, 620)
 HOME = "index.md"
 
 
 class TextDialog(QDialog):
-    """Text that can be copied as a whole."""
+    """Text with a button to copy all of it."""
 
     def __init__(self, parent: QWidget, title: str, copied: str) -> None:
         super().__init__(parent)
@@ -45,15 +45,15 @@ class TextDialog(QDialog):
         fill(QVBoxLayout(self), self.text, fill(QHBoxLayout(), 1, self.copy))
 
     def report(self) -> str:
-        """What is copied."""
+        """Text to copy."""
         return self.text.toPlainText()
 
 
 class MessagesDialog(TextDialog):
-    """Time, kind and text of each message, the newest last; new ones come while it is open."""
+    """All messages with time and kind, newest last; updated while it is open."""
 
     def __init__(self, parent: QWidget, messages: Messages) -> None:
-        copied = "All messages, with the details of those that have some"
+        copied = "All messages with their details"
         super().__init__(parent, "Messages of this session", copied)
         self._messages = messages
         self.text.setPlaceholderText("No messages yet")
@@ -70,7 +70,7 @@ class MessagesDialog(TextDialog):
 
 
 class InformationDialog(TextDialog):
-    """What `bubbleviz info` says of the recording that is open, or what a live source is."""
+    """Output of `bubbleviz info` for the open recording, or a description of a live source."""
 
     def __init__(self, parent: QWidget, controller: Controller, worker: Worker) -> None:
         super().__init__(parent, "Information", "All lines, as bubbleviz info prints them")
@@ -98,7 +98,7 @@ class InformationDialog(TextDialog):
 
 
 class PagesDialog(QDialog):
-    """The pages of the documentation, which are installed with the program."""
+    """The documentation installed with the program."""
 
     def __init__(self, parent: QWidget, folder: Path) -> None:
         super().__init__(parent)

@@ -1,4 +1,4 @@
-"""Every colour of the window, dark and light, and the style sheet made of them."""
+"""Dark and light theme: colours and style sheet."""
 
 from __future__ import annotations
 
@@ -13,58 +13,58 @@ from bubbleviz_ui.model.settings import ThemeName
 
 _FOLDER = Path(__file__).parent.as_posix()
 
-# Colours that mean something; they are the same in every theme.
+# Colours with a meaning, the same in every theme.
 NEUTRAL = "#8c97a5"
-"""The membrane where nothing touches it."""
+"""The membrane without contact."""
 WIREFRAME = "#5d6876"
 LINE, FAINT_LINE = "#ffffff", "#d4d8dd"
-"""Opaque: translucent lines would take a second rendering pass over the whole view."""
+"""Opaque, as translucent lines would need a second render pass."""
 FORCE = "#35d0ba"
 NEARER = "#2a6fff"
 FARTHER = "#13a35b"
 PATCH_POINT = "#b4f52e"
 UNKNOWN = "#5b6470"
-"""Where there is no number."""
+"""Missing values."""
 NODE = "#ff5ccd"
 CONTACT = "#e0662f"
 UNTRUSTED = "#b558d6"
-"""Frames whose numbers are not to be trusted, and pressure without evidence of contact."""
+"""Untrusted frames, and pressure without evidence of contact."""
 BETWEEN = "#e8edf2"
-"""Middle of a diverging map that lies on the membrane."""
+"""Middle of a diverging map on the membrane."""
 AMBER = "#f2b233"
 GAP = "#e5484d"
 BLUE, ORANGE, GREEN = "#4c9fe8", "#f0883e", "#35c07a"
-"""Curves; told apart with any colour vision, on dark and on light."""
+"""Curves; distinguishable with any colour vision, on dark and on light."""
 COMPARED = "#37c8ff", "#b4f52e"
 """Outlines of the settings A and B of Compare."""
 OBJECT_PATCH = "#3dff8f"
-"""Outline of the patch by the object, which is green when it is found, too."""
+"""Outline of the patch by the object; green like an object that was found."""
 YELLOW = "#f2c14e"
-"""What is simulated."""
+"""Simulated sources."""
 ON_BADGE = "#0b1118"
-"""Words on a badge of a colour that is the same in every theme."""
+"""Text on a badge."""
 
 
 @dataclass(frozen=True)
 class Colours:
-    """A theme."""
+    """Colours of a theme."""
 
-    view: str  # view, cloud, rim, frustum: The 3-D view: background, plain points, lines
+    view: str  # view, cloud, rim, frustum: 3-D view: background, points, lines
     cloud: str
     rim: str
     frustum: str
-    window: str  # window, panel, field, border: Surfaces, from the window's to those one writes on
+    window: str  # window, panel, field, border: Surfaces; `field` of input widgets
     panel: str
     field: str
     border: str
-    text: str  # text, dim, disabled: Text, and what matters less
+    text: str  # text, dim, disabled: Text
     dim: str
     disabled: str
-    # accent, on_accent, tick: What is chosen, text on it, and the picture of a tick on it
+    # accent, on_accent, tick: Selection, text on it, and file of the check mark on it
     accent: str
     on_accent: str
     tick: str
-    button: str  # button, hover, outline: Buttons, and the frame of check boxes
+    button: str  # button, hover, outline: Buttons, and frame of check boxes
     hover: str
     outline: str
     error: str  # error, error_edge, warning, warning_edge: The message bar
@@ -137,28 +137,28 @@ LIGHT = Colours(
 
 
 def of(widget: QWidget) -> Colours:
-    """Theme that a widget has now."""
+    """Current theme of a widget."""
     return with_text(widget.palette().color(QPalette.ColorRole.Text))
 
 
 def with_text(colour: QColor) -> Colours:
-    """Theme that has text of this colour."""
+    """Theme with text of this colour."""
     return DARK if colour.lightness() > 127 else LIGHT
 
 
 def chosen(theme: ThemeName, scheme: Qt.ColorScheme) -> Colours:
-    """Colours of a choice; a system that does not say what it has gets the dark ones."""
+    """Colours for a theme setting; dark if the system's scheme is unknown."""
     light = theme == "light" or (theme == "system" and scheme == Qt.ColorScheme.Light)
     return LIGHT if light else DARK
 
 
 def system_scheme() -> Qt.ColorScheme:
-    """What the desktop has, where it says so."""
+    """Colour scheme of the desktop, possibly unknown."""
     return QApplication.styleHints().colorScheme()
 
 
 def apply(application: QApplication, colours: Colours) -> None:
-    """Give every window of the application a theme."""
+    """Apply a theme to the application."""
     new = palette(colours)
     if application.palette() != new or not application.styleSheet():
         application.setPalette(new)
