@@ -35,7 +35,7 @@ def film(recording: Path, out: Path) -> None:
         window = session.window
         window.resize(1280, 800)
         window.show()
-        session.settle()
+        session.wait_until_drawn()
         session.state.change(picture_size=SIZE, speed=SPEED)
         window.exporting.notified.connect(lambda message: print(message.text))
         video = next(kind for kind in KINDS if kind.is_video)

@@ -73,7 +73,7 @@ def settled(session: WindowSession) -> None:
         ),
         "the frame",
     )
-    session.settle()
+    session.wait_until_drawn()
 
 
 def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
@@ -82,7 +82,7 @@ def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
         session.window.resize(*size)
         settled(session)
     rest(session)
-    session.settle()
+    session.wait_until_drawn()
     session.save(out)
     in_few_colours(out)
 
@@ -101,7 +101,7 @@ def in_few_colours(out: Path) -> None:
 
 def pop_up(session: WindowSession, kind: type[QWidget], out: Path) -> None:
     """Write a dialog that has just been opened, and close it."""
-    session.settle()
+    session.wait_until_drawn()
     (dialog,) = (each for each in session.window.findChildren(kind) if each.isVisible())
     dialog.grab().save(str(out))
     dialog.close()
@@ -227,7 +227,7 @@ def opened(*arguments: Any, **named: Any) -> Iterator[WindowSession]:
     with window_session(*arguments, **named) as session:
         session.window.resize(*LARGE)
         session.window.show()
-        session.settle()
+        session.wait_until_drawn()
         yield session
 
 

@@ -94,7 +94,7 @@ def monkey_run(
     """
     report = Report()
     with _caught(report), bench_window(sensor, recording) as session:
-        session.settle()
+        session.wait_until_drawn()
         session.controller.failed.connect(
             lambda failed: report.problems.append(failed.details) if failed.details else None
         )

@@ -67,7 +67,7 @@ def _start(code: str) -> float:
 def seek_times(sensor: Sensor, recording: Path, seeks: int = 60, seed: int = 0) -> dict[str, float]:
     """Time from a seek anywhere to the picture of that frame, ms; errors as of `start_times`."""
     with bench_window(sensor, recording, 0) as session:
-        session.settle()
+        session.wait_until_drawn()
         frames = session.state.facts.frames if session.state.facts else 0
         order = np.random.default_rng(seed).integers(0, frames, seeks)
         took = [_seek(session, int(frame)) for frame in order if int(frame) != session.state.frame]

@@ -1,4 +1,4 @@
-"""A real window per test, and nothing of it left afterwards."""
+"""Fixtures for windows, with a check for leaks."""
 
 import gc
 import threading
@@ -22,7 +22,7 @@ from bubbleviz_ui.view3d.render_view import FAST, View
 from bubbleviz_ui.window_session import application
 
 SIZE = 1024, 700
-"""Smallest that the window is made for, px; pictures of larger ones take their time here."""
+"""Smallest supported size, px; larger windows render slowly here."""
 
 
 @pytest.fixture(scope="session")
@@ -38,13 +38,13 @@ def press(sensor):
 
 @pytest.fixture(scope="session")
 def qapp():
-    """The window's own application, in tests without a window as well."""
+    """The Qt application, also in tests without a window."""
     return application()
 
 
 @pytest.fixture
 def new_window(qtbot, qapp):
-    """Make windows on which nothing is open yet; each is closed after the test."""
+    """Create windows without a source; closed after the test."""
     windows: list[MainWindow] = []
 
     def make(quality=FAST):
@@ -69,10 +69,10 @@ def drive(qtbot, new_window, sensor, press):
     def make(open_source=lambda _: press, sensor=sensor, quality=FAST, **at):
         driver = Driver(qtbot, new_window(quality))
         playing = at.setdefault("playing", False)
-        driver.opens("press", open_source, sensor, **at)
+        driver.open("press", open_source, sensor, **at)
         driver.window.show()
         driver.wait(lambda: driver.window.controller.result is not None)
-        driver.settle() if not playing else None
+        driver.wait_until_shown() if not playing else None
         return driver
 
     return make
@@ -80,7 +80,7 @@ def drive(qtbot, new_window, sensor, press):
 
 @pytest.fixture
 def open_bench(qtbot, new_window, tmp_path):
-    """Open windows for live sources, on which nothing is open yet."""
+    """Open windows for live sources, without a source."""
 
     def make():
         bench = Bench(qtbot, new_window(), tmp_path)
@@ -91,7 +91,7 @@ def open_bench(qtbot, new_window, tmp_path):
 
 
 @pytest.fixture(autouse=True)
-def nothing_left():
+def no_leaks():
     """Fail a test that leaves a window, a VTK render window or a solver thread alive."""
     yield
     app = QApplication.instance()
@@ -101,11 +101,11 @@ def nothing_left():
     app.processEvents()
     gc.collect()
     left = [object.__repr__(w) for w in QApplication.topLevelWidgets()]
-    # not isinstance, which asks proxies, and they may be dead; types, of which there are few
+    # types instead of isinstance, which fails for dead proxies
     objects = gc.get_objects()
     kinds = {kind for kind in {*map(type, objects)} if issubclass(kind, (View, vtkRenderWindow))}
     left += [object.__repr__(o) for o in objects if type(o) in kinds] if kinds else []
     del objects
     left += [t.name for t in threading.enumerate() if t.name.startswith(("solver", "calibration"))]
     assert not left, f"left alive: {left}"
-    gc.freeze()  # the next test looks at its own objects only, not at every module's
+    gc.freeze()  # the next test scans only its own objects

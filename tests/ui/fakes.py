@@ -1,4 +1,4 @@
-"""Small sensors and sources that are fast enough to drive a window with."""
+"""Small sensors and fast sources for window tests."""
 
 import time
 from dataclasses import replace
@@ -16,7 +16,7 @@ FRAMES = 12
 
 
 def small_sensor(name="small dome", nodes=200, prestretch=None):
-    """Dome of 75 mm radius seen by a camera of 80×60 pixels; of rubber where it is prestretched."""
+    """Dome of 75 mm radius with a camera of 80×60 pixels; of rubber if prestretched."""
     return Sensor(
         name=name,
         membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=nodes, prestretch=prestretch),
@@ -29,7 +29,7 @@ def small_sensor(name="small dome", nodes=200, prestretch=None):
 
 
 def record(path, frames):
-    """A recording of frames."""
+    """Write frames to a recording."""
     with RecordingWriter(path) as writer:
         for frame in frames:
             writer.write(frame)
@@ -37,7 +37,7 @@ def record(path, frames):
 
 
 class DentSource:
-    """Dome with a dent beside its apex that grows frame by frame, after frames without one."""
+    """Dome with an off-centre dent that grows frame by frame, after contact-free frames."""
 
     def __init__(self, sensor, *, broken_from=None, slow_s=0.0):
         self.name = "dent"
@@ -72,7 +72,7 @@ class DentSource:
 
 
 class GappySource(DentSource):
-    """Lacks three frames after its fifth."""
+    """The dent, with three frames missing after the fifth."""
 
     def __init__(self, sensor):
         super().__init__(sensor)
@@ -109,7 +109,7 @@ class ColouredSource(DentSource):
 
 
 class SpeckledSource(DentSource):
-    """A membrane with a printed texture that nothing touches, in 25 frames.
+    """Contact-free membrane with a printed texture, 25 frames.
 
     Those of frames `halved` are half as wide and high; no camera info is known without `info`.
     """

@@ -33,7 +33,7 @@ def sensor_file(folder, name="robot_dome", **pneumatics):
     return str(path)
 
 
-def two(folder, source="synthetic:?frames=6"):
+def sensor_pair_preset(folder, source="synthetic:?frames=6"):
     """Two small sensors that face each other along the world's y."""
     name, half = sensor_file(folder), 0.5**0.5
     return SessionPreset(
@@ -68,7 +68,7 @@ class Bench(Driver):
         return self.live_controller.run
 
     @property
-    def shown(self):
+    def shown_frame(self):
         """Number of the frame that is shown; -1 before the first."""
         result = self.window.controller.result
         return -1 if result is None else result.frame.index
@@ -76,16 +76,16 @@ class Bench(Driver):
     def connect(self, preset):
         """Connect and wait for pictures of frames that come live."""
         self.live_controller.connect_to(preset)
-        self.follow()
+        self.wait_for_frames()
 
-    def follow(self, frames=3):
+    def wait_for_frames(self, frames=3):
         """Wait until so many more frames were shown."""
         facts = self.state.facts
-        before = self.shown if facts is not None and facts.grows else 0
+        before = self.shown_frame if facts is not None and facts.grows else 0
         self.wait(lambda: self.state.facts is not None and self.state.facts.grows)
-        self.wait(lambda: self.shown >= before + frames)
+        self.wait(lambda: self.shown_frame >= before + frames)
 
-    def messages_come(self, count, sensor=0):
+    def wait_for_messages(self, count, sensor=0):
         """Wait until so many more messages of a sensor have arrived."""
         stream = self.run.session.sensors[sensor].stream
         enough = stream.counters.received + count
@@ -121,7 +121,7 @@ class Bench(Driver):
 SYNTHETIC = "synthetic:?frames=6"
 
 
-def connected(open_bench):
+def connected_bench(open_bench):
     """A window on one simulated sensor."""
     live = open_bench()
     live.connect(single(SYNTHETIC, sensor_file(live.folder)))
@@ -134,7 +134,7 @@ def record_dents(path, presses=5):
     return record(path, (replace(f, index=k, time_s=k / 30.0) for k, f in enumerate(dents)))
 
 
-def contents(path):
+def messages_by_type(path):
     """Messages of a recording by type, read by the `mcap` library itself."""
     found: dict[str, list[Any]] = {}
     with path.open("rb") as file:

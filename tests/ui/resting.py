@@ -1,4 +1,4 @@
-"""A dome at rest and then pressed, with gas pressure and noise, known exactly."""
+"""A dome at rest and then pressed, with known gas pressure and noise."""
 
 import time
 from functools import cache
@@ -11,12 +11,12 @@ from bubbleviz.recordings import Frame
 
 REST, FRAMES = 20, 30
 TENSION = 2585.5 * 0.08125 / 2.0
-"""Of the small sensor's dome: P R / 2, N/m."""
+"""Tension of the small sensor's dome, P R / 2, N/m."""
 
 
 @cache
 def dented(sensor):
-    """Ranges without contact and with a dent that grows; they take half a second."""
+    """Ranges without contact, then with a growing dent; takes half a second."""
     mesh = build_mesh(sensor, 3000)
     view = MembraneView(DepthCamera.of(sensor.camera), mesh)
     away = np.linalg.norm(mesh.nodes[:, :2] - [0.02, 0.0], axis=1)
@@ -77,7 +77,7 @@ class RestingSource:
 
 
 def never_written(*arguments):
-    """Stands for a report that takes long."""
+    """Replaces the report by a slow one."""
     progress = next(each for each in arguments if callable(each))
     while True:
         progress("writing", 0.5)

@@ -1,4 +1,4 @@
-"""The window without a person: pictures, no display, and what it says then."""
+"""Entry points of the window: screenshots, off-screen runs, interrupts, messages."""
 
 import os
 import socket
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from fakes import small_sensor
 from PySide6.QtGui import QImage
-from window_driver import as_pixels, run_python, warm
+from window_driver import as_pixels, pressure_coloured, run_python
 
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
@@ -43,12 +43,12 @@ with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None) 
 
 
 def run(what, **environment):
-    """Run a call in a process that has no display."""
+    """Run a call in a process without a display."""
     return run_python(PROGRAM.format(what=what), display=False, **environment)
 
 
 def in_window(body):
-    """Run `body` with a window that plays the synthetic press, as a process of its own."""
+    """Run `body` in a process with a window that plays the synthetic press."""
     done = run_python(WINDOW.format(body=textwrap.indent(textwrap.dedent(body), "    ")))
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -61,16 +61,16 @@ def png_size(path):
     return width, height
 
 
-def test_screenshot_is_the_whole_window(tmp_path):
+def test_screenshot_shows_the_whole_window(tmp_path):
     out = tmp_path / "frame.png"
     program = f"screenshot(small_sensor(), None, 75, Path({str(out)!r}))"
     done = run(program, QT_QPA_PLATFORM="offscreen")  # as servers set it; it has no OpenGL
     assert done.returncode == 0, done.stderr
     assert png_size(out) == (1280, 800)
-    assert len(warm(as_pixels(QImage(str(out)))[:700, :1000])) > 200
+    assert len(pressure_coloured(as_pixels(QImage(str(out)))[:700, :1000])) > 200
 
 
-def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(qtbot, tmp_path):
+def test_screenshot_refuses_to_overwrite_and_a_missing_frame(qtbot, tmp_path):
     with (
         pytest.raises(InputError, match="has no frame 100000"),
         window_session(small_sensor(), None, 100_000),
@@ -84,7 +84,7 @@ def test_screenshot_refuses_to_overwrite_and_a_frame_that_is_not_there(qtbot, tm
 
 
 @pytest.mark.long
-def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path):
+def test_without_a_display_screenshots_are_written_and_listed(tmp_path):
     short = "import bubbleviz_ui.app as app; app.OFFSCREEN_SECONDS = 0.5; "
     done = run(short + "sys.exit(run_window(small_sensor()))", TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
@@ -95,7 +95,7 @@ def test_without_a_display_the_session_runs_and_names_its_pictures(tmp_path):
 
 
 @pytest.mark.long
-def test_a_picture_of_a_session_that_plays_is_of_one_frame():
+def test_screenshot_during_playback_shows_one_frame():
     printed = in_window("""
     def save(out):
         print(state.frame, session.controller.result.frame.index)
@@ -112,7 +112,7 @@ def test_a_picture_of_a_session_that_plays_is_of_one_frame():
 
 
 @pytest.mark.parametrize("pictures", [1, pytest.param(4, marks=pytest.mark.long)])
-def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures):
+def test_ctrl_c_while_drawing_exits_cleanly(pictures):
     body = f"""
     count = view.render_count
     def interrupt():
@@ -126,7 +126,7 @@ def test_ctrl_c_while_a_picture_is_drawn_ends_in_order(pictures):
 
 
 @pytest.mark.long
-def test_ctrl_c_while_something_opens_ends_in_order():
+def test_ctrl_c_while_opening_exits_cleanly():
     printed = in_window("""
     os.kill(os.getpid(), signal.SIGINT)
     try:
@@ -138,7 +138,7 @@ def test_ctrl_c_while_something_opens_ends_in_order():
 
 
 @pytest.mark.long
-def test_ctrl_c_while_libraries_are_imported_ends_in_order():
+def test_ctrl_c_during_imports_exits_cleanly():
     done = run_python("""
 import os, signal
 from fakes import small_sensor
@@ -169,31 +169,31 @@ def test_benchmark_counts_renders():
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
 
 
-def test_a_recording_that_cannot_be_opened_never_becomes_a_window(tmp_path):
+def test_no_window_appears_for_a_recording_that_cannot_be_opened(tmp_path):
     missing = tmp_path / "missing.mcap"
     done = run(f"run_window(small_sensor(), Path({str(missing)!r}))")
     assert done.returncode == 1 and "missing.mcap" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_the_real_press_is_painted_where_the_poker_is(drive, punyo_press):
+def test_real_press_shows_contact_at_the_poker(drive, punyo_press):
     driver = drive(lambda _: Recording(punyo_press), load_sensor("punyo_oval_d405"), frame=75)
-    assert len(driver.warm_pixels()) > 50
+    assert len(driver.pressure_pixels()) > 50
     driver.seek(10)
-    assert len(driver.warm_pixels()) == 0
+    assert len(driver.pressure_pixels()) == 0
 
 
-def test_a_recording_of_another_camera_brings_its_preset(drive, punyo_press):
+def test_recording_of_another_camera_opens_with_its_preset(drive, punyo_press):
     driver = drive()
     driver.window.open_file(punyo_press)
     driver.wait(lambda: driver.state.facts.frames == 90)
     assert driver.window.controller.sensor.camera.width == 640
     driver.wait(lambda: driver.result.frame.depth_m.shape == (480, 640))
-    driver.opens("press", Source.of_recording(punyo_press), load_sensor("pico_flexx_75mm"))
-    driver.told("640×480")
+    driver.open("press", Source.of_recording(punyo_press), load_sensor("pico_flexx_75mm"))
+    driver.wait_for_message("640×480")
 
 
-def test_without_a_display_that_answers_one_clear_line(tmp_path):
+def test_unusable_display_gives_one_line_of_error(tmp_path):
     assert has_display(os.environ)
     assert not has_display({"DISPLAY": ":4711"})
     assert not has_display({"DISPLAY": ""})
@@ -210,7 +210,7 @@ def test_without_a_display_that_answers_one_clear_line(tmp_path):
             assert len(done.stderr.strip().splitlines()) == 1 and told in done.stderr
 
 
-def test_a_session_outlives_the_references_to_none_that_qt_loses():
+def test_session_survives_the_references_to_none_that_pyside_loses():
     """None starts with some 10⁵ references; PySide6 6.12.0 on Python 3.11 loses one a call."""
     done = run_python("""
 from bubbleviz_ui.window_session import application

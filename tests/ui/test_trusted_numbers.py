@@ -1,4 +1,4 @@
-"""How sure a number is, wherever the window shows it; and none where there is none to trust."""
+"""Confidence intervals of shown numbers, and dashes for untrusted results."""
 
 import re
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtGui import QColor
-from window_driver import texts
+from window_driver import view_texts
 
 from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
@@ -17,7 +17,7 @@ BIAS = np.array([-0.4, -0.6, -0.5])
 
 
 class Measured(DentSource):
-    """A dent whose wrench is known, N; from a frame on, the gas pressure is of another planet."""
+    """A dent with a known wrench, N; from one frame on, an implausible gas pressure."""
 
     def __init__(self, sensor, wrong_from=FRAMES):
         super().__init__(sensor)
@@ -31,7 +31,7 @@ class Measured(DentSource):
 
 
 def analyse(driver):
-    """Have the force plot of all frames."""
+    """Show the force plot and analyse all frames."""
     driver.show("plots")
     driver.wait(lambda: bool(driver.window.plots.plots))
     driver.click(driver.window.plots.analyse)
@@ -44,7 +44,7 @@ def heading(driver):
     return re.sub(r"<[^>]*>", "", driver.window.plots.plots["force"].frame.text)
 
 
-def test_force_has_its_interval_everywhere_and_the_measured_one_beside_it(drive):
+def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(drive):
     driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
     estimate = driver.result.estimate
     force = np.linalg.norm(estimate.force_n)
@@ -54,7 +54,7 @@ def test_force_has_its_interval_everywhere_and_the_measured_one_beside_it(drive)
     window = driver.window
     assert window.status.labels["force"].text() == f"force {shown}"
     assert window.kappa.force.text() == shown
-    assert f"contact  {shown}" in texts(driver)
+    assert f"contact  {shown}" in view_texts(driver)
     analyse(driver)
     plot = window.plots.plots["force"]
     driver.wait(lambda: heading(driver).startswith(f"Force: {shown[:-2]}"))
@@ -63,7 +63,7 @@ def test_force_has_its_interval_everywhere_and_the_measured_one_beside_it(drive)
     low, high = (edge.getOriginalDataset()[1] for edge in edges)
     assert np.isclose(high[PRESSED] + low[PRESSED], 2.0 * force, rtol=0.05)
     assert high[PRESSED] > low[PRESSED] and np.isnan(low[0])  # no contact has no interval
-    # the measured force is beside the estimate, without its bias
+    # the measured force is plotted too, without its bias
     driver.wait(lambda: np.isfinite(plot.data["measured_force_n"][1]).all())
     values = plot.data["measured_force_n"][1]
     np.testing.assert_allclose(values[:FIRST_CONTACT], 0.0, atol=1e-9)
@@ -81,7 +81,7 @@ def test_force_has_its_interval_everywhere_and_the_measured_one_beside_it(drive)
     assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
 
 
-def test_untrusted_numbers_have_dashes_a_reason_and_a_colour(drive):
+def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
     window, result = driver.window, driver.result
     assert result.estimate.status == "implausible"
@@ -91,22 +91,22 @@ def test_untrusted_numbers_have_dashes_a_reason_and_a_colour(drive):
     assert window.status.labels["residual"].text() == "residual –"
     assert window.kappa.force.text() == "–" and window.kappa.area.text() == "–"
     assert "file by +50.0 kPa" in window.kappa.doubt.text() and window.kappa.doubt.isVisible()
-    assert "implausible" in texts(driver) and "no contact" not in texts(driver)
-    assert any("file by +50.0 kPa" in text for text in texts(driver))
+    assert "implausible" in view_texts(driver) and "no contact" not in view_texts(driver)
+    assert any("file by +50.0 kPa" in text for text in view_texts(driver))
     picture = window.playback.timeline.grab().toImage()
     bar = window.playback.timeline
     at = QColor(picture.pixel(round(bar.x_at(PRESSED)) + 3, bar.height() - 11))
     assert at == QColor(theme.UNTRUSTED)
     driver.seek(0)
     assert window.status.labels["force"].text() == "force 0.00 N"
-    assert not window.kappa.doubt.isVisible() and "no contact" in texts(driver)
+    assert not window.kappa.doubt.isVisible() and "no contact" in view_texts(driver)
     analyse(driver)
     driver.seek(PRESSED)
     driver.wait(lambda: heading(driver).startswith("Force: – "))
     assert "not trusted" in heading(driver)
 
 
-def test_the_window_says_what_was_done_to_the_zero_of_a_recording(drive, sensor, tmp_path):
+def test_zero_correction_of_a_recording_is_reported(drive, sensor, tmp_path):
     driver = drive(frame=3)
     gas, message = driver.window.status.labels["gas"], driver.window.message
     for shift_pa in (20.0, 1200.0):
@@ -116,20 +116,20 @@ def test_the_window_says_what_was_done_to_the_zero_of_a_recording(drive, sensor,
             for frame in DentSource(sensor)
         )
         path = record(tmp_path / f"{shift_pa:.0f}.mcap", frames)
-        driver.opens("dent", lambda _, path=path: Recording(path), sensor, frame=PRESSED)
+        driver.open("dent", lambda _, path=path: Recording(path), sensor, frame=PRESSED)
         done = f"gas pressure zero: {shift_pa:+.0f} Pa from "
         driver.wait(lambda done=done: done in gas.toolTip())
         driver.state.set_playing(False)
         driver.seek(PRESSED)
         assert (message.isVisible() and done in message.label.text()) == (shift_pa > 50.0)
-        driver.wait(lambda: gas.text() == "p_v +100 Pa")  # of the contact alone
+        driver.wait(lambda: gas.text() == "p_v +100 Pa")  # of the contact only
         driver.window.controller.opening.close_source()
         driver.wait(lambda: driver.state.facts.is_empty)
         assert "zero" not in gas.toolTip()
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 1e-3])
-def test_the_window_says_that_depth_does_not_fit(drive, tmp_path, shift_m):
+def test_depth_that_contradicts_the_sensor_file_is_reported(drive, tmp_path, shift_m):
     sensor, still = small_sensor(), DentSource(small_sensor())[0]
     depth = (still.depth_m + shift_m).astype(np.float32)
     frames = (replace(still, index=k, time_s=k / 30.0, depth_m=depth) for k in range(FRAMES))

@@ -1,4 +1,4 @@
-"""The real window on the real pipeline, driven by clicks and keys, its pixels read back."""
+"""The complete window, driven by clicks and keys, its pixels read back."""
 
 import os
 import re
@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from window_driver import CONTACT, LEFT, written
+from window_driver import CONTACT, LEFT, text_actors
 
 import bubbleviz
 from bubbleviz_ui.model.demand import STAGES
@@ -30,9 +30,9 @@ from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.text import left_of_bars
 
 
-def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
+def test_contact_is_drawn_at_its_place_for_each_threshold_and_solver(drive):
     driver = drive(frame=CONTACT)
-    warm = driver.warm_pixels()
+    warm = driver.pressure_pixels()
     assert len(warm) > 200
     patch = driver.result.patch
     renderer = driver.window.view.renderer
@@ -43,8 +43,8 @@ def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
     row, column = warm.mean(axis=0)
     assert np.hypot(column - x, (height - row) - y) < 80
     driver.seek(0)
-    assert len(driver.warm_pixels()) == 0  # no contact is neutral
-    # κ thresholds anew without solving
+    assert len(driver.pressure_pixels()) == 0  # neutral without contact
+    # another κ needs no solving
     driver.seek(CONTACT)
     panel = driver.window.kappa
     solved, area = driver.pipeline.counts["estimate"], panel.area.text()
@@ -55,11 +55,11 @@ def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
     kappa = driver.state.settings.kappa
     assert kappa == pytest.approx(panel.box.value())
     driver.wait(lambda: panel.area.text() != area)
-    driver.wait(driver.thresholded)
+    driver.wait(driver.shows_chosen_kappa)
     patch = driver.result.patch
     assert panel.threshold.text() == f"{patch.threshold_pa / 1e3:.2f} kPa"
     assert driver.pipeline.counts["estimate"] == solved
-    # another solver starts anew at the same frame
+    # another solver reopens at the same frame
     panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
     panel.solver.setFocus()
     driver.bot.keyClicks(panel.solver, "fast")
@@ -72,13 +72,13 @@ def test_shows_where_the_contact_is_by_each_threshold_and_solver(drive):
 
 
 class Outlier(DentSource):
-    """One frame early on has the depth of the last, the deepest."""
+    """The dent, with an early frame as deep as the last."""
 
     def __getitem__(self, index):
         return replace(super().__getitem__(FRAMES - 1 if index == 6 else index), index=index)
 
 
-def test_one_outlier_does_not_fade_the_other_frames(drive):
+def test_one_outlier_does_not_extend_the_colour_scale(drive):
     driver = drive(Outlier, frame=5)
 
     def end_pa():
@@ -100,15 +100,15 @@ def test_one_outlier_does_not_fade_the_other_frames(drive):
     assert end_pa() >= sorted([usual, outlier, *peaks])[-3]
 
 
-def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
+def test_each_layer_draws_something_and_can_be_hidden(drive):
     driver = drive(frame=CONTACT)
     boxes = driver.window.layers.boxes
     driver.click(boxes["contour"])
     for shown in (False, True):
         driver.click(boxes["membrane"])
         assert ("membrane" in driver.state.settings.layers) == shown
-        driver.settle()
-        assert (len(driver.warm_pixels()) > 200) == (len(driver.warm_pixels()) > 0) == shown
+        driver.wait_until_shown()
+        assert (len(driver.pressure_pixels()) > 200) == (len(driver.pressure_pixels()) > 0) == shown
     # a hidden cloud is not computed
     driver.click(boxes["cloud"])
     before = driver.pipeline.counts["cloud"]
@@ -121,7 +121,7 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
     for name in ("wireframe", "cloud", "contour", "force", "frustum", "rim"):
         driver.click(boxes[name])
         assert driver.state.settings.layers == {name}
-        driver.settle()
+        driver.wait_until_shown()
         assert np.any(driver.pixels() != empty), name
         driver.state.change(layers=frozenset())
     # points of the patch follow κ and have their own colour
@@ -130,13 +130,13 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
     driver.state.change(cloud_colour="patch")
     result = lambda: driver.result  # noqa: E731
     driver.wait(lambda: result().patch.pixel_mask is not None)
-    driver.settle()
+    driver.wait_until_shown()
     few = result().patch.pixel_mask.sum()
     solved = driver.pipeline.counts["estimate"]
     driver.state.change(kappa=0.2)
     driver.wait(lambda: result().patch.pixel_mask.sum() > few)
     assert driver.pipeline.counts["estimate"] == solved
-    # in the picture, too
+    # also in the picture
     driver.choose(layers=frozenset({"cloud"}))
     patch_colour = np.array(rgb(theme.PATCH_POINT))
     assert np.all(driver.pixels() == patch_colour, axis=2).sum() > 20
@@ -144,7 +144,7 @@ def test_each_layer_draws_something_and_hidden_takes_it_away(drive):
     assert not np.all(driver.pixels() == patch_colour, axis=2).any()
 
 
-def test_keys_and_the_button_play_step_and_jump_and_about_says_what_runs(drive):
+def test_playback_keys_and_button_and_about_dialog(drive):
     driver = drive()
     last = driver.state.facts.frames - 1
     driver.key(Qt.Key.Key_Right)
@@ -159,13 +159,13 @@ def test_keys_and_the_button_play_step_and_jump_and_about_says_what_runs(drive):
     assert driver.state.playing
     driver.key(Qt.Key.Key_Space)
     assert not driver.state.playing
-    label = driver.window.status.labels["frame"]  # the frames passed by may come first
+    label = driver.window.status.labels["frame"]  # intermediate frames may come first
     driver.wait(lambda: f"frame {driver.state.frame} of {last}" in label.text())
     box = driver.window.layers.boxes["wireframe"]
     box.setFocus()  # as by Tab
     driver.bot.keyClick(box, Qt.Key.Key_Space)
     assert box.isChecked() and not driver.state.playing
-    driver.act("Help › About bubbleviz")
+    driver.trigger("Help › About bubbleviz")
     (about,) = driver.window.findChildren(QMessageBox)
     assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
     assert driver.window.view.quality.text in about.informativeText()
@@ -179,15 +179,15 @@ def test_keys_and_the_button_play_step_and_jump_and_about_says_what_runs(drive):
     driver.click(window.playback.play)
 
     def look():
-        """Note which frame each names while it plays."""
+        """Record the frame shown by each widget during playback."""
         seen.add(tuple(at.text().replace("·", " ").split()[1] for at in (readout, label)))
         return len(seen) > 8
 
     driver.wait(look)
     assert all(one == other for one, other in seen)
     driver.click(window.playback.play)
-    assert not state.playing and played == sorted(set(played))  # ahead, but never back
-    driver.settle()
+    assert not state.playing and played == sorted(set(played))  # never backwards
+    driver.wait_until_shown()
     shown = driver.result.frame.index
     assert label.text().startswith(f"frame {shown} of ") and f"frame {shown} of" in readout.text()
     state.set_playing(True)
@@ -231,7 +231,7 @@ def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
         assert "Eq." in TIPS[name] or "V-C" in TIPS[name]
 
 
-def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
+def test_new_source_keeps_camera_and_settings(drive, sensor):
     first = DentSource(sensor)
     driver = drive(lambda _: first, frame=6)
     view = driver.window.view
@@ -243,16 +243,16 @@ def test_new_data_keeps_the_camera_and_the_choices(drive, sensor):
     driver.state.change(kappa=2.5, membrane_opacity=0.5)
     driver.seek(8)
     other = small_sensor("another", nodes=150)
-    driver.opens("dent", DentSource, other, frame=7, playing=False)
+    driver.open("dent", DentSource, other, frame=7, playing=False)
     driver.wait(lambda: driver.state.facts.sensor_name == "another")
-    driver.settle()
+    driver.wait_until_shown()
     assert tuple(view.camera.position) == pytest.approx(moved)
-    assert driver.state.settings.kappa == 2.5 and driver.thresholded()
+    assert driver.state.settings.kappa == 2.5 and driver.shows_chosen_kappa()
     assert driver.state.settings.membrane_opacity == 0.5
     assert first.closed
 
 
-def test_a_file_that_cannot_be_opened_is_a_message_until_another_opens(drive, tmp_path, press):
+def test_error_of_opening_is_shown_until_another_file_opens(drive, tmp_path, press):
     driver = drive(frame=CONTACT)
     title, message = driver.window.windowTitle(), driver.window.message
     (tmp_path / "broken.mcap").write_bytes(b"not a recording")
@@ -267,13 +267,13 @@ def test_a_file_that_cannot_be_opened_is_a_message_until_another_opens(drive, tm
         assert bad in message.label.text()
         driver.click(message.dismiss)
     assert not message.isVisible()
-    # a file that is dropped is tried as well, and a bug in a reader is told
+    # dropped files too, and bugs in a reader are reported
     driver.drop(tmp_path / "dropped.mcap")
-    driver.told("dropped.mcap")
-    driver.opens("buggy", lambda _: int("no"), driver.window.controller.sensor)
-    driver.told("ValueError: ")
+    driver.wait_for_message("dropped.mcap")
+    driver.open("buggy", lambda _: int("no"), driver.window.controller.sensor)
+    driver.wait_for_message("ValueError: ")
     driver.seek(CONTACT)
-    # errors of opening do not outlive what is opened
+    # opening another source removes the errors
     cut = tmp_path / "cut.mcap"
     record(cut, (press[k] for k in range(5)))
     os.truncate(cut, cut.stat().st_size - 20)
@@ -287,25 +287,25 @@ def test_a_file_that_cannot_be_opened_is_a_message_until_another_opens(drive, tm
     assert "ends early" in message.label.text() and not message.more.isVisible()
 
 
-def test_a_frame_that_cannot_be_read_or_solved_is_a_message_and_stops_playback(drive):
+def test_unreadable_or_failing_frame_gives_a_message_and_stops_playback(drive):
     driver = drive(lambda sensor: DentSource(sensor, broken_from=3), playing=True)
-    driver.told("damaged")
+    driver.wait_for_message("damaged")
     assert not driver.state.playing
     driver.seek(2)
     driver.click(driver.window.message.dismiss)
-    # so is a bug in the solver, with details
+    # also a bug in the solver, with details
 
     def broken(*_):
         raise ZeroDivisionError("a bug")
 
     driver.pipeline.process = broken
     driver.state.seek(1)
-    driver.told("a bug")
+    driver.wait_for_message("a bug")
     driver.click(driver.window.message.copy)
     assert "Traceback" in QApplication.clipboard().text()
 
 
-def test_a_small_screen_holds_the_window_and_the_force(drive):
+def test_window_and_force_fit_a_small_screen(drive):
     driver = drive(DentSource, frame=6)
     labels = driver.window.status.labels
     driver.window.resize(1016, 660)
@@ -318,25 +318,25 @@ def test_a_small_screen_holds_the_window_and_the_force(drive):
         assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
     driver.window.resize(1500, 800)
     driver.wait(lambda: labels["dropped"].isVisible())
-    # as 1024×700 at 150 %, less the frame
+    # like 1024×700 at 150 %, minus the frame
     window = driver.window
     window.resize(850, 427)
     driver.wait(lambda: window.minimumSize().width() <= 675)
     window.resize(675, 427)
-    driver.settle()
+    driver.wait_until_shown()
     assert (window.width(), window.height()) == (675, 427)
     assert window.playback.mapTo(window, window.playback.rect().bottomRight()).x() <= 675
     assert window.layers.visibleRegion().boundingRect().height() > 50
     assert window.view.width() > 350 and window.view.height() > 150
     bars = window.view.width() * left_of_bars(window.view.width())
-    (rest,) = (text for text in written(driver) if text.GetInput().startswith("peak"))
+    (rest,) = (text for text in text_actors(driver) if text.GetInput().startswith("peak"))
     assert 0.3 * bars < right_end(driver, rest) < bars
     window.resize(1200, 700)
     driver.wait(lambda: window.playback.width() < window.width() - 200)
 
 
 def right_end(driver, text):
-    """Where a text of the 3-D view ends, pixels."""
+    """Right end of a text of the 3-D view, pixels."""
     box, renderer = [0.0] * 4, driver.window.view.renderer
     text.GetBoundingBox(renderer, box)
     return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]

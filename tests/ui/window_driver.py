@@ -1,4 +1,4 @@
-"""A window and what a person does with it; a module of its own, as every folder has a conftest."""
+"""Driver of a window by mouse and keys, and helpers that read it back."""
 
 import os
 import subprocess
@@ -36,13 +36,13 @@ LEFT = Qt.MouseButton.LeftButton
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 PLAIN = Qt.KeyboardModifier.NoModifier
 CONTACT = 75
-"""A frame of the synthetic press with the object well pressed in."""
+"""A frame of the synthetic press with deep contact."""
 HERE = Path(__file__).parent
 
 
 @dataclass
 class Driver:
-    """A window and what a person does with it."""
+    """A window, driven by mouse and keys."""
 
     bot: QtBot
     window: MainWindow
@@ -61,23 +61,23 @@ class Driver:
 
     @property
     def result(self):
-        """What is shown."""
+        """Result shown."""
         result = self.window.controller.result
         assert result is not None
         return result
 
     @property
     def inspection(self):
-        """The closer look at it."""
+        """Diagnostics of the result shown."""
         return self.window.controller.inspection
 
     @property
-    def said(self):
+    def message_text(self):
         """Text of the message bar."""
         return str(self.window.message.label.text())
 
-    def let_go(self):
-        """Forget the window: pytest keeps what a fixture yields longer than the window may live."""
+    def release(self):
+        """Drop all references to the window, as pytest keeps fixture values too long."""
         vars(self).clear()
 
     # -- waiting ------------------------------------------------------------------------------
@@ -85,32 +85,34 @@ class Driver:
     def wait(self, done):
         self.bot.waitUntil(done, timeout=PATIENCE_MS)
 
-    def told(self, *words):
+    def wait_for_message(self, *words):
         """Wait for a message with these words."""
-        self.wait(lambda: self.window.message.isVisible() and all(w in self.said for w in words))
+        self.wait(
+            lambda: self.window.message.isVisible() and all(w in self.message_text for w in words)
+        )
 
-    def settle(self):
-        """Have the frame at the cursor shown, settled now and not in a moment, and painted."""
+    def wait_until_shown(self):
+        """Wait until the frame at the cursor is shown, cold-solved and painted."""
         controller = self.window.controller
-        self.wait(self.at_the_cursor)
+        self.wait(self.shows_cursor_frame)
         if not controller.cold_solved:
             controller.cold_solve()
-        self.wait(lambda: self.at_the_cursor() and controller.cold_solved)
-        self.painted_anew()
+        self.wait(lambda: self.shows_cursor_frame() and controller.cold_solved)
+        self.wait_for_redraw()
 
-    def painted_anew(self):
+    def wait_for_redraw(self):
         count = self.window.view.render_count
         self.window.view.refresh()
         self.wait(lambda: self.window.view.render_count > count)
 
-    def at_the_cursor(self):
-        """Whether what is shown is the frame at the cursor."""
+    def shows_cursor_frame(self):
+        """Whether the frame at the cursor is shown."""
         result = self.window.controller.result
-        # while playing the cursor is ahead of the solver, on a slow machine always
+        # during playback the cursor may always be ahead of the solver
         return result is not None and (self.state.playing or result.frame.index == self.state.frame)
 
-    def thresholded(self):
-        """Whether the patch that is shown is that of the chosen κ."""
+    def shows_chosen_kappa(self):
+        """Whether the patch shown is that of the chosen κ."""
         kappa, result = self.state.settings.kappa, self.window.controller.result
         if kappa is None or result is None or result.patch is None or result.estimate is None:
             return False
@@ -120,13 +122,13 @@ class Driver:
     # -- by mouse and keys --------------------------------------------------------------------
 
     def click(self, widget, at=None):
-        """Click where a person would: check boxes on their box, all else in the middle."""
+        """Click a widget: check boxes on their box, others in the middle."""
         assert widget.isEnabled()
         box = QPoint(10, widget.height() // 2) if isinstance(widget, QCheckBox) else None
         self.bot.mouseClick(widget, LEFT, pos=at or box or widget.rect().center())
 
     def drag(self, widget, *places):
-        """Press at the first place, move to all others, and let go at the last."""
+        """Press at the first position, move through the others, release at the last."""
         self.bot.mousePress(widget, LEFT, pos=places[0])
         for place in places[1:]:
             self.bot.mouseMove(widget, place)
@@ -147,7 +149,7 @@ class Driver:
         self.key(Qt.Key.Key_Z, CTRL | SHIFT)
 
     def type(self, box, text):
-        """Replace what is in a box."""
+        """Replace the text of a box."""
         box.setFocus()
         box.selectAll()
         self.bot.keyClicks(box, text)
@@ -161,11 +163,11 @@ class Driver:
             self.bot.keyClick(box, Qt.Key.Key_Down)
         assert box.currentText() == title
 
-    def act(self, name):
+    def trigger(self, name):
         """Trigger an action by its name in the menus."""
         self.window.shortcuts.actions[name].trigger()
 
-    def ticked(self, name):
+    def is_checked(self, name):
         return bool(self.window.shortcuts.actions[name].isChecked())
 
     def drop(self, *paths, on=None):
@@ -176,12 +178,12 @@ class Driver:
         widget = self.window.view if on is None else on
         widget.dropEvent(QDropEvent(QPointF(5, 5), action, data, LEFT, PLAIN))
 
-    # -- what a person chooses and sees -------------------------------------------------------
+    # -- settings and contents ----------------------------------------------------------------
 
     def choose(self, **settings):
-        """Choose settings and wait for what they change in the picture."""
+        """Change settings and wait for the result."""
         self.state.change(**settings)
-        self.settle()
+        self.wait_until_shown()
 
     def show(self, *panels):
         for name in panels:
@@ -189,9 +191,9 @@ class Driver:
 
     def seek(self, frame):
         self.state.seek(frame)
-        self.settle()
+        self.wait_until_shown()
 
-    def opens(self, title, opener, sensor, **at):
+    def open(self, title, opener, sensor, **at):
         """Open another source in the same window; returns at once."""
         live = at.pop("live", False)
         source = opener if isinstance(opener, Source) else Source(title, opener, live=live)
@@ -206,20 +208,20 @@ class Driver:
         return self.window.width(), self.window.height()
 
     def pixels(self):
-        """What the 3-D view shows, (height, width, 3)."""
+        """Picture of the 3-D view, (height, width, 3)."""
         return self.window.view.pixels()
 
-    def warm_pixels(self):
+    def pressure_pixels(self):
         """Row and column of the pixels in the colours of contact pressure, (k, 2)."""
-        return warm(self.pixels())
+        return pressure_coloured(self.pixels())
 
     def count(self, *colours):
-        """How many pixels of the 3-D view have exactly each of these colours."""
+        """Number of pixels of the 3-D view with exactly each of these colours."""
         pixels = self.pixels()
         return [int(np.all(pixels == rgb(colour), axis=2).sum()) for colour in colours]
 
     def nodes(self):
-        """Nodes of the membrane as it is shown, (n, 3) in B."""
+        """Nodes of the membrane shown, (n, 3) in B."""
         estimate = self.result.estimate
         assert estimate is not None
         return self.pipeline.mesh.deformed(estimate.motion_m)
@@ -236,8 +238,8 @@ def as_pixels(image):
     return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
 
 
-def clipped(root):
-    """Texts of one line that are seen in a widget, and not wholly."""
+def clipped_labels(root):
+    """Visible single-line labels of a widget whose text is clipped."""
     return [
         label.text()
         for label in root.findChildren(QLabel)
@@ -246,11 +248,11 @@ def clipped(root):
     ]
 
 
-def copied():
+def clipboard_text():
     return QApplication.clipboard().text()
 
 
-def warm(pixels):
+def pressure_coloured(pixels):
     """Row and column of strong orange and red, left of the colour bars and not of the axes."""
     red, green, blue = (pixels[..., k].astype(int) for k in range(3))
     seen = (red > 130) & (red > 2 * blue) & (red > green + 30) & ~axes_corner(pixels)
@@ -259,58 +261,58 @@ def warm(pixels):
 
 
 def axes_corner(pixels):
-    """Where the axes are in a picture, (height, width) bool."""
+    """Mask of the corner with the axes, (height, width) bool."""
     corner = np.zeros(pixels.shape[:2], bool)
     corner[-CORNER:, :CORNER] = True
     return corner
 
 
-def in_view(driver, point_m):
-    """Where a point in B is drawn, in Qt's pixels."""
+def screen_point(driver, point_m):
+    """Position of a point in B in the view, in Qt pixels."""
     return driver.window.view.screen_position(point_m).toPoint()
 
 
-def props(driver):
-    """What VTK draws: actors and texts, the hidden ones too."""
+def vtk_props(driver):
+    """All VTK props, including hidden ones."""
     found = driver.window.view.renderer.GetViewProps()
     return [found.GetItemAsObject(k) for k in range(found.GetNumberOfItems())]
 
 
-def texts(driver):
-    """Words in the 3-D view: those of the readout, and the titles of colour bars."""
-    seen = [prop for prop in props(driver) if prop.GetVisibility()]
-    return [text.GetInput() for text in written(driver)] + [
+def view_texts(driver):
+    """Visible texts of the 3-D view, including titles of colour bars."""
+    seen = [prop for prop in vtk_props(driver) if prop.GetVisibility()]
+    return [text.GetInput() for text in text_actors(driver)] + [
         prop.GetTitle() for prop in seen if isinstance(prop, vtkScalarBarActor)
     ]
 
 
-def written(driver):
-    """Texts of the 3-D view that are seen, the readout's first."""
-    found = [prop for prop in props(driver) if isinstance(prop, vtkTextActor)]
+def text_actors(driver):
+    """Visible text actors of the 3-D view, the readout's first."""
+    found = [prop for prop in vtk_props(driver) if isinstance(prop, vtkTextActor)]
     return [text for text in found if text.GetVisibility() and text.GetInput()]
 
 
 def drawn_points(layer):
-    """Points of what a layer of the scene draws, (n, 3) in B, m."""
+    """Points drawn by a layer of the scene, (n, 3) in B, m."""
     return np.asarray(layer.actor.mapper.dataset.points)
 
 
-def canvas(panel):
-    """The widget in which a panel has its plots or images, once it has been shown."""
+def graphics_view(panel):
+    """The graphics view of a panel that has been shown."""
     found = panel.findChild(QGraphicsView)
     assert isinstance(found, QGraphicsView)
     return found
 
 
 def hover(widget, place, held=Qt.MouseButton.NoButton):
-    """Move the mouse there, with no button held or with one."""
+    """Move the mouse to a position, optionally with a pressed button."""
     at, none = QPointF(place), Qt.MouseButton.NoButton
     event = QMouseEvent(QEvent.Type.MouseMove, at, widget.mapToGlobal(at), none, held, PLAIN)
     QApplication.sendEvent(widget, event)
 
 
-def idle(thing):
-    """Whether nothing of a panel, or of what serves it, is put off until later."""
+def no_pending_timers(thing):
+    """Whether no timer of an object is pending."""
     return not any(timer.isActive() for timer in thing.findChildren(QTimer))
 
 
@@ -319,8 +321,8 @@ def near(pixels, place, colour):
     return bool(np.all(part == rgb(colour), axis=2).any())
 
 
-def typed(driver, start, name):
-    """Answer the dialog that `start` opens with a name; the kinds of dialogs seen.
+def answer_file_dialog(driver, start, name):
+    """Answer the file dialog that `start` opens with a name; returns the kinds of dialogs seen.
 
     A question whether a file may be replaced is answered with No, and then nothing is saved.
     """
@@ -336,10 +338,10 @@ def typed(driver, start, name):
             dialog.reject()
         elif isinstance(dialog, QFileDialog) and not seen:
             seen.append("dialog")
-            dialog.findChild(QLineEdit).setText(name)  # typed, it would be completed
+            dialog.findChild(QLineEdit).setText(name)  # typing would complete it
             kind, box = QDialogButtonBox.StandardButton, dialog.findChild(QDialogButtonBox)
             done = box.button(kind.Save) or box.button(kind.Open)
-            # not here: a question would wait in it, and this timer with that
+            # later, as a question would block this timer
             QTimer.singleShot(0, done.click)
         elif isinstance(dialog, QDialog) and "dialog" in seen:
             dialog.reject()
@@ -353,7 +355,7 @@ def typed(driver, start, name):
 
 
 def run_python(code, *arguments, display=True, cwd=HERE.parents[1], **more):
-    """Run code, to which `fakes` is known, in a process of its own."""
+    """Run code that can import `fakes` in a separate process."""
     hidden = () if display else ("DISPLAY", "WAYLAND_DISPLAY")
     kept = {name: value for name, value in os.environ.items() if name not in hidden}
     code = f"import sys; sys.path.insert(0, {str(HERE)!r})\n{code}"
@@ -364,7 +366,7 @@ def run_python(code, *arguments, display=True, cwd=HERE.parents[1], **more):
 
 
 def run_bubbleviz(*arguments, **more):
-    """Run the program without a display: it draws for a moment and ends."""
+    """Run the program without a display for a moment."""
     code = "import bubbleviz_ui.app as app; from bubbleviz.cli.command_line import main\n"
     code += "app.OFFSCREEN_SECONDS = 0.5; main()"
     return run_python(code, *map(str, arguments), display=False, **more)

@@ -85,7 +85,7 @@ def screenshot(
     ):
         session.window.resize(*size)
         session.window.show()
-        session.settle()
+        session.wait_until_drawn()
         session.save(out)
 
 

@@ -167,7 +167,7 @@ class WindowSession:
             self.application.processEvents()
             time.sleep(0.002)
 
-    def settle(self, pictures: int = 3) -> None:
+    def wait_until_drawn(self, pictures: int = 3) -> None:
         """Run the event loop until layout and drawing are complete."""
         view = self.window.view
         for _ in range(pictures):
@@ -193,7 +193,7 @@ class WindowSession:
         self.state.set_playing(False)
         self.wait_for(lambda: self._is_shown or bool(failures), "the frame")
         self.controller.failed.disconnect(failed)
-        self.settle()
+        self.wait_until_drawn()
         self.save(out)
         self.state.set_playing(playing)
 

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.window` in small: it measures a real window, and judges no times."""
+"""Short runs of `python -m benchmarks.window`, without limits on times."""
 
 import json
 import os
@@ -42,14 +42,14 @@ def monkey(seconds, seed, before=""):
 
 
 def test_random_clicks_and_keys_raise_no_exception():
-    """A short run; the long one is `python -m benchmarks.window monkey`."""
+    """Short version of `python -m benchmarks.window monkey`."""
     actions, problems = monkey(FULL_S if "TEST_ALL" in os.environ else SHORT_S, seed=7)
     assert not problems, problems[0]
     assert actions > 0
 
 
 @pytest.mark.long
-def test_a_monkey_finds_an_exception_in_a_slot():
+def test_monkey_finds_an_exception_in_a_slot():
     broken = (
         "from bubbleviz_ui.model.session_state import SessionState\n"
         "SessionState.set_panel_open = lambda *a, **k: 1 / 0\n"
@@ -58,11 +58,11 @@ def test_a_monkey_finds_an_exception_in_a_slot():
     assert any("ZeroDivisionError" in problem for problem in problems)
 
 
-def test_the_calls_of_a_blocked_thread_are_told(qtbot):
+def test_stack_of_a_blocked_thread_is_reported(qtbot):
     watch, timer = BlockWatch(), QTimer()
 
     def keep_the_window_waiting():
-        # a machine that is busy may block it before, and for longer
+        # a busy machine may block it earlier and longer
         threading.Event().wait(max(5.0 * BLOCKED_S, 1.5 * watch.longest_s))
 
     timer.timeout.connect(keep_the_window_waiting)
@@ -73,11 +73,11 @@ def test_the_calls_of_a_blocked_thread_are_told(qtbot):
     assert watch.longest_s > 2.0 * BLOCKED_S
 
 
-def test_who_computes_is_told_by_name():
+def test_computing_threads_are_reported_by_name():
     done, go_on = threading.Event(), threading.Event()
 
     def compute():
-        while time.thread_time() < ENOUGH_S:  # its own: other threads of the process may be busy
+        while time.thread_time() < ENOUGH_S:  # time of this thread only
             pass
         done.set()
         go_on.wait()
@@ -102,7 +102,7 @@ def press(tmp_path_factory):
     coarse = preset.membrane.model_copy(update={"nodes": 200})
     sensor.write_text(sensor_to_toml(preset.model_copy(update={"membrane": coarse})))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording_writer, "CHUNK_BYTES", 1 << 16)  # a frame each, as of real cameras
+        patch.setattr(recording_writer, "CHUNK_BYTES", 1 << 16)  # one frame each
         return write_press(folder / "press.mcap", sensor, 4 * HEIGHTS), sensor
 
 
@@ -114,7 +114,7 @@ def bench(*arguments):
 
 
 @pytest.mark.long
-def test_start_waits_for_the_picture_of_each_process(press):
+def test_start_benchmark_waits_for_each_first_picture(press):
     recording, sensor = press
     done = bench("start", recording, "--sensor", sensor, "--runs", "1")
     assert done.returncode == 0, done.stderr
@@ -124,7 +124,7 @@ def test_start_waits_for_the_picture_of_each_process(press):
     assert measured["cpu_s"] > 0.5
 
 
-def test_seek_waits_for_the_picture_of_each_frame(qtbot, press):
+def test_seek_benchmark_waits_for_each_picture(qtbot, press):
     recording, sensor = press
     words = ["seek", recording, "--sensor", sensor, "--seeks", 2, "--json"]
     done = CliRunner().invoke(main, list(map(str, words)), catch_exceptions=False)
@@ -135,7 +135,7 @@ def test_seek_waits_for_the_picture_of_each_frame(qtbot, press):
 
 
 @pytest.mark.parametrize("what", ["start", "seek"])
-def test_what_cannot_be_opened_is_said_in_one_line(what, tmp_path):
+def test_benchmark_reports_an_unopenable_file_in_one_line(what, tmp_path):
     done = CliRunner().invoke(main, [what, str(tmp_path / "missing.mcap")])
     assert done.exit_code == 2
     [line] = done.stderr.splitlines()
@@ -143,7 +143,7 @@ def test_what_cannot_be_opened_is_said_in_one_line(what, tmp_path):
 
 
 @pytest.mark.long
-def test_a_frame_that_cannot_be_read_ends_the_seeks(press, tmp_path):
+def test_unreadable_frame_ends_the_seek_benchmark(press, tmp_path):
     recording, sensor = press
     spoilt, data = tmp_path / "spoilt.mcap", bytearray(recording.read_bytes())
     summary = make_reader(BytesIO(data)).get_summary()

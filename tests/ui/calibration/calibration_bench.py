@@ -1,4 +1,4 @@
-"""The γ0 panel in the real window, and what a person does with it."""
+"""Driver of the calibration panel."""
 
 from contextlib import contextmanager
 
@@ -10,12 +10,12 @@ from bubbleviz_ui.model.scene_presets import load_scene
 
 
 class Bench(Driver):
-    """The window with its γ0 panel open, and what a person does with it."""
+    """The window with its calibration panel open, driven by clicks and keys."""
 
     def __init__(self, driver):
         super().__init__(driver.bot, driver.window)
         self.window.use_scene(load_scene("calibrate"))
-        self.settle()
+        self.wait_until_shown()
 
     @property
     def panel(self):
@@ -41,13 +41,13 @@ class Bench(Driver):
         self.click(self.panel.steps.button(number))
 
     def identify(self):
-        before = len(self.window.messages.all)  # that the sensor file does not fit, for one
+        before = len(self.window.messages.all)  # e.g. that the sensor file does not match
         self.click(self.panel.next)
         self.click(self.panel.all)
         assert {m.kind for m in list(self.window.messages.all)[before:]} <= {"notice"}
 
     def collect(self, count):
-        """Collect so many live frames and wait for what follows from them."""
+        """Collect live frames and wait for the results."""
         box = self.panel.frames.collect
         box.count.setValue(count)
         self.click(box.button)
@@ -59,7 +59,7 @@ class Bench(Driver):
         self.done()
 
     def move_end(self, start, end):
-        """Drag on the strip of the timeline, from frame to frame."""
+        """Drag on the range strip from frame to frame."""
         strip = self.panel.strip
         frames = (start, (start + end) // 2, end)
         self.drag(strip, *(QPoint(round(strip.x_at(f)), strip.height() // 2) for f in frames))
@@ -67,7 +67,7 @@ class Bench(Driver):
 
 
 def answered(bench, start, button):
-    """Click a button of the question that `start` asks; what was asked."""
+    """Click a button of the question that `start` opens; returns its text."""
     asked, timer = [], QTimer(interval=20)
 
     def answer():
@@ -87,7 +87,7 @@ def answered(bench, start, button):
 
 @contextmanager
 def cancelling(bench):
-    """Click Cancel of what waits for the report."""
+    """Click Cancel of the progress dialog of the report."""
     timer, clicked = QTimer(interval=20), list[QWidget]()
 
     def cancel():

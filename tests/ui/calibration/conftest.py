@@ -1,4 +1,4 @@
-"""The γ0 panel on a dome known exactly."""
+"""The calibration panel on an exactly known dome."""
 
 import pytest
 from calibration_bench import Bench
@@ -7,7 +7,7 @@ from resting import RestingSource
 
 @pytest.fixture(scope="session")
 def sensor(sensor):
-    """Of known gauge pressure: the weather would else be all of γ0's interval."""
+    """With known gauge pressure; else the weather would dominate the interval of γ0."""
     told = sensor.pneumatics.model_copy(update={"gauge_sigma_pa": 10.0})
     return sensor.model_copy(update={"pneumatics": told})
 
@@ -21,4 +21,4 @@ def resting(sensor):
 def bench(drive, resting):
     made = Bench(drive(lambda _: resting))
     yield made
-    made.let_go()
+    made.release()

@@ -1,4 +1,4 @@
-"""The γ0 panel in the real window: clicks, drags and keys on a dome known exactly."""
+"""Calibration panel by clicks, drags and keys, on an exactly known dome."""
 
 import time
 from pathlib import Path
@@ -21,7 +21,7 @@ from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
 
 
-def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
+def test_steps_up_to_gamma0_with_undo_and_redo(bench):
     panel = bench.panel
     assert not panel.strip.isVisible()
     bench.click(panel.next)
@@ -58,7 +58,7 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
         bench.redo()
     assert bench.answer.work == last.work
     assert bench.draft.found.tension.tension == last.draft.found.tension.tension
-    # a number is undone from within its box
+    # undo while the number box has the focus
     bench.step(2)
     nodes = panel.surface.nodes
     bench.type(nodes, "300")
@@ -68,12 +68,12 @@ def test_steps_end_in_gamma0_and_each_is_undone_and_done_again(bench):
     assert panel.calibration.settings.nodes == 200 == nodes.value()
 
 
-def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench):
+def test_range_ends_are_moved_by_mouse_and_keys(bench):
     panel, strip = bench.panel, bench.panel.strip
     bench.click(panel.next)
     assert (panel.frames.first.value(), panel.frames.last.value() + 1) == bench.draft.ranges[0]
     dock = bench.window.panels["calibration"]
-    for shown in (False, True):  # the strip goes with the panel
+    for shown in (False, True):  # the strip is shown with the panel
         dock.setVisible(shown)
         assert strip.isVisible() == shown
     bench.click(panel.next)
@@ -83,11 +83,11 @@ def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench):
     assert bench.draft.ranges == ((0, 14),)
     assert bench.draft.samples.frames == tuple(range(14))
     assert bench.draft.pixels is not before.pixels
-    bench.move_end(16, 19)  # over empty frames: another range
+    bench.move_end(16, 19)  # over empty frames: adds a range
     assert bench.draft.ranges == ((0, 14), (16, 20))
     bench.undo()
     bench.undo()
-    assert bench.draft is before  # remembered, not computed again
+    assert bench.draft is before  # from the cache
     strip.setFocus()
     for key, ranges in (
         (Qt.Key.Key_Left, ((0, stop - 1),)),
@@ -100,8 +100,8 @@ def test_ends_are_moved_on_the_timeline_by_mouse_and_by_keys(bench):
     assert bench.state.frame == frame and not bench.state.playing
 
 
-def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
-    """What was found of the frames follows; what was chosen of later steps stays."""
+def test_frames_are_removed_and_replaced(bench):
+    """Results follow the frames; settings of later steps are kept."""
     bench.identify()
     panel, frames, before = bench.panel, bench.panel.frames, bench.draft
     bench.step(2)
@@ -130,7 +130,7 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     value = replaced.draft.found.tension.tension.value
     assert value != after.found.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
     replace("3", "5")
-    assert "at least 5" in bench.said
+    assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated: settings changed since. ")
     tips = [panel.steps.button(k).toolTip() for k in range(7)]
     assert tips[0].endswith("needs attention") and not any(tip.endswith("done") for tip in tips)
@@ -141,7 +141,7 @@ def test_a_sample_is_taken_out_and_another_range_replaces_all(bench):
     assert bench.answer is replaced and "Outdated" not in panel.verdict.text()
 
 
-def test_cancel_leaves_everything_as_it_was(drive):
+def test_cancel_restores_the_previous_state(drive):
     bench = Bench(drive(lambda sensor: RestingSource(sensor, slow_s=0.02)))
     panel = bench.panel
     bench.click(panel.next)
@@ -149,17 +149,17 @@ def test_cancel_leaves_everything_as_it_was(drive):
     index = bench.window.undo_stack.index()
     bench.click(panel.all, wait=False)
     bench.wait(lambda: panel.progress.isVisible() and panel.progress.value() > 5)
-    bench.seek(7)  # the window goes on
+    bench.seek(7)  # the window stays responsive
     assert panel.calibration.busy
     bench.click(panel.cancel)
     assert bench.answer is before and panel.calibration.work == work
     assert bench.window.undo_stack.index() == index and not panel.progress.isVisible()
-    bench.click(panel.all)  # it can be done after all, in the same thread: the other job is over
+    bench.click(panel.all)  # runs after the other job has ended in the same thread
     assert bench.draft.found is not None
-    assert bench.window.undo_stack.index() == index + 1  # and nothing was heard of that one
+    assert bench.window.undo_stack.index() == index + 1  # the cancelled job had no effect
 
 
-def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
+def test_each_step_shows_name_state_task_and_errors(bench):
     panel = bench.panel
     tips = lambda: [panel.steps.button(k).toolTip() for k in range(7)]  # noqa: E731
     assert all(tip.endswith(": to do") for tip in tips())
@@ -173,7 +173,7 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
     before = bench.answer
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
-    assert "at least 5" in bench.said and bench.window.message.isVisible()
+    assert "at least 5" in bench.message_text and bench.window.message.isVisible()
     assert tips()[0] == "Contact-free frames: needs attention"
     assert bench.answer is before
     bench.undo()
@@ -183,7 +183,7 @@ def test_each_step_says_its_name_its_state_what_to_do_and_what_cannot_be(bench):
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
 
 
-def test_another_recording_begins_without_numbers_and_marks(bench):
+def test_another_recording_starts_without_results(bench):
     panel = bench.panel
     for _ in range(2):
         bench.click(panel.next)
@@ -191,7 +191,7 @@ def test_another_recording_begins_without_numbers_and_marks(bench):
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
     assert panel.steps.button(0).toolTip().endswith("needs attention")
-    bench.opens("dent", DentSource, small_sensor(), playing=False)
+    bench.open("dent", DentSource, small_sensor(), playing=False)
     bench.wait(lambda: bench.state.facts.title == "dent")
     assert panel.steps.button(0).toolTip().endswith("to do")
     assert panel.pixels.numbers.text("used") == DASH
@@ -201,13 +201,13 @@ def test_another_recording_begins_without_numbers_and_marks(bench):
     panel.calibration.cancel()
 
 
-def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_path, monkeypatch):
+def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, monkeypatch):
     bench.identify()
     panel, report, out = bench.panel, bench.panel.report, tmp_path / "mine.toml"
     bench.step(len(panel.pages) - 1)
-    for height in (1000, 660):  # its buttons are in sight
+    for height in (1000, 660):  # the buttons are visible
         bench.resize(1016, height)
-        bench.settle()
+        bench.wait_until_shown()
         for button in (report.use_sensor, report.save_as):
             assert button.visibleRegion().boundingRect().size() == button.size()
             assert button.mapTo(panel, QPoint()).y() >= panel.stack.geometry().bottom()
@@ -222,7 +222,7 @@ def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_
     assert float(cells["γ0"][0].removesuffix(" N/m")) == pytest.approx(TENSION, rel=0.02)
     assert cells["height"][0] == "50.00 mm"
     assert cells["pixels used"] == ("–", f"{found.pixels.mask.sum()} pixels")
-    assert cells["λ"] == ("–", "–")  # the tension is constant
+    assert cells["λ"] == ("–", "–")  # constant tension
     assert report.view.image.shape == found.pixels.mask.shape
     assert np.nanmedian(np.abs(report.view.image)) < 1e-3
 
@@ -234,18 +234,18 @@ def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_
     assert f"Saved {out}" in window.notice.label.text() and not window.message.isVisible()
     assert panel.steps.button(6).toolTip() == "Report: done"
     sensor = load_sensor(out)
-    assert sensor.name == "mine"  # and not that of the sensor it started from
+    assert sensor.name == "mine"  # not the name of the initial sensor
     assert Path(proposed[0]).name == f"resting_{time.strftime('%Y-%m-%d')}.toml"
     assert sensor.pneumatics.tension_n_per_m == pytest.approx(found.tension_n_per_m, abs=1e-3)
     assert sensor.resolve(sensor.calibration.pixels_file).exists()
     assert (tmp_path / "mine_report" / "report.html").exists()
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
     bench.click(report.save_as)
-    assert "exists already" in bench.said
+    assert "exists already" in bench.message_text
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
     bench.click(panel.back)
     assert panel.next.isVisible() and not report.save_as.isVisible()
-    # thresholds move the mask alone, and a drag is undone at once
+    # thresholds change only the mask, and a drag is one undo step
     page, before = bench.panel.pixels, bench.draft
     bench.step(1)
     assert " effective frames of " in page.numbers.text("frames")
@@ -270,22 +270,22 @@ def test_the_report_is_saved_once_and_thresholds_move_the_mask_alone(bench, tmp_
     assert panel.calibration.settings == settings
 
 
-def test_it_takes_the_free_height_and_levels_are_added_without_scrolling(drive):
+def test_panel_takes_the_free_height_and_level_controls_are_visible(drive):
     driver = drive(frame=3)
     window = driver.window
     dock, panel = window.panels["calibration"], window.calibration
-    driver.act("View › Calibration")
+    driver.trigger("View › Calibration")
     driver.wait(lambda: not panel.visibleRegion().isEmpty())
     assert dock in window.tabifiedDockWidgets(window.panels["layers"]) and window.height() <= 700
     assert window.dockWidgetArea(dock) == Qt.DockWidgetArea.RightDockWidgetArea
-    for part in (panel.stack, panel.next):  # not crushed
+    for part in (panel.stack, panel.next):  # not squeezed
         assert part.visibleRegion().boundingRect().height() == part.height()
     assert panel.stack.height() > 150
     for scene in ("press", "review"):
         window.use_scene(load_scene(scene))
         driver.show("calibration")
         window.calibration.go_to(4)
-        driver.settle()
+        driver.wait_until_shown()
         heights = {name: window.panels[name].height() for name in ("calibration", "kappa")}
         assert heights["calibration"] > 2 * heights["kappa"]
         levels = window.calibration.rectification
@@ -311,8 +311,8 @@ def test_another_inflation_level_is_added_and_undone(bench, tmp_path):
     assert bench.draft.found.pixels.line is None
 
 
-def test_a_known_press_is_predicted_and_painted(drive, sensor):
-    """Some rest and one place of the built-in press: its object and pose are known."""
+def test_known_press_is_predicted_and_drawn(drive, sensor):
+    """Contact-free frames and one pressed frame of the built-in press, whose pose is known."""
     frame, whole = 18, default_press(sensor)
     source = SyntheticSource(sensor, whole.obj, whole.poses[[0] * 16 + [80] * 5], whole.noise)
     bench = Bench(drive(lambda _: source, frame=frame))
@@ -332,12 +332,12 @@ def test_a_known_press_is_predicted_and_painted(drive, sensor):
     assert page.view.image.shape == found.predicted_patch.shape
     before = bench.pixels()
     bench.click(page.paint)
-    bench.settle()
+    bench.wait_until_shown()
     assert np.any(bench.pixels() != before)
 
 
 @pytest.mark.long
-def test_real_press(drive, punyo_press):
+def test_calibration_of_the_real_press_recording(drive, punyo_press):
     sensor = load_sensor("punyo_oval_d405")
     bench = Bench(drive(lambda _: Recording(punyo_press), sensor=sensor))
     bench.identify()

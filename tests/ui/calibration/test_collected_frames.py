@@ -1,4 +1,4 @@
-"""Frames for the calibration are collected from a live source."""
+"""Collection of live frames for the calibration."""
 
 import re
 from dataclasses import replace
@@ -13,11 +13,11 @@ from bubbleviz.recordings import Frame
 from bubbleviz_ui.calibration.frame_collector import FIRST_ESTIMATE
 
 PERIOD_S = 1.0 / 60.0
-"""Of the camera: pictures of frames that come faster would take the time of what is computed."""
+"""Frame period of the camera; faster frames would take CPU time from the calibration."""
 
 
 class Camera(RestingSource):
-    """New noise in each frame; a frame it is `stuck` at comes again and again."""
+    """New noise in each frame; `stuck` repeats one frame."""
 
     def __init__(self, sensor):
         super().__init__(sensor, fresh=True, slow_s=PERIOD_S)
@@ -28,7 +28,7 @@ class Camera(RestingSource):
         return frame if self.stuck is None else replace(frame, depth_m=self.stuck.depth_m)
 
 
-def test_frames_are_collected_live_until_the_interval_is_small(drive):
+def test_live_frames_are_collected_until_gamma0_is_precise(drive):
     bench = Bench(drive(Camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
     assert not panel.next.isEnabled() and box.isVisible()
@@ -36,7 +36,7 @@ def test_frames_are_collected_live_until_the_interval_is_small(drive):
     box.target.setValue(5.0)
     bench.click(box.button)
     bench.wait(lambda: len(box.collector.frames) >= FIRST_ESTIMATE)
-    bench.state.set_playing(False)  # no pictures while the estimate is computed
+    bench.state.set_playing(False)  # no drawing during the estimate
     bench.wait(lambda: not box.collector.active)
     bench.done()
     assert 10 <= len(bench.draft.samples.frames) < 400
@@ -49,7 +49,7 @@ def test_frames_are_collected_live_until_the_interval_is_small(drive):
     assert panel.calibration.work.collected is None
 
 
-def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(drive, resting):
+def test_collecting_is_cancelled_and_repeated_frames_are_skipped(drive, resting):
     frames, read = list(resting), list[int]()
 
     class Loop(RestingSource):
@@ -62,13 +62,13 @@ def test_collecting_is_cancelled_and_a_repeating_source_gives_nothing_twice(driv
     bench.click(box.button)
     bench.wait(lambda: len(box.collector.frames) >= 10)
     before = len(read)
-    bench.wait(lambda: len(read) > before + len(frames) + 5)  # more than one round
+    bench.wait(lambda: len(read) > before + len(frames) + 5)  # more than one loop
     assert len(box.collector.frames) <= REST + 2
     bench.click(box.cancel)
     assert not box.collector.active and bench.panel.calibration.work.collected is None
 
 
-def test_frames_are_collected_live_again_and_replace_those_before(drive):
+def test_collecting_again_replaces_the_frames(drive):
     cameras = list[Camera]()
     opened = lambda sensor: cameras.append(Camera(sensor)) or cameras[0]  # noqa: E731
     bench = Bench(drive(opened, playing=True, live=True))
@@ -92,8 +92,8 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive):
     cameras[0].stuck = panel.calibration.work.collected[0]
     bench.click(box.button)
     bench.wait(lambda: len(box.collector.frames) > 0)
-    bench.click(box.stop)  # too few: refused, and nothing of the old frames passes for theirs
-    assert "at least 5" in bench.said
+    bench.click(box.stop)  # too few frames: refused, and the old results are not shown for them
+    assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated")
     assert panel.steps.button(0).toolTip().endswith("needs attention")
     cameras[0].stuck = None
@@ -107,13 +107,13 @@ def test_frames_are_collected_live_again_and_replace_those_before(drive):
     assert "Outdated" not in panel.verdict.text()
 
 
-def test_collected_frames_outlive_close_and_connecting_again(drive):
+def test_collected_frames_survive_close_and_reconnecting(drive):
     bench = Bench(drive(Camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
     sensor = bench.window.controller.sensor
 
     def connect(sensor):
-        bench.opens("resting", lambda sensor: Camera(sensor), sensor, live=True)
+        bench.open("resting", lambda sensor: Camera(sensor), sensor, live=True)
 
     def kept():
         return panel.calibration.work is work and bench.answer is answer
@@ -125,7 +125,7 @@ def test_collected_frames_outlive_close_and_connecting_again(drive):
     bench.wait(lambda: len(box.collector.frames) >= 3)
     bench.key(Qt.Key.Key_W, CTRL)
     bench.wait(lambda: bench.state.facts.is_empty)
-    bench.settle()
+    bench.wait_until_shown()
     begun = len(box.collector.frames)
     assert kept() and "Nothing is open" in box.message.text() and not box.button.isEnabled()
     connect(sensor)

@@ -1,4 +1,4 @@
-"""A calibration that is not saved: used, sent along, asked for and kept when its source goes."""
+"""Unsaved calibrations: use, session files, questions, and a closed source."""
 
 from functools import partial
 
@@ -24,8 +24,8 @@ def folder(resting, tmp_path):
     return mine
 
 
-def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, folder, tmp_path):
-    """Identified and used, but saved nowhere: its files are gone when the window is."""
+def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor, folder, tmp_path):
+    """An identified sensor that was not saved; its temporary files are deleted with the window."""
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     window, answer = bench.window, bench.answer
@@ -34,7 +34,7 @@ def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, 
     bench.wait(lambda: window.controller.sensor is not sensor)
     assert f"{sensor.name}, identified (not saved)" in window.windowTitle()
     assert bench.pipeline.model.pixels is not None
-    assert bench.answer is answer  # the same source: nothing is lost
+    assert bench.answer is answer  # the same source keeps the results
     bench.undo()
     bench.wait(lambda: window.controller.sensor is sensor)
     bench.redo()
@@ -49,13 +49,13 @@ def test_the_new_sensor_is_used_undone_and_sent_with_the_session(drive, sensor, 
     other = drive()
     other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
     other.wait(lambda: other.state.facts.title == "rest.mcap")
-    other.settle()
+    other.wait_until_shown()
     theirs = other.window.controller.sensor
     assert theirs.pneumatics == used.pneumatics and theirs.calibration == used.calibration
     assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
-def test_an_identification_outlives_close_and_another_recording_asks_for_it(
+def test_identification_survives_close_and_another_recording_asks_to_save_it(
     drive, folder, monkeypatch
 ):
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
@@ -64,17 +64,17 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     bench.key(Qt.Key.Key_W, CTRL)
     bench.wait(lambda: bench.state.facts.is_empty)
     assert bench.answer is answer and panel.verdict.isVisible()
-    assert not panel.strip.isVisible()  # there is no timeline that it is of
+    assert not panel.strip.isVisible()  # its recording is not open
     window.open_file(folder / "rest.mcap")
     bench.wait(lambda: bench.state.facts.title == "rest.mcap")
     assert bench.answer is answer and panel.strip.isVisible()
     other, out = partial(window.open_file, folder / "other.mcap"), folder / "mine.toml"
 
     def refused(button, file):
-        """The question is answered so, or its dialog; what is open stays."""
+        """Answer the question, or its dialog; the current source stays open."""
         monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (file, ""))
         assert "rest.mcap is not saved" in answered(bench, other, button)
-        bench.settle()
+        bench.wait_until_shown()
         assert bench.state.facts.title == "rest.mcap" and bench.answer is answer
         assert not out.exists()
 
@@ -91,7 +91,7 @@ def test_an_identification_outlives_close_and_another_recording_asks_for_it(
     assert bench.draft.found is None
 
 
-def test_closing_asks_and_a_session_that_is_refused_changes_nothing(drive, folder):
+def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, folder):
     other = drive(Source.of_recording(folder / "other.mcap"))
     other.state.change(layers=frozenset({"rim"}))
     other.window.session_saver.save_as(folder / "look.bubbleviz")
@@ -101,20 +101,20 @@ def test_closing_asks_and_a_session_that_is_refused_changes_nothing(drive, folde
     before = state.settings, window.open_panels.names, state.facts
     look = partial(window.open_file, folder / "look.bubbleviz")
     assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
-    bench.settle()
+    bench.wait_until_shown()
     assert (state.settings, window.open_panels.names, state.facts) == before
-    close = partial(bench.act, "File › Quit")
+    close = partial(bench.trigger, "File › Quit")
     assert "rest.mcap is not saved" in answered(bench, close, "Cancel")
     assert window.isVisible() and bench.panel.calibration.unsaved
     answered(bench, look, "Discard")
     bench.wait(lambda: state.facts.title == "other.mcap")
     assert state.settings.layers == {"rim"} and bench.draft.found is None
-    window.close()  # nothing to ask
+    window.close()  # no question
     assert not window.isVisible()
 
 
 @pytest.mark.long
-def test_a_saved_identification_is_not_asked_for(drive, folder, monkeypatch):
+def test_no_question_about_a_saved_identification(drive, folder, monkeypatch):
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)

@@ -1,4 +1,4 @@
-"""A frame one stays at has one answer, however one came to it."""
+"""The result of a paused frame does not depend on the frames shown before."""
 
 from collections import Counter
 
@@ -15,12 +15,12 @@ from bubbleviz_ui.model.session_state import SessionState
 
 
 def settled_by_itself(driver):
-    """Wait until the window has settled the frame at the cursor."""
-    driver.wait(lambda: driver.at_the_cursor() and driver.window.controller.cold_solved)
+    """Wait for the cold solve of the frame at the cursor."""
+    driver.wait(lambda: driver.shows_cursor_frame() and driver.window.controller.cold_solved)
 
 
 def shown(driver):
-    """Force, N, and area, m², of the patch that is shown, once nothing changes any more."""
+    """Force, N, and area, m², of the patch shown, after its cold solve."""
     settled_by_itself(driver)
     patch = driver.result.patch
     return float(np.linalg.norm(patch.force_n)), patch.area_m2
@@ -32,7 +32,7 @@ def play_past(driver, frame):
     driver.click(driver.window.playback.play)
 
 
-def test_opened_sought_stepped_and_played_to_a_frame_has_the_same_area(drive):
+def test_same_result_after_opening_seeking_stepping_or_playing_to_a_frame(drive):
     opened = drive(frame=CONTACT)
     alone = shown(opened)
     driver = drive(frame=110)
@@ -54,8 +54,8 @@ def test_opened_sought_stepped_and_played_to_a_frame_has_the_same_area(drive):
     assert paused == pytest.approx(shown(opened), rel=0.01)
 
 
-def test_a_paused_frame_has_its_pose_found_once(drive):
-    """Also where closer looks, which are left out while playing, are due with it."""
+def test_pose_of_a_paused_frame_is_registered_once(drive):
+    """Also if diagnostics, which are skipped during playback, are due."""
     driver = drive(frame=CONTACT - 3)
     driver.show("pose", "images")
     driver.choose(every_frame=True, pose_object="sphere", pose_track=True)
@@ -73,7 +73,7 @@ def test_a_paused_frame_has_its_pose_found_once(drive):
     assert found[driver.state.frame] == 1
 
 
-def test_a_frame_is_settled_with_what_was_chosen_since(drive):
+def test_cold_solve_uses_settings_changed_meanwhile(drive):
     driver = drive(frame=CONTACT)
     controller, areas = driver.window.controller, list[float]()
     driver.state.change(least_area_m2=0.01)
@@ -87,7 +87,7 @@ def test_a_frame_is_settled_with_what_was_chosen_since(drive):
     driver.wait(lambda: bool(areas))
     assert areas == [0.0]
     controller.client.solved.disconnect(note)
-    # a panel that opens while the frame is being settled has its look at it
+    # a panel opened during the cold solve gets its diagnostics
     for frame in (CONTACT + 1, CONTACT + 2):
         driver.state.seek(frame)
         controller.cold_solve()
@@ -99,7 +99,7 @@ def test_a_frame_is_settled_with_what_was_chosen_since(drive):
 
 
 class Waiting:
-    """A worker that runs what is submitted in the order it is told to."""
+    """A worker that runs submitted functions in a given order."""
 
     def __init__(self):
         self.submitted = []
@@ -130,7 +130,7 @@ def state():
 
 @pytest.fixture
 def client(qtbot, sensor, state):
-    """What asks for frames of a source that is open at frame 3."""
+    """Client of a source opened at frame 3."""
     made = SensorClient(state)
     made.worker.close()
     made.worker = Waiting()
@@ -140,7 +140,7 @@ def client(qtbot, sensor, state):
     made.solver.close()
 
 
-def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
+def test_requests_during_a_cold_solve_are_not_lost(client):
     client.request_cold_solve()
     client.request_frame(3, WITH_DIAGNOSTICS)
     client.worker.run(-1)
@@ -152,10 +152,10 @@ def test_what_is_asked_for_while_a_frame_is_settled_is_not_lost(client):
 
 
 def test_a_diagnostic_that_did_not_arrive_is_requested_again(client, state):
-    """Looks are left out of most frames while playing, but not because of one that never came."""
+    """During playback most frames have no diagnostics, but a missing frame must not delay them."""
     state.open(client.facts, 3, playing=True, history=client.history)
     client.request_newest(WITH_DIAGNOSTICS)
-    client.worker.run(-1)  # there is none: the source does not grow
+    client.worker.run(-1)  # no frame: the source does not grow
     client.request_frame(3, WITH_DIAGNOSTICS)
     client.worker.run(-1)
     assert client.inspection.kappa_curve is not None

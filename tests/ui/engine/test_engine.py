@@ -1,4 +1,4 @@
-"""Threads, memory and signals behind the window: in order, in the right thread, and let go."""
+"""Worker threads, memory and signals of the window."""
 
 import signal
 import subprocess
@@ -44,7 +44,7 @@ def jobs(qtbot):
     made.close(60.0)
 
 
-def test_functions_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(wait, jobs):
+def test_results_and_errors_arrive_in_order_in_the_gui_thread(wait, jobs):
     ended, here = [], threading.current_thread()
     threads = set[threading.Thread]()
 
@@ -69,7 +69,7 @@ def test_functions_end_in_order_in_the_gui_thread_and_say_what_goes_wrong(wait, 
     assert ended[2:] == [3, 4]
 
 
-def test_progress_is_told_and_ends_a_function_that_is_cancelled(wait, jobs):
+def test_progress_is_reported_and_stops_a_cancelled_function(wait, jobs):
     told, ended = list[tuple[str, float]](), []
     jobs.progressed.connect(lambda step, done: told.append((step, done)))
 
@@ -86,7 +86,7 @@ def test_progress_is_told_and_ends_a_function_that_is_cancelled(wait, jobs):
     assert ended == ["new"]
 
 
-def test_a_late_answer_is_dropped(jobs):
+def test_result_of_a_cancelled_function_is_discarded(jobs):
     began, go = Event(), Event()
     ended, discard = [], list[str]()
 
@@ -103,7 +103,7 @@ def test_a_late_answer_is_dropped(jobs):
     assert discard == ["a source that is open"] and not ended
 
 
-def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot):
+def test_closing_waits_for_functions_up_to_the_timeout(qtbot):
     jobs, done = Worker("wanted"), list[int]()
     for number in range(20):
         jobs.submit(lambda number=number: done.append(number))
@@ -117,8 +117,8 @@ def test_closing_waits_for_what_is_wanted_and_no_longer_than_it_is_told(qtbot):
     assert ended.wait(240.0)  # it is not lost
 
 
-def test_a_function_that_outlasts_closing_does_not_change_the_exit_code():
-    """SciPy's factorisations of a thread that is left behind would (scipy#25404)."""
+def test_function_running_after_close_does_not_change_the_exit_code():
+    """SciPy factorisations in a thread that is still running would change it (scipy#25404)."""
     words = """
 import threading
 from PySide6.QtCore import QCoreApplication
@@ -140,8 +140,8 @@ worker.close(0.01)
     assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")
 
 
-def test_functions_that_end_after_their_window_do_no_harm(qtbot):
-    """Their threads are the last to know of them, while their ends are told in the GUI thread."""
+def test_functions_may_end_after_their_window(qtbot):
+    """Their threads hold the last references while the results are delivered in the GUI thread."""
     for _ in range(2_000):
         jobs, go_on = Worker("held"), Event()
         jobs.submit(go_on.wait)
@@ -163,21 +163,21 @@ def worker(qtbot):
 
 
 def opened(wait, worker):
-    """Wait until what was submitted to open something has been delivered."""
+    """Open a source and wait for the delivery of its result."""
     done = []
     worker.submit(lambda: None, done.append, key="open")
     wait(lambda: bool(done))
 
 
 def holding(worker, key="object"):
-    """Have the worker wait until the event is set; submitted so, others wait behind it."""
+    """Block the worker until the returned event is set."""
     begun, go_on = Event(), Event()
     worker.submit(lambda: (begun.set(), go_on.wait(240.0)), lambda _: None, key=key)
     assert begun.wait(240.0)
     return go_on
 
 
-def test_the_latest_of_each_key_runs_the_most_urgent_first(wait, worker):
+def test_latest_function_of_each_key_runs_most_urgent_first(wait, worker):
     opened(wait, worker)
     go_on, came = holding(worker), []
     worker.submit(lambda: "left", came.append, key="cold_solve")
@@ -197,8 +197,8 @@ def test_the_latest_of_each_key_runs_the_most_urgent_first(wait, worker):
     assert came[3:] == ["last"]
 
 
-def test_what_is_not_due_or_deferred_lets_others_go_first(wait, worker):
-    """A drag of κ is answered although the next live frame is not to be taken yet."""
+def test_functions_not_due_or_deferred_do_not_block_others(wait, worker):
+    """A new patch is computed while the next live frame is not due yet."""
     opened(wait, worker)
     came, calls = [], []
     worker.submit(lambda: None, came.append, key="newest", due_s=time.perf_counter() + 1e6)
@@ -217,9 +217,9 @@ def test_what_is_not_due_or_deferred_lets_others_go_first(wait, worker):
     assert came[1:] == ["patch again", "newest"] and calls == [False, False]
 
 
-def test_what_was_meant_for_another_source_does_not_run(wait, worker):
+def test_functions_for_a_previous_source_do_not_run(wait, worker):
     came = []
-    worker.submit(lambda: "of nothing", came.append, key="frame")  # nothing is open yet
+    worker.submit(lambda: "of nothing", came.append, key="frame")  # no source is open yet
     opened(wait, worker)
     go_on = holding(worker, "open")
     worker.submit(lambda: "of the former", came.append, key="frame")
@@ -230,7 +230,7 @@ def test_what_was_meant_for_another_source_does_not_run(wait, worker):
     assert came == ["of the new"]
 
 
-def test_what_fails_is_told_with_its_key_and_the_rest_goes_on(wait, worker):
+def test_failure_is_reported_with_its_key_and_others_continue(wait, worker):
     failures, came = [], []
     opened(wait, worker)
     worker.failed.connect(failures.append)
@@ -243,9 +243,9 @@ def test_what_fails_is_told_with_its_key_and_the_rest_goes_on(wait, worker):
 
     worker.submit(refuse, came.append, key="open", request="file")
     wait(lambda: len(failures) == 1)
-    worker.submit(open_nothing, came.append, key="open")  # nobody waits for it any more
+    worker.submit(open_nothing, came.append, key="open")  # cancelled
     worker.submit(lambda: 1 / 0, came.append, key="patch")
-    worker.submit(lambda: "frame", came.append, key="frame")  # what was open stays
+    worker.submit(lambda: "frame", came.append, key="frame")  # the open source stays
     wait(lambda: came == ["frame"])
     assert [(f.key, f.message, f.request) for f in failures] == [
         ("open", "no such file", "file"),
@@ -254,7 +254,7 @@ def test_what_fails_is_told_with_its_key_and_the_rest_goes_on(wait, worker):
     assert "Traceback" in failures[1].details and not failures[0].details
 
 
-def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(qtbot):
+def test_second_close_waits_for_a_function_that_exceeded_the_timeout(qtbot):
     ended, came = Event(), []
     worker = Worker("solver", KEYS, ended.set)
     go_on = holding(worker, "open")
@@ -268,7 +268,7 @@ def test_what_closing_did_not_wait_for_is_waited_for_before_the_end(qtbot):
     assert not came  # what waited is dropped
 
 
-def test_a_frame_past_the_end_opens_at_the_last(sensor):
+def test_frame_beyond_the_end_opens_at_the_last(sensor):
     solver, demand = Solver(), Demand(frozenset({"cloud"}))
     opened = solver.open(OpenRequest(Source("dent", DentSource), lambda: sensor, 99, demand))
     assert opened.frame == opened.facts.frames - 1
@@ -278,7 +278,7 @@ def test_a_frame_past_the_end_opens_at_the_last(sensor):
 # -- memory -------------------------------------------------------------------------------------
 
 
-def test_garbage_of_another_thread_goes_in_the_gui_thread(wait):
+def test_garbage_of_another_thread_is_collected_in_the_gui_thread(wait):
     wanted, gone_in = 5_000, list[int]()
 
     class Ring:
@@ -297,7 +297,7 @@ def test_garbage_of_another_thread_goes_in_the_gui_thread(wait):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc is asked to")
-def test_what_nobody_uses_goes_back_to_the_system():
+def test_unused_memory_is_returned_to_the_system():
     done = run_python("""
 import numpy as np
 from benchmarks.window.process_usage import resident_mib
@@ -316,11 +316,11 @@ print(held - before, resident_mib() - before)
     assert kept < 30.0
 
 
-def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot, wait):
+def test_memory_is_released_when_idle_and_not_during_playback(qtbot, wait):
     state, given, idle_ms = SessionState(), Event(), 20
     state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=True)
     giving = MemoryRelease(state, given.set, idle_ms)
-    timer = QTimer(interval=idle_ms)  # as often as the other looks, which began before
+    timer = QTimer(interval=idle_ms)  # same period as the tested timer
     timer.start()
     for _ in range(3):
         qtbot.waitSignal(timer.timeout, timeout=PATIENCE_MS).wait()
@@ -330,7 +330,7 @@ def test_memory_is_given_back_at_rest_and_not_while_playing(qtbot, wait):
     giving.close()
 
 
-def test_the_oldest_kept_estimate_is_dropped_first_and_finer_meshes_count():
+def test_estimate_cache_drops_the_oldest_and_counts_refined_meshes():
     nothing = np.zeros(1000)
     estimate = Estimate("no_contact", nothing, nothing.copy(), 0.0, 0.0, 0.0)
     size = 2 * nothing.nbytes
@@ -345,7 +345,7 @@ def test_the_oldest_kept_estimate_is_dropped_first_and_finer_meshes_count():
     fine = FineContact(mesh, np.zeros((len(zero), 2), int), zero, mesh.nodes, 1e-3)
     for frame in range(3):
         kept.keep(frame, Numbers(), replace(estimate, fine=fine))
-    _ = mesh.rings  # found later, and kept by the mesh
+    _ = mesh.rings  # computed lazily and cached by the mesh
     kept.keep(3, Numbers(), estimate)
     assert [frame for frame in range(4) if kept.get(frame)] == [3]
 
@@ -361,14 +361,14 @@ def interrupt(qapp):
     made.close()
 
 
-def test_an_interrupt_ends_the_loop_that_runs_and_no_other(qapp, interrupt):
+def test_interrupt_ends_only_the_running_event_loop(qapp, interrupt):
     QTimer.singleShot(0, lambda: signal.raise_signal(signal.SIGTERM))
     assert qapp.exec() == EXIT_CODE
     assert interrupt.received
 
 
-def test_the_loop_of_the_next_window_goes_on(qapp, interrupt):
-    """It came while a window was opened, which handles events without a loop of Qt's."""
+def test_interrupt_does_not_end_the_next_event_loop(qapp, interrupt):
+    """The interrupt arrived while a window was opening, without a running Qt event loop."""
     signal.raise_signal(signal.SIGINT)
     qapp.processEvents()
     assert interrupt.received

@@ -1,4 +1,4 @@
-"""A recording made by `bubbleviz simulate`: its truth in the window, however it gets there."""
+"""Simulated recordings and their ground truth in the window."""
 
 import shutil
 
@@ -25,7 +25,7 @@ FRAMES = 3
 
 @pytest.fixture(scope="module")
 def files(sensor, tmp_path_factory):
-    """A folder with a simulated press, its truth under another name, and the sensor's file."""
+    """A folder with a simulated press, its ground truth under another name, and the sensor file."""
     folder = tmp_path_factory.mktemp("simulated")
     poses = np.repeat(np.eye(4)[None], FRAMES, axis=0)
     poses[:, 2, 3] = (0.045, 0.042, 0.040)
@@ -49,9 +49,9 @@ def says_iou(driver):
     return curve is not None and "IoU" in curve.frame.label.text
 
 
-def test_a_dropped_truth_shows_the_iou_and_stays_in_the_session(drive, sensor, files):
+def test_dropped_ground_truth_shows_the_iou_and_is_saved_in_the_session(drive, sensor, files):
     driver = opened(drive, sensor, files / "sim.mcap")
-    driver.settle()
+    driver.wait_until_shown()
     assert not says_iou(driver)
     driver.drop(files / "what_is_true.npz")
     driver.wait(lambda: says_iou(driver))
@@ -87,14 +87,14 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     assert "marked" not in driver.window.playback.timeline.tip(6)
     driver.key(Qt.Key.Key_PageDown)
     driver.wait(lambda: driver.state.frame == 3)
-    # one that ends early says so
+    # a truncated recording is reported
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((tmp_path / "marked.mcap").read_bytes()[:-40])
-    driver.opens("cut.mcap", Source.of_recording(cut), sensor)
-    driver.told("cut.mcap ends early")
+    driver.open("cut.mcap", Source.of_recording(cut), sensor)
+    driver.wait_for_message("cut.mcap ends early")
 
 
-def test_a_truth_file_named_after_the_recording_is_found_or_reported_as_another_s(
+def test_ground_truth_next_to_the_recording_is_found_or_reported_as_foreign(
     drive, sensor, files, tmp_path
 ):
     shutil.copy(files / "sim.mcap", tmp_path)
@@ -103,42 +103,40 @@ def test_a_truth_file_named_after_the_recording_is_found_or_reported_as_another_
     driver.wait(lambda: says_iou(driver))
     truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
     np.savez(tmp_path / "sim.npz", **truth)
-    driver.act("File › Reload")
-    driver.told("sim.npz: belongs to another recording")
+    driver.trigger("File › Reload")
+    driver.wait_for_message("sim.npz: belongs to another recording")
     driver.wait(lambda: not says_iou(driver))
 
 
-def test_a_truth_file_of_another_recording_is_refused_and_the_source_stays_open(
+def test_ground_truth_of_another_recording_is_refused_and_the_source_stays_open(
     drive, sensor, files, tmp_path, monkeypatch
 ):
     menu, name = "File › Open ground truth", str(files / "what_is_true.npz")
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (name, ""))
     driver = drive()
-    driver.act(menu)  # what is open is no recording
-    driver.told("open the recording of that simulation first")
-    # recording, sensor and truth are dropped together
+    driver.trigger(menu)  # the open source is not a recording
+    driver.wait_for_message("open the recording of that simulation first")
+    # recording, sensor file and ground truth dropped together
     driver.show("threshold")
     driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     driver.state.set_playing(False)
     driver.wait(lambda: says_iou(driver))
-    # and without the truth there is no IoU until it is opened
-    driver.opens(
-        "sim.mcap", Source.of_recording(files / "sim.mcap"), sensor, frame=2, playing=False
-    )
+    # without ground truth there is no IoU until it is opened
+    driver.open("sim.mcap", Source.of_recording(files / "sim.mcap"), sensor, frame=2, playing=False)
     driver.wait(lambda: not says_iou(driver))
-    driver.settle()
+    driver.wait_until_shown()
     arrays = dict(np.load(files / "what_is_true.npz"))
     np.savez(tmp_path / "other.npz", **{**arrays, "time_s": 1.5 * arrays["time_s"]})
     driver.drop(tmp_path / "other.npz")
-    driver.told("other.npz: belongs to another recording")
+    driver.wait_for_message("other.npz: belongs to another recording")
     assert driver.state.facts.frames == FRAMES and driver.state.frame == 2 and not says_iou(driver)
-    driver.act(menu)
+    driver.trigger(menu)
     driver.wait(lambda: says_iou(driver))
 
 
 @pytest.mark.long
-def test_the_command_line_takes_a_truth(qtbot, sensor, files):
+def test_command_line_option_for_ground_truth(qtbot, sensor, files):
     rec, truth = files / "sim.mcap", files / "what_is_true.npz"
     with window_session(sensor, rec, 2, None, truth=truth) as session:
         session.window.show()

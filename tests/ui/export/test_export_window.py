@@ -1,4 +1,4 @@
-"""Exports from the window: chosen by clicks, read back from the files."""
+"""Exports from the window by clicks, read back from the files."""
 
 import csv
 import re
@@ -7,10 +7,10 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource
-from live_bench import connected
+from live_bench import connected_bench
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
-from window_driver import CTRL, Driver, clipped, texts, warm
+from window_driver import CTRL, Driver, clipped_labels, pressure_coloured, view_texts
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.simulation import default_press
@@ -21,12 +21,12 @@ from bubbleviz_ui.view3d.tools import picture_of
 
 
 class Bench(Driver):
-    """The window with its export dialog open, and what a person does with it."""
+    """The window with its export dialog open, driven by clicks and keys."""
 
     def __init__(self, driver, monkeypatch):
         super().__init__(driver.bot, driver.window)
         self._patch = monkeypatch
-        self.act("File › Export")
+        self.trigger("File › Export")
         assert self.dialog.isVisible()
 
     @property
@@ -56,10 +56,10 @@ class Bench(Driver):
 def bench(drive, monkeypatch):
     made = Bench(drive(DentSource, frame=6), monkeypatch)
     yield made
-    made.let_go()
+    made.release()
 
 
-def test_a_table_of_the_range_on_the_timeline_with_poses_that_were_found(bench, tmp_path):
+def test_export_table_of_the_chosen_range_with_poses(bench, tmp_path):
     state = bench.state
     state.set_range((3, 8))
     state.change(kappa=2.0)
@@ -109,7 +109,7 @@ SERIES = {
 }
 
 
-def test_series_are_folders_plots_files_and_what_is_cancelled_nothing(bench, tmp_path):
+def test_export_series_and_plots_and_cancelled_exports_leave_nothing(bench, tmp_path):
     first, last = 3, 6
     bench.state.set_range((first, last))
     for title, suffix in SERIES.items():
@@ -150,7 +150,7 @@ def pictures(path):
     return [np.frombuffer(p, np.uint8).reshape(height, width, 3) for p in reader]
 
 
-def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, monkeypatch):
+def test_video_contains_each_frame_of_the_range_with_its_caption(bench, tmp_path, monkeypatch):
     driver = bench
     driver.state.change(picture_size=(480, 360), speed=0.5)
     driver.state.set_range((2, 10))
@@ -162,14 +162,16 @@ def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, m
     assert len(shown) == 9 and shown[0].shape == (360, 480, 3)
     _, seconds = imageio_ffmpeg.count_frames_and_secs(str(out))
     assert seconds == pytest.approx(9 / 15.0, rel=0.2)  # half of 30 Hz
-    assert len(warm(shown[0])) < 20 < len(warm(shown[-1]))  # the dent comes with frame 4
-    driver.settle()
+    assert (
+        len(pressure_coloured(shown[0])) < 20 < len(pressure_coloured(shown[-1]))
+    )  # the dent comes with frame 4
+    driver.wait_until_shown()
     assert driver.result.frame.index == 6
     # each says which frame it shows, unless told not to
     drawn = []
 
     def watched(*args):
-        drawn.append([text for text in texts(driver) if text.startswith("frame")])
+        drawn.append([text for text in view_texts(driver) if text.startswith("frame")])
         return picture_of(*args)
 
     monkeypatch.setattr(video_export, "picture_of", watched)
@@ -177,7 +179,7 @@ def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, m
     driver.state.set_range((2, 3))
     bench.export("Video of the view", tmp_path / "said.mp4")
     assert drawn == [["frame 2 · 0.067 s"], ["frame 3 · 0.100 s"]]
-    assert not [text for text in texts(driver) if text.startswith("frame")]
+    assert not [text for text in view_texts(driver) if text.startswith("frame")]
     driver.click(bench.dialog.captioned)
     bench.export("Video of the view", tmp_path / "silent.mp4")
     assert drawn[2:] == [[], []]
@@ -187,7 +189,7 @@ def test_a_video_shows_each_frame_of_the_range_and_says_which(bench, tmp_path, m
     assert not bench.dialog.captioned.isVisible()
 
 
-def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tmp_path):
+def test_video_shows_the_same_as_the_paused_window(drive, sensor, monkeypatch, tmp_path):
     """Each frame settled, as a pipeline that has seen nothing else finds it."""
     drawn = list[tuple[int, float]]()
     bench = Bench(drive(frame=110), monkeypatch)
@@ -212,24 +214,24 @@ def test_a_video_shows_what_a_paused_window_shows(drive, sensor, monkeypatch, tm
         assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
 
 
-def test_a_frame_that_cannot_be_read_ends_it_with_a_sentence(drive, monkeypatch, tmp_path):
+def test_unreadable_frame_ends_the_video_with_a_message(drive, monkeypatch, tmp_path):
     bench = Bench(drive(lambda sensor: DentSource(sensor, broken_from=3)), monkeypatch)
     bench.state.change(picture_size=(320, 240))
     assert "frame 3 cannot be read" in bench.export("Table", tmp_path / "a.csv")
     bench.begin("Video of the view", tmp_path / "a.mp4")
     bench.wait(lambda: not bench.window.exporting.busy)
-    assert "frame 3 cannot be read" in bench.said
+    assert "frame 3 cannot be read" in bench.message_text
     bench.window.exporting.close()
     assert not list(tmp_path.iterdir())
 
 
-def test_a_live_source_is_recorded_first(open_bench, monkeypatch):
-    bench = Bench(connected(open_bench), monkeypatch)
+def test_live_source_must_be_recorded_before_export(open_bench, monkeypatch):
+    bench = Bench(connected_bench(open_bench), monkeypatch)
     assert "record it (Ctrl+R)" in bench.dialog.about.text()
     assert not bench.dialog.export.isEnabled()
 
 
-def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
+def test_success_removes_the_error_of_an_earlier_export(bench, tmp_path):
     window, state = bench.window, bench.state
     (tmp_path / "there.csv").write_text("precious")
     state.set_range((3, 4))
@@ -252,7 +254,7 @@ def test_a_later_success_replaces_what_failed_before(bench, tmp_path):
     bench.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))
     # nothing is exported while nothing is open
     bench.state.set_range((3, 8))
-    assert not clipped(dialog)
+    assert not clipped_labels(dialog)
     box = dialog.frames
     assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
     bench.key(Qt.Key.Key_W, CTRL)

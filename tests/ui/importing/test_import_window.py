@@ -1,4 +1,4 @@
-"""Imports from the window: by clicks and keys, read back from the recording."""
+"""Imports from the window by clicks and keys, read back from the recording."""
 
 import json
 import threading
@@ -17,12 +17,12 @@ SMALL = (1024, 700)
 
 
 class Bench(Driver):
-    """The window with its import dialog open, and what a person does with it."""
+    """The window with its import dialog open, driven by clicks and keys."""
 
     def __init__(self, driver, monkeypatch):
         super().__init__(driver.bot, driver.window)
         self._patch = monkeypatch
-        self.act("File › Import")
+        self.trigger("File › Import")
         assert self.dialog.isVisible()
 
     @property
@@ -46,12 +46,12 @@ class Bench(Driver):
         self.click(self.dialog.begin)
 
     def run(self):
-        """Import, wait until it is over; what is said then."""
+        """Import and wait; returns the message of the dialog."""
         self.begin()
         self.wait(lambda: self.dialog.begin.isEnabled())
         window = self.window
         problem, made = self.dialog.problem.text(), self.dialog.made.text()
-        assert not window.message.isVisible()  # once is enough
+        assert not window.message.isVisible()  # shown only in the dialog
         assert problem or made == window.notice.label.text()
         return problem or made
 
@@ -61,7 +61,7 @@ def bench(drive, monkeypatch, tmp_path):
     made = Bench(drive(frame=3), monkeypatch)
     made.window.live_controller.set_folder(tmp_path)  # where recordings go
     yield made
-    made.let_go()
+    made.release()
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def images(press, tmp_path):
     return folder
 
 
-def test_a_folder_becomes_a_recording_that_opens(bench, images, press):
+def test_folder_of_images_is_imported_and_opens(bench, images, press):
     dialog, driver = bench.dialog, bench
     bench.choose_folder(images)
     (images.parent / "gas.csv").write_text("time_s,pa\n0,103000\n1,104000\n")
@@ -104,7 +104,7 @@ def test_a_folder_becomes_a_recording_that_opens(bench, images, press):
     assert not dialog.isVisible()
 
 
-def test_only_what_applies_is_shown(bench, images, tmp_path):
+def test_only_applicable_options_are_shown(bench, images, tmp_path):
     dialog = bench.dialog
     fields = dialog.images
     assert not fields.unit.isVisible() and not dialog.begin.isEnabled()
@@ -124,7 +124,7 @@ def test_only_what_applies_is_shown(bench, images, tmp_path):
         np.testing.assert_array_equal(after[5].depth_m, before[5].depth_m)
 
 
-def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, images, tmp_path):
+def test_errors_are_shown_in_the_dialog_and_nothing_is_written(bench, images, tmp_path):
     before = sorted(images.parent.rglob("*"))
     bench.choose_folder(images)
     assert "give a rate, or the times" in bench.run()
@@ -139,7 +139,7 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, imag
     assert "3 frames" in bench.run()
     assert not bench.window.message.isVisible()
     assert "exists already" in bench.run()
-    # a name that is typed is not there
+    # a typed name that does not exist
     bench.dialog.source.line.clear()
     bench.bot.keyClicks(bench.dialog.source.line, "/no/such.bag")
     assert bench.dialog.out.text() == str(tmp_path / "such.mcap")
@@ -148,7 +148,7 @@ def test_what_cannot_be_is_said_in_the_dialog_and_nothing_is_written(bench, imag
     assert "folder /no does not exist" in bench.run()
 
 
-def test_a_cancelled_import_leaves_nothing(bench, images, monkeypatch):
+def test_cancelled_import_leaves_no_file(bench, images, monkeypatch):
     reading, go_on = threading.Event(), threading.Event()
     read = ImageFolder.__getitem__
 

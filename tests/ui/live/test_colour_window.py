@@ -1,4 +1,4 @@
-"""Colour of a live source in the window: sent to who looks at it, and what is said meanwhile."""
+"""Colour images of a live source: subscription while shown, and messages while waiting."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ RUBBER = small_sensor("rubber dome", prestretch=1.2)
 
 
 def connected(live, frames, options, name="played"):
-    """Frames played as a live source; the messages that arrive from then on."""
+    """Replay frames as a live source; returns the messages received."""
     path, file = record(live.folder / f"{name}.mcap", frames), live.folder / "dome.toml"
     file.write_text(sensor_to_toml(RUBBER), encoding="utf-8")
     live.connect(single(f"replay:{path}?{options}", str(file)))
@@ -36,16 +36,16 @@ def show_images(live, *names):
 
 
 def words(live, name):
-    """What is written above an image, less its line breaks and spaces."""
+    """Heading of an image without line breaks and spaces."""
     return str(live.window.images.cells[name].text).replace("<br>", "").replace(" ", "")
 
 
-def test_colour_is_sent_while_it_is_looked_at(open_bench):
-    """The image, then the scene Shear, both opened after the first frames; then neither."""
+def test_colour_is_subscribed_only_while_shown(open_bench):
+    """First the image, then the scene Shear, then neither."""
     pytest.importorskip("cv2")
     live = open_bench()
     heard = connected(live, SpeckledSource(RUBBER), "loop=1")
-    live.messages_come(40)
+    live.wait_for_messages(40)
     assert colours(heard) == 0
     show_images(live, "colour")
     image = lambda: live.inspection.colour  # noqa: E731
@@ -53,9 +53,9 @@ def test_colour_is_sent_while_it_is_looked_at(open_bench):
     assert image().rgb.shape == (60, 80, 3) and colours(heard) > 0
     live.window.panels["images"].hide()
     live.wait(lambda: "images" not in live.state.settings.panels)
-    live.follow()
+    live.wait_for_frames()
     heard.clear()
-    live.messages_come(40)
+    live.wait_for_messages(40)
     assert colours(heard) == 0
     live.window.use_scene(load_scene("shear"))
     reference = live.window.shear.reference
@@ -64,7 +64,7 @@ def test_colour_is_sent_while_it_is_looked_at(open_bench):
     live.wait(lambda: live.result.flow is not None)
 
 
-def test_what_is_said_until_colour_comes_is_true(open_bench):
+def test_messages_while_waiting_for_colour(open_bench):
     """The first colour image of the recording is a quarter of an hour away."""
     live, source, late_s = open_bench(), SpeckledSource(RUBBER), 900.0
     first = replace(source[0], find_colour=None)
@@ -78,7 +78,7 @@ def test_what_is_said_until_colour_comes_is_true(open_bench):
     for name in ("colour", "flow"):
         live.wait(lambda name=name: said.replace(" ", "") in words(live, name))
     live.wait(lambda: live.window.shear.reference.text() == f"Depth alone: {said}")
-    # a source without colour is not waited for
+    # no waiting for a source without colour
     none = (replace(frame, find_colour=None) for frame in source)
     connected(live, none, "loop=1", "grey")
     live.wait(lambda: words(live, "colour") == "Colournocolourimagesinthissource")

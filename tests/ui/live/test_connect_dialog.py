@@ -1,4 +1,4 @@
-"""The dialog that connects: what it offers, what it writes, and what it says is missing."""
+"""Connect dialog: topics, source argument, error messages."""
 
 from live_bench import record_dents, sensor_file
 from PySide6.QtCore import Qt
@@ -30,7 +30,7 @@ def choose_kind(dialog, kind):
     dialog.kind.setCurrentIndex(dialog.kind.findData(kind))
 
 
-def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench):
+def test_dialog_lists_topics_when_the_robot_appears(open_bench):
     bench, port = open_bench(), free_port()
     dialog, place = opened(bench), f"tcp/127.0.0.1:{port}"
     dialog.place.setEditText("tcp/robot.invalid:9")
@@ -45,11 +45,11 @@ def test_the_dialog_offers_what_the_robot_has_once_it_is_there(open_bench):
         dialog.topics.setCurrentRow(1)
         assert dialog.uri == f"zenoh:{place}?depth=/cam/depth" == dialog.source.text()
         dialog.accept()
-        bench.follow(3)
+        bench.wait_for_frames(3)
     assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
 
 
-def test_a_refused_certificate_is_reported_in_dialog_and_bar(open_bench, certificates):
+def test_rejected_certificate_is_reported_in_dialog_and_bar(open_bench, certificates):
     bench = open_bench()
     ca, other, cert, key = (
         str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
@@ -70,7 +70,7 @@ def test_a_refused_certificate_is_reported_in_dialog_and_bar(open_bench, certifi
             bench.window.live.leave.click()
 
 
-def test_the_source_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatch):
+def test_source_argument_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatch):
     bench = open_bench()
     bench.window.show_connect()
     dialog = bench.window.findChild(ConnectDialog)
@@ -95,7 +95,7 @@ def test_the_source_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatc
     assert not dialog.folder.isVisible()
     dialog.reject()
     assert bench.live_controller.connection is None
-    # it takes a sensor file or finds the preset that fits
+    # with a sensor file or a matching preset
     path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (file, ""))
     monkeypatch.setattr("bubbleviz.recordings.sensor_matching.preset_names", lambda _: [file])
@@ -105,7 +105,7 @@ def test_the_source_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatc
     dialog.sensor.setCurrentIndex(dialog.sensor.findText("pico_flexx_75mm"))
     dialog.accept()
     bench.wait(bench.window.message.isVisible)
-    assert bench.said.endswith(
+    assert bench.message_text.endswith(
         "images are 64×48 pixels but the camera of sensor pico_flexx_75mm.toml has 224×171; choose "
         "the sensor file of this camera"
     )

@@ -1,4 +1,4 @@
-"""The live window from the command line, and its benchmarks in small."""
+"""Live window from the command line, and short runs of its benchmarks."""
 
 import json
 from pathlib import Path
@@ -20,19 +20,19 @@ from bubbleviz.cli.command_line import main
         ["--session", "dual_nut", "--sensor", "pico_flexx_75mm"],
     ],
 )
-def test_open_takes_one_of_recording_source_and_session(arguments):
-    done = CliRunner().invoke(main, ["open", *arguments])  # refused before there is a window
+def test_open_accepts_only_one_of_recording_source_and_session(arguments):
+    done = CliRunner().invoke(main, ["open", *arguments])  # refused before a window opens
     assert done.exit_code == 2 and done.stderr.count("\n") == 1, done.stderr
 
 
-def test_a_source_that_cannot_be_is_one_line(tmp_path):
+def test_invalid_source_gives_one_line_of_error(tmp_path):
     done = run_bubbleviz("open", "--source", "replay:missing.mcap", cwd=tmp_path)
     assert done.returncode == 2
     assert "missing.mcap" in done.stderr and done.stderr.count("\n") == 1, done.stderr
 
 
 @pytest.mark.long
-def test_the_live_window_without_a_display_writes_pictures(tmp_path):
+def test_live_window_without_a_display_writes_pictures(tmp_path):
     name = sensor_file(tmp_path)
     done = run_bubbleviz("open", "--source", "synthetic:?frames=5", "--sensor", name, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -41,7 +41,7 @@ def test_the_live_window_without_a_display_writes_pictures(tmp_path):
 
 
 @pytest.mark.long
-def test_the_soak_of_the_window_in_small(tmp_path):
+def test_short_soak_of_the_window(tmp_path):
     name, out = sensor_file(tmp_path), tmp_path / "soak.mcap"
     code = "from benchmarks.window.__main__ import bench; bench()"
     done = run_python(code, "live", "--window", "--minutes", "0.05", "--sensor", name,

@@ -1,8 +1,8 @@
-"""The zero of the gas pressure of a live sensor: learned, kept, moved and doubted."""
+"""Gas pressure zero of a live sensor: learning, renewal, another sensor file, warnings."""
 
 from pathlib import Path
 
-from live_bench import connected, sensor_file
+from live_bench import connected_bench, sensor_file
 from PySide6.QtCore import Qt
 from window_driver import CTRL, SHIFT
 
@@ -13,17 +13,17 @@ def counts(live):
 
 
 def with_gauge(live, gauge_pa):
-    """Open a sensor file of another gauge pressure, and go on with it."""
+    """Open a sensor file with another gauge pressure."""
     live.window.open_file(Path(sensor_file(live.folder, "other", gauge_pressure_pa=gauge_pa)))
     live.wait(lambda: live.pipeline.model.sensor.pneumatics.gauge_pressure_pa == gauge_pa)
-    live.follow(5)
+    live.wait_for_frames(5)
 
 
-def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(open_bench):
-    live = connected(open_bench)
+def test_gas_zero_is_renewed_on_request_and_adapted_to_another_sensor_file(open_bench):
+    live = connected_bench(open_bench)
     zero = live.learn_zero(shift_pa=250.0)
     assert "gas zero +250 Pa" in counts(live)
-    live.key(Qt.Key.Key_Z)  # no key of anything: it is beside Ctrl+Z
+    live.key(Qt.Key.Key_Z)  # not a shortcut, but next to Ctrl+Z
     assert not zero.waiting
     live.key(Qt.Key.Key_G, CTRL | SHIFT)
     assert zero.waiting and "waiting for contact-free frames" in counts(live)
@@ -33,17 +33,19 @@ def test_the_zero_is_learned_again_on_request_and_moved_by_another_sensor_file(o
     live.redo()
     assert zero.waiting
     live.undo()
-    # else its own gauge pressure is read as contact, or hides it, until somebody zeroes it
+    # else its gauge pressure would appear as contact, or hide it, until zeroed
     with_gauge(live, 3585.5)
     assert "gas zero -750 Pa, waiting for contact-free frames" in counts(live)
 
 
-def test_a_sensor_file_that_the_gas_pressure_at_rest_contradicts_is_warned_of(open_bench):
-    live = connected(open_bench)
+def test_warning_if_gas_pressure_at_rest_contradicts_the_sensor_file(open_bench):
+    live = connected_bench(open_bench)
     for gauge_pa, warned in ((5585.5, False), (10585.5, True)):
         live.learn_zero(103_910.0)
         with_gauge(live, gauge_pa)
         with live.bot.waitSignal(live.live_controller.looked):
             pass
         assert live.window.message.isVisible() == warned
-        assert ("of 103.9 kPa without contact, 111.9 kPa (atmospheric" in live.said) == warned
+        assert (
+            "of 103.9 kPa without contact, 111.9 kPa (atmospheric" in live.message_text
+        ) == warned

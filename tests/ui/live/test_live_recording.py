@@ -1,4 +1,4 @@
-"""What a live window writes and sends: recordings, markers, results."""
+"""Recording, markers and publishing of live sources."""
 
 import re
 import resource
@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from live_bench import IMAGE, STRING, connected, contents
+from live_bench import IMAGE, STRING, connected_bench, messages_by_type
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 from rosbags.highlevel import AnyReader
@@ -19,47 +19,45 @@ from bubbleviz.live import SessionOptions, TopicNames, ZenohSource
 from bubbleviz.recordings import Recording
 
 
-def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_whole(
-    open_bench, monkeypatch
-):
-    live = connected(open_bench)
+def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench, monkeypatch):
+    live = connected_bench(open_bench)
     live.window.live.record.button.click()
     live.wait(lambda: live.status().messages > 5)
     own = live.stop().parent
     assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
     assert not list(Path.cwd().glob("bubbleviz-2*.mcap"))
-    begun = list[str]()  # where a dialog that opens a recording begins
+    begun = list[str]()  # initial folders of open dialogs
 
     def asked(parent, title, folder, kinds):
         begun.append(folder)
         return "", ""
 
     monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
-    live.act("File › Open recording")
+    live.trigger("File › Open recording")
     chosen = str(live.folder)
     monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)
-    live.act("Live › Recording folder")
+    live.trigger("Live › Recording folder")
     assert live.state.settings.record_folder == chosen
-    live.act("File › Open recording")
+    live.trigger("File › Open recording")
     assert begun == [str(own), chosen]
-    # it has all, with markers and notes
+    # complete, with markers and notes
     controls = live.window.live.record
     controls.pre_roll.setValue(3.0)
-    live.follow(5)
+    live.wait_for_frames(5)
     pressed_ns = time.time_ns()
     live.record()
-    assert live.ticked("Live › Record")
+    assert live.is_checked("Live › Record")
     live.key(Qt.Key.Key_M)
     live.key(Qt.Key.Key_M, SHIFT)
     live.wait(controls.note.isVisible)
     live.bot.keyClicks(controls.note, "slipped here")
     live.bot.keyClick(controls.note, Qt.Key.Key_Return)
-    live.follow(5)
+    live.wait_for_frames(5)
     live.window.live.update_status()
     assert re.fullmatch(r"\d\d:\d\d · .* MB waiting", controls.progress.text())
     path = live.stop()
-    assert not live.ticked("Live › Record")
-    found = contents(path)
+    assert not live.is_checked("Live › Record")
+    found = messages_by_type(path)
     numbers = np.array([message.sequence for message in found[IMAGE]])
     assert np.array_equal(numbers, np.arange(numbers[0], numbers[-1] + 1))
     assert found[IMAGE][0].log_time < pressed_ns  # the pre-roll
@@ -68,32 +66,32 @@ def test_recordings_have_their_folder_markers_and_notes_and_closing_ends_one_who
     assert live.state.markers
     with AnyReader([path]) as reader:
         assert {c.msgtype for c in reader.connections} == set(found)
-    # closing ends one whole
+    # closing the window completes a recording
     live.record()
     path = Path(live.status().path)
     live.window.close()
-    assert len(contents(path)[IMAGE]) > 1
+    assert len(messages_by_type(path)[IMAGE]) > 1
 
 
-def test_a_full_disk_is_reported_and_results_are_published_only_on_request(open_bench):
-    live = connected(open_bench)
+def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):
+    live = connected_bench(open_bench)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     former = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, hard))
     try:
         live.record()
         live.wait(lambda: not live.live_controller.recording.busy)
-        live.told("File too large")
+        live.wait_for_message("File too large")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, former)
     assert not live.window.live.record.button.isChecked()
-    live.follow(3)
+    live.wait_for_frames(3)
     (path,) = live.folder.glob("*.mcap")
     assert 0 < path.stat().st_size <= 600_000
     with Recording(path) as recording:
         assert len(recording) > 5
-    # results go out only when asked for
+    # results are published only on request
     port = free_port()
 
     def listens():
@@ -102,7 +100,7 @@ def test_a_full_disk_is_reported_and_results_are_published_only_on_request(open_
 
     live.live_controller.publishing.endpoint = f"tcp/127.0.0.1:{port}"
     assert not live.live_controller.publishing.on and not listens()
-    live.state.change(layers=frozenset(), panels=frozenset())  # nobody looks at the patch
+    live.state.change(layers=frozenset(), panels=frozenset())  # the patch is not visible
     results = {"/bubbleviz/contact_patch", "/bubbleviz/contact_wrench"}
     names = TopicNames(depth="/bubbleviz/contact_patch", wrench="/bubbleviz/contact_wrench")
     place, topics = SessionOptions("test", f"tcp/127.0.0.1:{port}"), set[str]()

@@ -1,4 +1,4 @@
-"""Frames of two cameras are solved in a process each, as long as there is one."""
+"""Solver processes of two cameras."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ from multiprocessing import active_children
 
 import numpy as np
 import pytest
-from live_bench import sensor_file, two
+from live_bench import sensor_file, sensor_pair_preset
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import open_stream
@@ -24,14 +24,18 @@ from tests.live.streams import robot
 
 def connect_two(bench, port):
     """Connect the window to two sensors of a robot, whose frames are solved in processes."""
-    pair, source, before = two(bench.folder), f"zenoh:tcp/127.0.0.1:{port}", bench.state.facts
+    pair, source, before = (
+        sensor_pair_preset(bench.folder),
+        f"zenoh:tcp/127.0.0.1:{port}",
+        bench.state.facts,
+    )
     places = tuple(each.model_copy(update={"source": source}) for each in pair.sensors)
     bench.live_controller.connect_to(pair.model_copy(update={"sensors": places}))
     bench.wait(lambda: in_use() == 2 and bench.state.facts is not before)
 
 
 def in_use():
-    """Number of processes in which frames are solved."""
+    """Number of solver processes."""
     return sum(thread.name == "solver watch" for thread in threading.enumerate())
 
 
@@ -39,7 +43,7 @@ def none_left():
     return not active_children() and not in_use()
 
 
-def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
+def test_cancelled_wait_does_not_count_as_a_paused_source(sensor):
     demand, solver = Demand(frozenset({"cloud"})), Solver()
     stream = open_stream("synthetic:?rate=100&frames=2", sensor)
     frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
@@ -47,7 +51,7 @@ def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
         first = stream.first_frame()
         frames.begin(first.arrival_ns, first)
     solver.open(OpenRequest(Source.of_stream(frames), lambda: sensor, 0, demand))
-    while solver.newest(demand, lambda: False) is not None:  # what had arrived before it ended
+    while solver.newest(demand, lambda: False) is not None:  # frames that arrived before the end
         pass
     with pytest.raises(Deferred):
         solver.newest(demand, lambda: True)
@@ -55,8 +59,8 @@ def test_a_wait_that_was_called_off_is_no_pause_of_the_source(sensor):
     solver.close()
 
 
-def test_its_answer_is_that_of_a_pipeline_here(sensor):
-    """Each frame with its gas pressure zeroed first."""
+def test_solver_process_gives_the_same_result_as_a_local_pipeline(sensor):
+    """Gas pressure zeroed before solving."""
     demand = Demand(frozenset({"patch"}))
     zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
     zero.restore(zero.reference_pa + 40.0, waiting=False)
@@ -76,7 +80,7 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
                 continue
             frame, found = solved.result.frame, solved.result.estimate
             assert frame.gas_pressure_pa == frames[frame.index].gas_pressure_pa - 40.0
-            # the process has solved the same frames in the same order, so that it started alike
+            # the process solved the same frames in the same order, with the same warm starts
             expected = own.process(frame, demand.products).estimate
             assert found.status == expected.status and found.trusted
             scale = 1e-9 * np.abs(expected.displacement_m).max()
@@ -86,31 +90,31 @@ def test_its_answer_is_that_of_a_pipeline_here(sensor):
     assert none_left()
 
 
-def test_killed_it_is_missed_in_one_sentence_and_it_ends_with_the_source_and_the_window(open_bench):
+def test_killed_solver_process_is_reported_and_processes_end_with_their_source(open_bench):
     bench, port = open_bench(), free_port()
     with robot(port):
-        # a camera alone has none
+        # a single camera has none
         bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", sensor_file(bench.folder)))
         assert none_left()
         connect_two(bench, port)
-        bench.follow()
-        before = bench.shown
+        bench.wait_for_frames()
+        before = bench.shown_frame
         for child in active_children():
             os.kill(child.pid, signal.SIGKILL)
-        bench.told("its solver process has ended", "code -9")
-        bench.follow(5)
+        bench.wait_for_message("its solver process has ended", "code -9")
+        bench.wait_for_frames(5)
         assert none_left()
-        known = bench.state.history.values["latency_ms"][before : bench.shown]
-        assert np.isfinite(known).all()  # also of the frame that it was given
+        known = bench.state.history.values["latency_ms"][before : bench.shown_frame]
+        assert np.isfinite(known).all()  # including the frame in progress
         connect_two(bench, port)
         bench.state.freeze(True)
         bench.window.live.leave.click()
         bench.wait(none_left)
         connect_two(bench, port)
         # a simulation has none
-        bench.live_controller.connect_to(two(bench.folder))
+        bench.live_controller.connect_to(sensor_pair_preset(bench.folder))
         bench.wait(none_left)
-        bench.follow(5)
+        bench.wait_for_frames(5)
         assert none_left()
         connect_two(bench, port)
         bench.window.close()

@@ -1,12 +1,12 @@
-"""The window on live sources: real streams through the real controller, by clicks and keys."""
+"""Live sources in the window, by clicks and keys."""
 
 import threading
 
 import numpy as np
-from live_bench import SYNTHETIC, connected, record_dents, sensor_file
+from live_bench import SYNTHETIC, connected_bench, record_dents, sensor_file
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtWidgets import QAbstractButton
-from window_driver import CTRL, SHIFT, texts
+from window_driver import CTRL, SHIFT, view_texts
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
@@ -16,32 +16,32 @@ from bubbleviz_ui.model.messages import UserMessage
 from tests.live.streams import robot
 
 
-def test_frames_are_followed_frozen_and_followed_again(open_bench):
-    live = connected(open_bench)
+def test_live_frames_are_shown_frozen_and_resumed(open_bench):
+    live = connected_bench(open_bench)
     bar, frozen = live.window.live, "Playback › Freeze a live source"
     live.wait(lambda: bar.state.text().endswith("Hz"))
     assert "simulated" in bar.state.text() and "messages" in bar.counts.text()
-    # nothing of two sensors is there
+    # no controls of a second sensor
     assert not bar.sensors and live.window.pair.second is None
     assert live.window.pair.drawing is None
     assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 1
     facts, history = live.state.facts, live.state.history
     assert facts.frames == len(history) == len(facts.times_s)
     assert np.all(np.diff(facts.times_s) > 0)
-    assert np.isfinite(history.values["residual_m"][1 : live.shown]).all()
+    assert np.isfinite(history.values["residual_m"][1 : live.shown_frame]).all()
     live.window.show_rates()
     assert live.window.status.labels["latency"].text().endswith(" ms")
-    live.follow(10)
+    live.wait_for_frames(10)
     back = live.state.frame - 5
     live.state.seek(back)
-    live.wait(lambda: live.shown == back)
-    assert live.state.frozen and live.ticked(frozen)
+    live.wait(lambda: live.shown_frame == back)
+    assert live.state.frozen and live.is_checked(frozen)
     frames = live.state.facts.frames
-    live.messages_come(10)
-    assert live.shown == back and live.state.facts.frames <= frames + 2
+    live.wait_for_messages(10)
+    assert live.shown_frame == back and live.state.facts.frames <= frames + 2
     live.window.playback.go_live.click()
-    live.follow(2)
-    assert not live.state.frozen and live.shown > back + 5 and not live.ticked(frozen)
+    live.wait_for_frames(2)
+    assert not live.state.frozen and live.shown_frame > back + 5 and not live.is_checked(frozen)
     live.show("calibration")
     box = live.window.calibration.frames.collect
     live.wait(box.button.isEnabled)
@@ -50,7 +50,7 @@ def test_frames_are_followed_frozen_and_followed_again(open_bench):
     assert "connect again" in box.message.text()
 
 
-def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench):
+def test_badge_is_connecting_until_the_first_picture(open_bench):
     live = open_bench()
     bar, seen, opened = live.window.live, list[str](), list[str]()
     note = lambda *_: seen.append(bar.state.text() + live.window.windowTitle())  # noqa: E731
@@ -68,8 +68,8 @@ def test_it_says_connecting_until_its_first_picture_is_drawn(open_bench):
     assert " (simulated) " in live.window.windowTitle()
 
 
-def test_one_word_says_what_one_looks_at(open_bench):
-    """In the bar and in the title, for each kind of source and whatever becomes of it."""
+def test_badge_of_each_kind_of_source(open_bench):
+    """In the bar and the window title, for each kind of source and state."""
     bench = open_bench()
     word, title, bar = bench.window.live.state, bench.window.windowTitle, bench.window.live
     port, name, seen = free_port(), sensor_file(bench.folder), list[tuple[str, str]]()
@@ -97,25 +97,25 @@ def test_one_word_says_what_one_looks_at(open_bench):
     assert bar.leave.isVisible() and bar.record.isVisible()
 
 
-def test_all_of_the_window_stays_on_a_small_screen(open_bench):
-    """1024×700 less the frame, with every panel open, a note being written, and all bars."""
-    live = connected(open_bench)
+def test_window_with_live_bar_fits_a_small_screen(open_bench):
+    """At 1024×700 minus the frame, with all panels, a note and all bars open."""
+    live = connected_bench(open_bench)
     window, size = live.window, (1016, 660)
     window.resize(*size)
     opened = ("Pose", "Calibration", "Compare", "Sensor", "Threshold", "3-D tools", "Images")
     for title in (*opened, "Plots"):
         window.shortcuts.actions[f"View › {title}"].trigger()
-        live.follow(1)
+        live.wait_for_frames(1)
         assert (window.width(), window.height()) == size, title
     live.record()
-    live.follow(1)
+    live.wait_for_frames(1)
     window.live.record.start_note()
     window.shortcuts.actions["Help › First steps"].trigger()
     long = "/home/robot/recordings/monday/press_of_the_ball.mcap: is no recording; "
     window.messages.add(UserMessage("error", long, "details"))
     window.busy.wait_for(long)
     live.wait(window.busy.isVisible)
-    live.follow(1)
+    live.wait_for_frames(1)
     assert (window.width(), window.height()) == size
     bars = (window.message, window.busy, window.hint, window.live, window.playback)
     for button in (each for bar in bars for each in bar.findChildren(QAbstractButton)):
@@ -127,28 +127,26 @@ def test_all_of_the_window_stays_on_a_small_screen(open_bench):
     assert window.status.geometry().bottom() < window.height()
 
 
-def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
-    open_bench, monkeypatch
-):
+def test_dropped_frame_gives_a_message_and_a_frozen_one_is_kept(open_bench, monkeypatch):
     monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.05)
-    live = connected(open_bench)
-    live.follow(5)
+    live = connected_bench(open_bench)
+    live.wait_for_frames(5)
     live.state.seek(0)
-    live.told("record to keep all")
+    live.wait_for_message("record to keep all")
     live.state.freeze(False)
-    live.follow(2)
+    live.wait_for_frames(2)
     live.window.message.hide()
     monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.0)
     for _ in range(2):
-        live.follow(5)
+        live.wait_for_frames(5)
         live.key(Qt.Key.Key_F)
         assert live.state.frozen
-        shown = live.shown
-        live.settle()
-        live.show("threshold")  # it has to be looked at once more
+        shown = live.shown_frame
+        live.wait_until_shown()
+        live.show("threshold")  # needs diagnostics of the frozen frame
         live.wait(lambda: not live.window.controller.client.diagnostics_outdated)
-        live.settle()
-        assert live.shown == shown == live.state.frame and not live.window.message.isVisible()
+        live.wait_until_shown()
+        assert live.shown_frame == shown == live.state.frame and not live.window.message.isVisible()
         live.window.panels["threshold"].hide()
         live.key(Qt.Key.Key_F)
 
@@ -156,32 +154,32 @@ def test_a_frame_that_is_gone_is_a_message_and_a_frozen_one_is_kept_however_old(
 def one_frame_everywhere(live):
     """Whether 3-D view, panels and status bar show the same frame."""
     status, force = live.window.status.labels, live.window.kappa.force.text()
-    readout = texts(live)[0]
+    readout = view_texts(live)[0]
     return (
-        status["frame"].text().startswith(f"frame {live.shown} ")
+        status["frame"].text().startswith(f"frame {live.shown_frame} ")
         and status["force"].text() == f"force {force}"
         and (readout == f"contact  {force}" or (readout, force) == ("no contact", "0.00 N"))
-        and live.state.frame == live.shown
+        and live.state.frame == live.shown_frame
         and not live.window.controller.client.diagnostics_outdated
     )
 
 
-def test_a_frozen_view_shows_one_frame_everywhere_and_what_it_missed_is_no_outage(open_bench):
-    live = connected(open_bench)
-    live.follow(5)
+def test_frozen_view_shows_one_frame_and_missed_frames_are_no_outage(open_bench):
+    live = connected_bench(open_bench)
+    live.wait_for_frames(5)
     live.window.playback.freeze.click()
     live.wait(lambda: live.state.frozen)
     last, before_s = live.state.facts.frames - 1, live.state.facts.times_s[-1]
-    live.messages_come(120)
+    live.wait_for_messages(120)
     live.window.playback.go_live.click()
     live.wait(lambda: live.state.facts.frames > last + 2)
     assert np.diff(live.state.facts.times_s)[last:].max() > STALE_AFTER_S
     assert live.state.facts.times_s[last] == before_s
     assert last not in [gap.after_frame for gap in live.state.facts.gaps]
-    # a frozen view and a source that ended show one frame everywhere
+    # a frozen view and an ended source show the same frame everywhere
     live.show("threshold")
     for _ in range(2):
-        live.follow(3)
+        live.wait_for_frames(3)
         live.window.playback.freeze.click()
         live.wait(lambda: live.state.frozen and one_frame_everywhere(live))
         live.window.playback.go_live.click()
@@ -189,4 +187,4 @@ def test_a_frozen_view_shows_one_frame_everywhere_and_what_it_missed_is_no_outag
     live.live_controller.connect_to(single(f"replay:{path}", sensor_file(live.folder)))
     live.wait(lambda: "dents.mcap" in live.state.facts.title)
     live.wait(lambda: live.run.session.sensors[0].stream.source.link == "ended")
-    live.wait(lambda: texts(live)[0].startswith("contact") and one_frame_everywhere(live))
+    live.wait(lambda: view_texts(live)[0].startswith("contact") and one_frame_everywhere(live))

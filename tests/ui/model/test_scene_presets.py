@@ -1,4 +1,4 @@
-"""Scene presets: what they hide is not computed, and bad ones are refused by name."""
+"""Scene presets: hidden products are not computed, invalid presets are refused."""
 
 import pytest
 from click.testing import CliRunner
@@ -19,25 +19,25 @@ RUNS = {
     "dual_nut": {"estimate", "fine_contact", "patch"},
     "residual": {"estimate", "fine_contact", "patch", "cloud", "residual"},
     "review": {"estimate", "fine_contact", "patch"},
-    # of the linear membrane no traction is made
+    # the linear membrane has no traction
     "shear": {"estimate", "fine_contact", "patch", "texture"},
 }
 """Stages each scene runs."""
 
 
-def test_every_shipped_scene_is_known_here():
+def test_every_shipped_scene_is_covered_by_these_tests():
     assert preset_names("scenes") == sorted(RUNS)
     said = " ".join(CliRunner().invoke(main, ["open", "--help"]).stdout.split())
     assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
 
 
-def test_scenes_show_their_panels_and_layers_and_compute_nothing_else(drive):
+def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
     driver = drive(DentSource, frame=6)
     boxes = driver.window.layers.boxes
     for name in sorted(RUNS):
         preset = load_scene(name)
         driver.window.use_scene(preset)
-        driver.settle()
+        driver.wait_until_shown()
         shown = {panel for panel, w in driver.window.panels.items() if w.isVisible()}
         assert shown == set(preset.panels), name
         checked = {layer for layer, box in boxes.items() if box.isChecked()}

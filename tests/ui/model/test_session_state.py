@@ -1,4 +1,4 @@
-"""The session model tells what changed, and only that."""
+"""Session state: signals only for actual changes."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from bubbleviz_ui.model.source_facts import SourceFacts
 
 
 def heard(state):
-    """What the signals tell from now on, each by its name."""
+    """Record the signals from now on, by name."""
     told: list[tuple[Any, ...]] = []
     state.source_changed.connect(lambda facts: told.append(("source", facts)))
     state.frame_changed.connect(lambda *frame: told.append(("frame", *frame)))
@@ -19,7 +19,7 @@ def heard(state):
     return told
 
 
-def test_the_cursor_stays_inside_and_stepping_pauses():
+def test_cursor_is_clamped_and_stepping_pauses():
     state = SessionState()
     state.seek(3)  # nothing moves before a source is open
     state.set_playing(True)
@@ -35,11 +35,11 @@ def test_the_cursor_stays_inside_and_stepping_pauses():
     assert events[2:] == [("playing", True), ("playing", False), ("frame", 2, False)]
     state.change(loop=False)
     state.seek(9)
-    state.set_playing(True)  # begins anew
+    state.set_playing(True)  # restarts at the first frame
     assert state.frame == 0
 
 
-def test_only_choices_that_differ_are_told_and_they_outlive_a_source():
+def test_only_changed_settings_are_signalled_and_settings_survive_a_new_source():
     state = SessionState()
     events = heard(state)
     state.change(speed=2.0, loop=True)
@@ -52,6 +52,6 @@ def test_only_choices_that_differ_are_told_and_they_outlive_a_source():
     assert events[2:] == [("source", facts), ("playing", True)]
 
 
-def test_rate_of_a_source():
+def test_frame_rate_of_a_source():
     assert SourceFacts("", "", np.arange(11) / 20.0).rate_hz == pytest.approx(20.0)
     assert np.isnan(SourceFacts("", "", np.zeros(1)).rate_hz)

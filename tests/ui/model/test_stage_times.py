@@ -1,4 +1,4 @@
-"""The table of what runs, against the pipeline's own counts."""
+"""The performance table, against the counts of the pipeline."""
 
 from dataclasses import replace
 
@@ -33,10 +33,10 @@ NOTHING = Settings(layers=frozenset(), panels=frozenset())
             {"cloud", "estimate", "patch", "pixel_mask"},
         ),
         ({"panels": frozenset({"plots"}), "plots": frozenset({"gas"})}, None),
-        ({"layers": frozenset({"membrane"})}, None),  # the colour of a hidden cloud is for nothing
+        ({"layers": frozenset({"membrane"})}, None),  # no residual for a hidden cloud
     ],
 )
-def test_what_runs_is_what_somebody_asks_for(changes, wanted):
+def test_only_stages_of_visible_layers_and_panels_run(changes, wanted):
     settings = replace(NOTHING, **changes)
     asked = names_by_stage(settings)
     assert set(asked) == stages(needed_products(settings)) and "residual" not in needed_products(
@@ -49,7 +49,7 @@ def test_what_runs_is_what_somebody_asks_for(changes, wanted):
         assert not without & {stage for stage, names in asked.items() if names == [name]}
 
 
-def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive):
+def test_click_on_the_status_bar_opens_the_performance_table(drive):
     driver = drive(frame=3)
     for frame in (4, 5, 6):
         driver.seek(frame)
@@ -57,7 +57,7 @@ def test_a_click_on_the_status_bar_tells_what_runs_and_why(drive):
     popup = driver.window.findChildren(PerformancePopup)[-1]
     driver.bot.waitExposed(popup)
     table = popup.table
-    for row in range(table.rowCount()):  # nothing in it is clipped
+    for row in range(table.rowCount()):  # no text is clipped
         for column in range(4):
             text = table.item(row, column).text()
             assert table.fontMetrics().horizontalAdvance(text) < table.columnWidth(column), text

@@ -1,4 +1,4 @@
-"""Undo and redo of the window's settings, by the keys a person would press."""
+"""Undo and redo of the window's settings, by keyboard."""
 
 import math
 import shutil
@@ -8,7 +8,7 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider
-from window_driver import idle
+from window_driver import no_pending_timers
 
 from bubbleviz.files import presets_folder
 from bubbleviz.inverse import EstimatorOptions
@@ -61,7 +61,7 @@ CHANGES = {
 }
 
 
-def test_every_choice_is_undone_and_done_again(drive):
+def test_undo_and_redo_of_every_setting(drive):
     assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Settings)}
     driver = drive(frame=3)
     seen = [driver.state.settings]
@@ -78,7 +78,7 @@ def test_every_choice_is_undone_and_done_again(drive):
     driver.state.change(theme="system")
 
 
-def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
+def test_clicks_drags_and_typed_numbers_are_undo_steps(drive):
     driver = drive(frame=3)
     layers = driver.window.layers
     for name in ("wireframe", "rim"):
@@ -101,13 +101,13 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
     driver.undo()
     assert driver.state.settings.membrane_opacity == 1.0 and slider.value() == 100
 
-    box = driver.window.kappa.box  # the keys go to the window from within a number box
+    box = driver.window.kappa.box  # undo keys work while a number box has the focus
     driver.window.kappa.automatic.setChecked(False)
     driver.type(box, "2.5")
     assert driver.state.settings.kappa == 2.5
     driver.undo(box)
     assert driver.state.settings.kappa != 2.5
-    # so are boxes of the calibration, keys, a range and markers
+    # also controls of the calibration, shortcuts, a range and markers
     driver.window.undo_stack.clear()
     window, frames = driver.window, driver.window.calibration.frames.collect
     picture, stack = window.calibration.pixels.picture, window.undo_stack
@@ -147,13 +147,13 @@ def test_clicks_drags_and_typed_numbers_are_steps_and_the_panel_follows(drive):
 
 
 def opened(driver):
-    """Panels that are open, as seen: docks by their titles in the View menu, ticked or not."""
+    """Open docks, by their checked entries in the View menu."""
     menu = next(a.menu() for a in driver.window.menuBar().actions() if a.text() == "&View")
     menu.aboutToShow.emit()
     return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
 
 
-def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
+def test_undo_of_open_panels_and_scenes(drive):
     driver = drive(frame=3)
     window = driver.window
     names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
@@ -175,7 +175,7 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
         driver.redo()
         assert opened(driver) == after
     assert window.undo_stack.index() == len(names)
-    # a scene and the cross of a dock are steps, a tab in front is none
+    # a scene and closing a dock are steps; raising a tab is not
     for _ in names:
         driver.undo()
     stack = window.undo_stack
@@ -183,7 +183,7 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
     window.use_scene(load_scene("residual"))
     assert driver.state.settings.layers != Settings().layers and stack.index() == 1
     assert window.panels["threshold"].isHidden() and window.panels["layers"].isVisible()
-    for _ in range(2):  # again nothing changes: no step
+    for _ in range(2):  # the second time nothing changes: no step
         window.use_scene(load_scene("review"))
         assert window.panels["plots"].isVisible() and stack.index() == 2
     driver.undo()
@@ -192,7 +192,7 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
     assert driver.state.settings.layers == Settings().layers
     assert driver.state.settings.view_from == Settings().view_from
 
-    driver.act("View › Threshold")
+    driver.trigger("View › Threshold")
     window.panels["kappa"].raise_()
     driver.wait(lambda: "threshold" not in driver.state.settings.panels)
     assert stack.index() == 1 and stack.undoText() == "open panels"
@@ -206,7 +206,7 @@ def test_opening_and_closing_of_panels_and_scenes_is_undone(drive):
 
 
 @pytest.mark.long
-def test_every_control_shows_what_undo_brings_back(drive):
+def test_controls_follow_undo(drive):
     driver = drive(frame=3)
     window, state = driver.window, driver.state
     window.panels["tools"].show()
@@ -232,9 +232,9 @@ def test_every_control_shows_what_undo_brings_back(drive):
         ]  # fmt: skip
 
     def settled():
-        """Once the solver is built anew and the object is read; the pose panel writes at times."""
-        driver.wait(lambda: not window.pose.session.busy and idle(window.pose))
-        driver.wait(lambda: window.controller.cold_solved and idle(window.pose))
+        """Wait until solver, object and pose panel are up to date."""
+        driver.wait(lambda: not window.pose.session.busy and no_pending_timers(window.pose))
+        driver.wait(lambda: window.controller.cold_solved and no_pending_timers(window.pose))
         return shown()
 
     elsewhere = {"panels", "pre_roll_s", "record_folder", "publish_at", "view_from", "zoom",
@@ -248,18 +248,18 @@ def test_every_control_shows_what_undo_brings_back(drive):
         assert settled() == before, name
 
 
-def test_a_dropped_object_and_compared_settings_are_undone(drive, tmp_path, monkeypatch):
+def test_undo_of_a_dropped_object_and_of_compared_settings(drive, tmp_path, monkeypatch):
     driver = drive(frame=6)
     driver.window.use_scene(load_scene("calibrate"))
-    driver.settle()
+    driver.wait_until_shown()
     for name in ("cylinder", "frustum"):
         shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
         driver.window.open_file(tmp_path / f"{name}.ply")
         driver.wait(lambda name=name: driver.window.pose.session.obj is not None
                     and driver.window.pose.session.obj.name == name)  # fmt: skip
     assert driver.window.undo_stack.index() == 3
-    driver.settle()
-    drawn = driver.window.scene.object  # seen, and not called found before it is
+    driver.wait_until_shown()
+    drawn = driver.window.scene.object  # drawn as not found yet
     assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == GAP
     driver.undo()
     driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
@@ -279,7 +279,7 @@ def test_a_dropped_object_and_compared_settings_are_undone(drive, tmp_path, monk
     assert panel.b.setting.options == EstimatorOptions("linear")
     assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
 
-    # an arrow that is held is one step, however slow the machine
+    # a pressed arrow is one step, however slow the machine
     monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)
     column, stack = panel.b, driver.window.undo_stack
     before = stack.index()

@@ -1,11 +1,11 @@
-"""Numbers come with their unit, whatever they are."""
+"""Formatting of numbers with units."""
 
 import math
 import re
 
 import pytest
 from PySide6.QtWidgets import QApplication, QMenu
-from window_driver import CONTACT, clipped, texts
+from window_driver import CONTACT, clipped_labels, view_texts
 
 from bubbleviz_ui.model.units import UNIT_CHOICES, Units
 
@@ -21,7 +21,7 @@ from bubbleviz_ui.model.units import UNIT_CHOICES, Units
         (Units().force.text(math.nan), "–"),
         (Units().gas_pressure.text(443.2, signed=True), "+443 Pa"),
         (Units().force.with_interval(4.784, 0.034), "4.78 ± 0.03 N"),
-        (Units().force.with_interval(4.784, 0.002), "4.78 ± 0.01 N"),  # surely not none
+        (Units().force.with_interval(4.784, 0.002), "4.78 ± 0.01 N"),  # not 0.00
         (Units().force.with_interval(4.784, 0.0), "4.78 ± 0.00 N"),
         (Units().force.with_interval(47.84, 3.14), "47.8 ± 3.1 N"),
         (Units().tension.with_interval(219.32, 25.62), "219 ± 26 N/m"),
@@ -31,7 +31,7 @@ from bubbleviz_ui.model.units import UNIT_CHOICES, Units
         (Units().gas_pressure.between(2500.0, 2700.0), "2500 … 2700 Pa"),
     ],
 )
-def test_text(text, expected):
+def test_default_units(text, expected):
     assert text == expected
 
 
@@ -63,7 +63,7 @@ def choose(driver, *symbols):
         next(a for a in menu.actions() if a.text() == symbol).trigger()
 
 
-def test_every_label_follows_the_units(drive):
+def test_labels_follow_the_chosen_units(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
     window.resize(1280, 800)
@@ -72,10 +72,10 @@ def test_every_label_follows_the_units(drive):
     driver.show("images", "plots")
     driver.wait(lambda: "depth" in window.controller.inspection.images)
     window.hover.at_pixel(24, 44)
-    driver.settle()
+    driver.wait_until_shown()
     solved = driver.pipeline.counts["estimate"]
     choose(driver, "m", "psi", "mN", "s")
-    driver.settle()
+    driver.wait_until_shown()
     force = 1e3 * float((driver.result.patch.force_n**2).sum() ** 0.5)
     labels = window.status.labels
     shown = labels["force"].text().removeprefix("force ")
@@ -93,7 +93,7 @@ def test_every_label_follows_the_units(drive):
     assert window.images.cells["depth"].text.endswith(" m")
     assert "mN" in window.plots.plots["force"].frame.text
     assert window.plots.plots["center"].frame.text.endswith(" m")
-    head, rest, *others = texts(driver)
+    head, rest, *others = view_texts(driver)
     assert head.startswith("contact") and head.endswith("mN")
     assert rest.startswith("peak") and "psi" in rest
     bars, (pointed,) = [t for t in others if ")" in t], [t for t in others if "node" in t]
@@ -102,13 +102,13 @@ def test_every_label_follows_the_units(drive):
     drawn = window.scene.layers["membrane"].actor.mapper.dataset["contact pressure"].max()
     peak = driver.result.estimate.contact_pressure_pa.max()
     assert drawn == pytest.approx(peak / 6894.757293168)
-    assert driver.pipeline.counts["estimate"] == solved  # nothing is computed for it
+    assert driver.pipeline.counts["estimate"] == solved  # without computing anything
     window.show_rates()
     QApplication.processEvents()
-    assert window.width() == 1280 and not clipped(window.status)
+    assert window.width() == 1280 and not clipped_labels(window.status)
     choose(driver, "kPa")
     assert window.kappa.threshold.text().endswith("kPa")
-    # a range that the user gave stays, and none is given by 0
+    # a colour range set by the user stays; 0 means automatic
     box = window.layers.pressure_max
     box.setValue(5.0)
     assert driver.state.settings.pressure_max_pa == pytest.approx(5000.0)

@@ -1,10 +1,10 @@
-"""Two settings side by side, in numbers and outlines, and one of them used in the whole window."""
+"""Compare panel: numbers and outlines of two settings, and use of one of them."""
 
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
-from live_bench import connected
-from window_driver import CONTACT, texts
+from live_bench import connected_bench
+from window_driver import CONTACT, view_texts
 
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz_ui.model.settings import ComparedSetting
@@ -15,7 +15,7 @@ PRESSED = 8
 
 
 def outlines(driver):
-    """How many pixels of the 3-D view have the colour of A's outline, and of B's."""
+    """Number of pixels of the outlines of A and B in the 3-D view."""
     return driver.count(*theme.COMPARED)
 
 
@@ -25,7 +25,7 @@ def text(driver, row, *, of_b=False):
 
 
 def wait_until_as_shown(driver):
-    """Wait until A, the window's own setting, is measured to be what the window shows."""
+    """Wait until the numbers of A, the window's own setting, equal those of the window."""
 
     def as_shown():
         result, units = driver.result, driver.state.units
@@ -37,7 +37,7 @@ def wait_until_as_shown(driver):
     driver.wait(as_shown)
 
 
-def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_everywhere(drive):
+def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
     a, b = ComparedSetting(solver="linear", kappa=1.0), ComparedSetting(solver="linear", kappa=20.0)
@@ -71,7 +71,7 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     controller.shown.disconnect(shown)
     assert not any(stale)
     driver.seek(9)
-    driver.settle()
+    driver.wait_until_shown()
     driver.state.change(compared=(a, ComparedSetting(solver="no such")))
     assert outlines(driver) == [0, 0]
     driver.wait(lambda: text(driver, "status", of_b=True) == "impossible")
@@ -91,17 +91,17 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     )
     driver.click(panel.b.used)
     driver.wait(lambda: driver.pipeline.options.nodes == 300)
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.pipeline.options.solver == "linear" and state.settings.kappa == 2.5
     assert window.kappa.solver.currentText() == "setting B of Compare"
     panel.b.controls["block"].setValue(2)  # of what is in use
     driver.wait(lambda: driver.pipeline.options.block == 2)
     current = driver.solver.current
     panel.a.controls["block"].setValue(3)  # of what is not
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.solver.current is current
     driver.type(panel.b.controls["kappa"], "4.5")
-    driver.wait(driver.thresholded)
+    driver.wait(driver.shows_chosen_kappa)
     assert state.settings.kappa == window.kappa.box.value() == 4.5
     panel.a.controls["kappa"].setValue(7.0)
     assert state.settings.kappa == 4.5
@@ -111,22 +111,22 @@ def test_outlines_are_in_the_picture_of_their_frame_alone_and_a_setting_is_used_
     for _ in range(3):
         window.undo_stack.undo()
     driver.wait(lambda: driver.pipeline.options.solver is None)
-    driver.settle()
+    driver.wait_until_shown()
     assert state.settings.kappa is None and state.settings.solver is None
 
 
-def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
+def test_current_setting_measures_what_the_window_shows(drive):
     driver = drive(frame=CONTACT)
     driver.show("compare")
     driver.state.change(compared=(ComparedSetting(), ComparedSetting(solver="linear", nodes=100)))
     wait_until_as_shown(driver)
-    for frame in (CONTACT - 15, CONTACT):  # from elsewhere, with another warm start
+    for frame in (CONTACT - 15, CONTACT):  # with different warm starts
         driver.seek(frame)
         wait_until_as_shown(driver)
     driver.state.change(least_area_m2=1.0)
     driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
     driver.wait(lambda: text(driver, "area").startswith("0 "))
-    # numbers say which frame they are of
+    # the panel shows the frame of the numbers
     driver.state.seek(2)
     assert {text(driver, row) for row in ("frame", "status", "force")} == {"–"}
     named: list[tuple[str, int]] = []
@@ -137,31 +137,31 @@ def test_the_window_s_own_setting_measures_what_the_window_shows(drive):
     driver.state.set_playing(True)
     driver.wait(lambda: len(named) > 5)
     driver.state.set_playing(False)
-    driver.settle()
+    driver.wait_until_shown()
     driver.wait(lambda: text(driver, "frame") == f"{driver.state.frame}")
     compared.disconnect(naming)
     assert all(text == f"{index}" for text, index in named)
 
 
-def test_a_live_frame_is_compared_with_its_gas_pressure_zeroed(open_bench):
-    live = connected(open_bench)
+def test_live_frame_is_compared_with_zeroed_gas_pressure(open_bench):
+    live = connected_bench(open_bench)
     live.learn_zero(shift_pa=100.0)
     live.show("compare")
-    live.follow()
+    live.wait_for_frames()
     live.wait(lambda: live.result.patch.area_m2 > 0.0)
     live.state.freeze(True)
-    live.settle()
+    live.wait_until_shown()
     wait_until_as_shown(live)
 
 
-def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive):
+def test_tangential_force_of_the_friction_setting_is_shown_everywhere(drive):
     driver = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=6)
     window, panel = driver.window, driver.window.compare
     driver.show("compare")
 
     def tangential():
-        """As the whole window shows it."""
-        said = " ".join(texts(driver))  # in the view nothing is said of what is not known
+        """Check the tangential force shown by the window."""
+        said = " ".join(view_texts(driver))  # in the view nothing is said of what is not known
         shown = said.split("tangential ")[1].split("   ")[0] if "tangential" in said else "–"
         assert window.status.labels["force"].toolTip().endswith(f"from depth alone: {shown}")
         return shown
@@ -172,21 +172,21 @@ def test_friction_is_a_setting_whose_tangential_force_is_shown_everywhere(drive)
     driver.choose(force_unit="mN")
     assert tangential() == f"{1e3 * friction:.0f} mN" == text(driver, "tangential")
     driver.choose(force_unit="N")
-    assert text(driver, "tangential", of_b=True) == "–"  # the linear model has none
+    assert text(driver, "tangential", of_b=True) == "–"  # none in the linear model
 
     driver.type(panel.a.controls["friction"], "0")
     assert panel.a.controls["friction"].text() == "none"
     driver.wait(lambda: text(driver, "tangential") == "–")
     driver.click(panel.a.used)
     driver.wait(lambda: driver.pipeline.options.friction == 0.0)
-    driver.settle()
+    driver.wait_until_shown()
     estimate = driver.result.estimate
     assert not estimate.friction_n.any() and np.linalg.norm(estimate.force_n) > 0.1
     assert tangential() == "–"
     for _ in range(2):
         window.undo_stack.undo()
     driver.wait(lambda: driver.pipeline.options.friction == EstimatorOptions().friction)
-    driver.settle()
+    driver.wait_until_shown()
     driver.wait(lambda: tangential() == f"{friction:.2f} N")
     driver.seek(0)
     assert window.status.labels["force"].toolTip().endswith("from depth alone: 0.00 N")

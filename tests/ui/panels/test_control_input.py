@@ -22,14 +22,14 @@ def in_sight(panel):
     return [widget for widget in found if widget.isEnabled() and seen(widget)]
 
 
-def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
+def test_wheel_over_a_control_scrolls_the_panel_without_changing_it(drive):
     driver = drive(frame=5)
     driver.state.change(kappa=3.0)
     for name in ("layers", "kappa", "pose", "compare"):
         dock = driver.window.panels[name]
         dock.show()
         dock.raise_()
-        driver.settle()
+        driver.wait_until_shown()
         driver.activate()
         controls = in_sight(dock)
         assert controls
@@ -40,7 +40,7 @@ def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
                 assert (value(widget), driver.state.settings) == (before, chosen), widget.toolTip()
                 assert not widget.hasFocus()
     driver.window.resize(1024, 500)
-    driver.settle()
+    driver.wait_until_shown()
     (area,) = dock.findChildren(QScrollArea)
     bar = area.verticalScrollBar()
     driver.wait(lambda: bar.maximum() > 0)
@@ -51,7 +51,7 @@ def test_the_wheel_over_a_control_scrolls_its_panel_and_changes_nothing(drive):
     driver.window.panels["kappa"].raise_()
     box = driver.window.kappa.box
     driver.window.kappa.automatic.setChecked(False)
-    driver.settle()
+    driver.wait_until_shown()
     before = driver.state.settings.kappa
     driver.activate()
     box.setFocus()

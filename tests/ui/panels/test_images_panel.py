@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, canvas, clipped, hover, idle, in_view, near, texts
+from window_driver import (
+    CONTACT,
+    clipped_labels,
+    graphics_view,
+    hover,
+    near,
+    no_pending_timers,
+    screen_point,
+    view_texts,
+)
 
 from bubbleviz_ui.engine import sensor_client
 from bubbleviz_ui.panels.images_panel import best_columns
@@ -24,17 +33,17 @@ def opened(driver, *images):
     of_depth = set(images) - {"patch", "colour", "flow"}
     driver.wait(lambda: set(driver.inspection.images) >= of_depth)
     QApplication.processEvents()
-    driver.settle()
+    driver.wait_until_shown()
     return driver.window.images
 
 
 def place_of(panel, name, row, column):
     box = panel.cells[name].box
     scene = box.mapViewToScene(QPointF(column + 0.5, row + 0.5))
-    return canvas(panel).mapFromScene(scene)
+    return graphics_view(panel).mapFromScene(scene)
 
 
-def test_the_wheel_makes_no_dot_of_an_image(drive):
+def test_zooming_out_of_an_image_is_limited(drive):
     driver = drive(frame=CONTACT)
     panel = opened(driver, "depth")
     box, width = panel.cells["depth"].box, panel.cells["depth"].image.shape[1]
@@ -50,13 +59,13 @@ def pointed_at(driver, place):
     driver.wait(lambda: (driver.window.hover.place is None) == (place == AWAY))
 
 
-def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
+def test_images_and_view_mark_the_same_probed_place(drive):
     driver = drive(frame=CONTACT)
     result, nodes, pipeline = driver.result, driver.nodes(), driver.pipeline
     pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
     node = int(pressure.argmax())
     assert "images" not in driver.state.settings.panels
-    pointed_at(driver, in_view(driver, nodes[node]))
+    pointed_at(driver, screen_point(driver, nodes[node]))
     found = driver.window.hover.place
     assert np.linalg.norm(found.node_m - nodes[node]) < pipeline.mesh.edge_length
     row, column = found.pixel
@@ -64,14 +73,14 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     (residual,) = result.cloud_residual_m[seen]
     shown = f" p_c {1e-3 * pressure[found.node]:.2f} kPa \n u {1e3 * moved[found.node]:.2f} mm \n"
     shown += f" residual {1e3 * residual:.3f} mm \n node {found.node} "
-    assert shown in texts(driver)
-    driver.settle()
-    assert not near(driver.pixels(), in_view(driver, found.node_m), NODE)
+    assert shown in view_texts(driver)
+    driver.wait_until_shown()
+    assert not near(driver.pixels(), screen_point(driver, found.node_m), NODE)
     pointed_at(driver, AWAY)
-    assert shown not in texts(driver)
+    assert shown not in view_texts(driver)
 
     panel = opened(driver, "depth")
-    pointed_at(driver, in_view(driver, nodes[node]))
+    pointed_at(driver, screen_point(driver, nodes[node]))
     column, row = (float(c[0]) for c in panel.cells["depth"].pixel.getData())
     T = pipeline.camera.T_B_C
     u, v = pipeline.camera.intrinsics.project((nodes[node] - T[:3, 3]) @ T[:3, :3])
@@ -81,7 +90,7 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     panel, result = opened(driver, "depth", "change"), driver.result
     row, column = 24, 44
     before = driver.pixels()
-    hover(canvas(panel).viewport(), place_of(panel, "change", row, column))
+    hover(graphics_view(panel).viewport(), place_of(panel, "change", row, column))
     found = driver.window.hover.place
     assert found is not None and found.pixel == (row, column)
     depth = float(result.frame.depth_m[row, column])
@@ -96,16 +105,16 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     assert text[1].startswith(f"x {1e3 * x:.2f}") and text[1].endswith("mm")
     u, p_c = (f[found.node] for f in (estimate.displacement_m, estimate.contact_pressure_pa))
     assert text[2] == f"u {1e3 * u:.2f} mm · p_c {p_c / 1e3:.2f} kPa"
-    driver.settle()
-    place = in_view(driver, found.node_m)
+    driver.wait_until_shown()
+    place = screen_point(driver, found.node_m)
     assert near(driver.pixels(), place, NODE) and not near(before, place, NODE)
     for name in ("depth", "change"):
         marks = panel.cells[name].pixel.getData()
         assert (marks[0][0], marks[1][0]) == (column + 0.5, row + 0.5)
     driver.seek(3)  # the numbers follow the frame
     assert panel.lines[2].text() != text[2] and "p_c 0.00 kPa" in panel.lines[2].text()
-    QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
-    driver.settle()
+    QApplication.sendEvent(graphics_view(panel), QEvent(QEvent.Type.Leave))
+    driver.wait_until_shown()
     assert driver.window.hover.place is None
     assert not near(driver.pixels(), place, NODE)
     # images show the press and leave out what is missing
@@ -127,9 +136,9 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
         assert cell.item.qimage.pixelColor(column, row).alpha() == alpha
     assert cell.text.endswith("mm") and panel.cells["patch"].text.endswith("no")
     # no text is clipped
-    hover(canvas(panel).viewport(), place_of(panel, "change", 25, 44))
+    hover(graphics_view(panel).viewport(), place_of(panel, "change", 25, 44))
     QApplication.processEvents()
-    assert not clipped(panel) and all(label.text() for label in panel.lines)
+    assert not clipped_labels(panel) and all(label.text() for label in panel.lines)
     for cell in panel.cells.values():
         assert cell.label.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
     assert driver.window.width() == 1280
@@ -147,9 +156,7 @@ def test_images_and_view_show_one_place_and_what_was_measured_there(drive):
     assert len(middles) == 2
 
 
-def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_playing(
-    drive, monkeypatch
-):
+def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, monkeypatch):
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts
     assert not any(name.startswith("look") for name in counts)
@@ -157,7 +164,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     panel.boxes["depth"].trigger()  # all may be hidden
     assert driver.state.settings.images == frozenset()
     panel.boxes["depth"].trigger()
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.state.settings.images == {"depth"}
     panel.boxes["change"].trigger()
     driver.wait(lambda: counts["diagnose change"] > 0)
@@ -174,13 +181,13 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     # nothing is picked while playing unless images are open
     driver.seek(CONTACT)
     nodes, found = driver.pipeline.mesh.nodes, driver.window.hover
-    point = lambda: hover(driver.window.view, in_view(driver, nodes[nodes[:, 2].argmax()]))  # noqa: E731
+    point = lambda: hover(driver.window.view, screen_point(driver, nodes[nodes[:, 2].argmax()]))  # noqa: E731
     point()
     driver.wait(lambda: found.place is not None)
     driver.state.set_playing(True)
     assert found.place is None
     point()
-    assert found.place is None and idle(driver.window.pointing)
+    assert found.place is None and no_pending_timers(driver.window.pointing)
     before = driver.window.view.size()
     driver.show("images")
     driver.wait(lambda: "images" in driver.state.settings.panels)
@@ -192,7 +199,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     opened(driver, "depth", "change")
     controller = driver.window.controller
     monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 3600.0)
-    driver.settle()  # what was asked for before counts, too
+    driver.wait_until_shown()  # what was asked for before counts, too
     before = counts["diagnose change"], counts["total"]
     driver.state.change(every_frame=True)
     driver.state.set_playing(True)
@@ -202,7 +209,7 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     driver.wait(lambda: counts["diagnose change"] > before[0] + 2)
     monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 3600.0)
     driver.state.set_playing(False)
-    driver.settle()
+    driver.wait_until_shown()
     image = lambda: controller.inspection.images["depth"]  # noqa: E731
     driver.wait(lambda: np.array_equal(image(), driver.result.frame.depth_m, equal_nan=True))
 
@@ -212,18 +219,18 @@ def test_only_chosen_images_are_computed_and_less_is_picked_and_looked_at_while_
     # three images of 340×140 in a row would write over each other
     [(0, 310, 600, 1), (6, 310, 600, 2), (3, 310, 900, 1), (4, 900, 200, 4), (3, 340, 140, 2)],
 )
-def test_images_are_as_large_as_can_be(images, width, height, columns):
+def test_grid_with_the_largest_images(images, width, height, columns):
     assert best_columns(images, width, height) == columns
 
 
-def test_images_open_large_enough_beside_the_plots_of_a_small_window(drive):
+def test_images_and_plots_fit_a_small_window(drive):
     """As a tab of theirs: the view keeps its width, and each image is more than a thumbnail."""
     driver = drive(frame=5)
     driver.resize(1016, 660)
     wide = driver.window.view.width()
     for title in ("Plots", "Images"):
-        driver.act(f"View › {title}")
-    driver.settle()
+        driver.trigger(f"View › {title}")
+    driver.wait_until_shown()
     assert driver.size == (1016, 660) and driver.window.view.width() == wide
     cells = [driver.window.images.cells[name] for name in driver.state.settings.images]
     assert len(cells) >= 3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPointF
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, LEFT, canvas, clipped, hover, texts
+from window_driver import CONTACT, LEFT, clipped_labels, graphics_view, hover, view_texts
 
 from bubbleviz.inverse import EstimatorOptions, components
 from bubbleviz.output import iou
@@ -18,7 +18,7 @@ def threshold(driver):
     alone(driver, "threshold")
     driver.wait(lambda: driver.inspection.kappa_curve is not None)
     QApplication.processEvents()
-    driver.settle()
+    driver.wait_until_shown()
     return driver.window.threshold
 
 
@@ -39,7 +39,7 @@ def column(panel, number):
     return [panel.table.item(row, number).text() for row in range(panel.table.rowCount())]
 
 
-def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_hidden(drive):
+def test_threshold_line_is_dragged_and_a_hidden_comparison_is_not_computed(drive):
     driver = drive(frame=CONTACT)
     panel, counts = threshold(driver), driver.pipeline.counts
     line, box = panel.histogram.line, panel.histogram.frame.box
@@ -47,21 +47,21 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     np.testing.assert_allclose(panel.histogram.bars.opts["height"], 1e6 * bars)
     driver.window.panels["kappa"].raise_()
     driver.click(driver.window.kappa.automatic)
-    driver.wait(driver.thresholded)
+    driver.wait(driver.shows_chosen_kappa)
     driver.window.panels["threshold"].raise_()
-    driver.settle()
+    driver.wait_until_shown()
     assert line.isVisible() and line.value() == pytest.approx(math.log10(3.0))
     solved, area = counts["estimate"], driver.result.patch.area_m2
 
     def place(log_kappa):
         middle = sum(box.viewRange()[1]) / 2
-        return canvas(panel).mapFromScene(box.mapViewToScene(QPointF(log_kappa, middle)))
+        return graphics_view(panel).mapFromScene(box.mapViewToScene(QPointF(log_kappa, middle)))
 
     def dragged(to):
         hover(viewport, place(to), LEFT)
         return abs(line.value() - to) < 0.02
 
-    viewport = canvas(panel).viewport()
+    viewport = graphics_view(panel).viewport()
     driver.bot.mousePress(viewport, LEFT, pos=place(line.value()))
     for log_kappa in (0.8, 0.5, 0.3):
         driver.wait(lambda to=log_kappa: dragged(to))
@@ -72,7 +72,7 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     assert counts["estimate"] == solved
     assert panel.curve.line.value() == pytest.approx(math.log10(driver.state.settings.kappa))
     # the comparison follows the frame and costs nothing hidden
-    driver.settle()
+    driver.wait_until_shown()
     bench, dock = driver.solver.current.side_by_side, driver.window.panels["compare"]
     driver.seek(CONTACT + 1)
     assert not bench.pipelines
@@ -87,7 +87,7 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     own = driver.pipeline.counts["estimate"]
     driver.state.seek(2)
     driver.wait(lambda: status.text() == "no_contact")
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.pipeline.counts["estimate"] == own + 2  # at once, and settled
     driver.window.panels["kappa"].raise_()  # behind a tab is hidden, too
     driver.wait(lambda: status.text() == "–" and not bench.pipelines)
@@ -100,9 +100,7 @@ def test_the_line_in_the_histogram_is_dragged_and_the_comparison_costs_nothing_h
     assert not bench.pipelines
 
 
-def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_settings(
-    drive, press, sensor
-):
+def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive, press, sensor):
     """The automatic threshold has no κ, and the curve says what κ would make of the frame."""
     driver = drive(frame=CONTACT)
     panel, kappa = threshold(driver), driver.window.kappa
@@ -113,11 +111,11 @@ def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_
     assert panel.curve.frame.text.startswith(f"auto {1e6 * patch.area_m2:.0f} mm²")
     low, high = (1e6 * area for area in patch.area_interval_m2)
     shown = f"{1e6 * patch.area_m2:.0f} ({low:.0f}…{high:.0f}) mm²"
-    assert kappa.area.text() == shown and any(text.endswith(shown) for text in texts(driver))
+    assert kappa.area.text() == shown and any(text.endswith(shown) for text in view_texts(driver))
 
     driver.state.change(kappa=15.0)
     parts = lambda: inspection().components  # noqa: E731
-    driver.wait(lambda: driver.thresholded() and len(parts()) > 1)
+    driver.wait(lambda: driver.shows_chosen_kappa() and len(parts()) > 1)
     driver.wait(lambda: panel.table.rowCount() == len(parts()))
     whole, areas = inspection().kappa_curve.area_at(15.0), [part.area_m2 for part in parts()]
     driver.wait(lambda: panel.curve.frame.text.startswith(f"{1e6 * whole:.0f} mm² at κ"))
@@ -146,8 +144,8 @@ def test_one_rule_is_shown_at_a_time_and_a_simulation_has_the_iou_and_errors_of_
     driver.state.change(kappa=float(curve.kappa[30]), images=frozenset({"patch"}))
     driver.show("images")
     patch = lambda: driver.result.patch  # noqa: E731
-    driver.wait(lambda: patch().pixel_mask is not None and driver.thresholded())
-    driver.settle()
+    driver.wait(lambda: patch().pixel_mask is not None and driver.shows_chosen_kappa())
+    driver.wait_until_shown()
     truth, curve = truth_of(press, CONTACT), driver.inspection.kappa_curve
     assert curve.iou[30] == pytest.approx(iou(patch().pixel_mask, truth.patch_mask), abs=0.02)
     assert "IoU ≤" in driver.window.threshold.curve.frame.text
@@ -176,11 +174,13 @@ def test_nothing_is_clipped(drive):
     driver = drive(frame=CONTACT, live=True)
     panel = compare(driver)
     QApplication.processEvents()
-    assert not clipped(panel)
+    assert not clipped_labels(panel)
     panel = threshold(driver)
     for plot in (panel.histogram, panel.curve):
         words = plot.frame.label
-        assert words.item.boundingRect().width() + words.pos().x() <= canvas(panel).width() + 8
+        assert (
+            words.item.boundingRect().width() + words.pos().x() <= graphics_view(panel).width() + 8
+        )
     driver.show("tools", "layers")
     QApplication.processEvents()
     assert driver.size == (1280, 800)

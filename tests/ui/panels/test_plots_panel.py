@@ -1,4 +1,4 @@
-"""The plots by clicks; what they show read back; what nobody chose is not computed."""
+"""Plots panel by clicks: curves read back, and only chosen quantities computed."""
 
 import re
 from dataclasses import replace
@@ -12,7 +12,7 @@ from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QEvent, QPointF
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, canvas, copied, hover, painted
+from window_driver import CONTACT, clipboard_text, graphics_view, hover, painted
 
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
@@ -33,15 +33,17 @@ def opened(driver, *plots):
     driver.show("plots")
     driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
     QApplication.processEvents()
-    driver.settle()
+    driver.wait_until_shown()
     return driver.window.plots
 
 
 def place(panel, name, time_s):
-    """Where a time lies in a plot, in the graphics widget."""
+    """Position of a time of a plot in the graphics widget."""
     box = panel.plots[name].box
     low, high = box.viewRange()[1]
-    return canvas(panel).mapFromScene(box.mapViewToScene(QPointF(time_s, 0.5 * (low + high))))
+    return graphics_view(panel).mapFromScene(
+        box.mapViewToScene(QPointF(time_s, 0.5 * (low + high)))
+    )
 
 
 def plain(panel, name):
@@ -49,7 +51,7 @@ def plain(panel, name):
 
 
 def curve(driver, plot, name, known):
-    """Times and values of a curve, once so many values are known."""
+    """Times and values of a curve, once it has this many known values."""
     shown = driver.window.plots.plots[plot]
     driver.wait(lambda: np.count_nonzero(np.isfinite(shown.data[name][1])) == known)
     return shown.data[name]
@@ -65,12 +67,12 @@ def test_all_frames_are_analysed_in_the_background(drive, sensor):
     _, force = curve(driver, "force", "force_n", 30)
     driver.wait(lambda: not panel.progress.isVisible())
     assert driver.state.frame == 0
-    for frame in (1, 12, 15):  # the same as when one looks at them
+    for frame in (1, 12, 15):  # the same as when shown
         driver.seek(frame)
         found = np.linalg.norm(driver.result.patch.force_n)
         assert force[frame] == pytest.approx(found, rel=0.05, abs=1e-6)
     assert force[1] == 0.0 and force[15] > 0.5
-    # areas of all frames follow κ: they are found in the estimates that were made
+    # areas of all frames follow κ, from cached estimates
     driver.wait(lambda: np.isfinite(history.quantity("area_m2")).all())
     before, solved = history.quantity("area_m2").copy(), driver.solver.counts["estimate"]
     for kappa in (2.0, 4.0):
@@ -85,7 +87,7 @@ def test_all_frames_are_analysed_in_the_background(drive, sensor):
 
 
 class Repeated:
-    """A source that begins again and again."""
+    """A looping source."""
 
     name = "repeated"
 
@@ -108,12 +110,12 @@ def test_analysis_is_cancelled_and_seeking_stays_possible(drive, press):
     panel, missing = opened(driver, "force"), lambda: len(driver.state.history.missing(PATCH))
     driver.click(panel.analyse)
     driver.wait(lambda: panel.progress.value() > 3)
-    driver.seek(100)  # answered in between
+    driver.seek(100)  # handled in between
     assert panel.cancel.isVisible()
     driver.click(panel.cancel)
     assert not panel.cancel.isVisible() and panel.analyse.isEnabled()
     left = missing()
-    driver.seek(200)  # what was on its way is through
+    driver.seek(200)  # pending results have arrived
     after = missing()
     assert 0 < left < 5000 and left - after < 40
     driver.seek(300)
@@ -128,7 +130,7 @@ class FlickeringSource(GappySource):
         return replace(frame, depth_m=frame.depth_m * np.nan) if index in (8, 10) else frame
 
 
-def test_curves_and_bands_break_where_frames_are_missing_and_one_between_is_a_dot(drive):
+def test_curves_and_bands_break_at_missing_frames_and_isolated_ones_are_dots(drive):
     driver = drive(FlickeringSource)
     panel = opened(driver, "force", "residual")
     driver.click(panel.analyse)
@@ -142,17 +144,17 @@ def test_curves_and_bands_break_where_frames_are_missing_and_one_between_is_a_do
     box = panel.plots["residual"].box
 
     def drawn():
-        at = canvas(panel).mapFromScene(box.mapViewToScene(QPointF(times[10], values[10])))
-        red, _, blue = painted(canvas(panel))[at.y(), at.x()].astype(int)
+        at = graphics_view(panel).mapFromScene(box.mapViewToScene(QPointF(times[10], values[10])))
+        red, _, blue = painted(graphics_view(panel))[at.y(), at.x()].astype(int)
         return blue > red + 60
 
     driver.wait(drawn)  # the axes follow the curve once it is there
 
 
-def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp):
+def test_band_does_not_fill_gaps_next_to_an_isolated_frame(qapp):
     facts = cast(SourceFacts, SimpleNamespace(times_s=np.arange(10.0), gaps=()))
     values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, np.nan, 6.0, 7.0, np.nan, 9.0])
-    box = pg.ViewBox(enableMenu=False)  # owns what is in it
+    box = pg.ViewBox(enableMenu=False)  # owns its items
     band = Band(box, "#ffffff")
     band.draw(facts, values, np.full(10, 0.2), (0.0, 9.0))
     path = band.fill.path()
@@ -160,7 +162,7 @@ def test_a_band_fills_no_gap_beside_a_single_known_frame(qapp):
     assert filled == [0.25, 0.75, 1.25, 1.75, 6.25, 6.75]
 
 
-def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
+def test_only_chosen_plots_are_computed_and_their_contents(drive):
     driver = drive(frame=CONTACT)
     driver.state.change(layers=frozenset({"rim"}), panels=frozenset())
     driver.window.panels["kappa"].hide()
@@ -177,11 +179,11 @@ def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
     driver.wait(lambda: counts["patch"] > before["patch"] and counts["look kappa_curve"] > 0)
     driver.window.panels["plots"].hide()
     driver.wait(lambda: "plots" not in driver.state.settings.panels)
-    driver.seek(77)  # what was asked of frame 76 is done by then
+    driver.seek(77)  # requests of frame 76 are done by then
     looked = counts["look kappa_curve"], counts["estimate"]
     driver.seek(78)
     assert (counts["look kappa_curve"], counts["estimate"]) == looked
-    # the κ curve is that of the thresholds, and no text is clipped
+    # κ curve, and no clipped text
     driver.seek(CONTACT)
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
@@ -206,14 +208,14 @@ def test_only_chosen_plots_ask_for_what_they_need_and_what_they_show(drive):
     driver.wait(lambda: f"measured {measured:.0f} Pa" in plain(panel, "gas"))
     gas = driver.window.status.labels["gas"]
     assert gas.text() == f"p_v {measured:+.0f} Pa"
-    driver.opens("dent", DentSource, driver.window.controller.sensor, frame=8, playing=False)
+    driver.open("dent", DentSource, driver.window.controller.sensor, frame=8, playing=False)
     driver.wait(lambda: driver.state.facts.title == "dent")
-    driver.settle()  # it has none: by the gas law
+    driver.wait_until_shown()  # not measured: from the gas law
     law = driver.state.history.values["gas_law_pa"][8]
     assert law > 1.0 and gas.text() == f"p_v {law:+.0f} Pa"
 
 
-def test_thin_curves_keep_every_peak_and_break_at_gaps():
+def test_decimated_curves_keep_peaks_and_break_at_gaps():
     frame = np.arange(36_000)
     times, values = frame / 30.0, np.full(36_000, np.nan)
     values[1000:30_000] = 1.0
@@ -237,15 +239,15 @@ def test_thin_curves_keep_every_peak_and_break_at_gaps():
         assert np.isfinite(decimated(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
-def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
+def test_statistics_of_a_range_and_values_at_cursor_and_mouse(drive):
     driver = drive(DentSource)
     panel = opened(driver, "force", "gas", "residual")
     table, force = panel.statistics, driver.state.history.quantity("force_n")
 
     def rows():
-        """The table as it is copied."""
+        """The copied table."""
         driver.click(table.copy)
-        return [line.split("\t") for line in copied().splitlines()]
+        return [line.split("\t") for line in clipboard_text().splitlines()]
 
     assert not table.isVisible()
     driver.seek(3)
@@ -255,9 +257,9 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     assert table.item(1, 0).text() == "–"
     for frame in (7, 8, 6):
         driver.seek(frame)
-    driver.act("Playback › Start range here")
+    driver.trigger("Playback › Start range here")
     driver.seek(9)
-    driver.act("Playback › End range here")
+    driver.trigger("Playback › End range here")
     assert driver.state.play_range == (6, 9) and table.isVisible()
     driver.wait(lambda: np.isfinite(force[6:10]).all())
     driver.wait(lambda: table.item(4, 0).text() == "4")
@@ -276,21 +278,21 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
         assert head == ["Frames 6 to 9", "Force (mN)", "κ", "sensor"]
         assert {tuple(row[2:]) for row in body} == {(f"{kappa or ''}", name)}
     assert float(body[0][1]) == pytest.approx(1e3 * known.mean(), rel=1e-5)
-    driver.act("Playback › Play all frames")
+    driver.trigger("Playback › Play all frames")
     driver.wait(lambda: not table.isVisible())
-    # the numbers follow a click and the mouse
+    # values at the cursor and under the mouse
     driver.choose(force_unit="N", kappa=None)
     panel, frame = opened(driver, "force", "residual"), FIRST_CONTACT + 4
     times, history, units = driver.state.facts.times_s, driver.state.history, driver.state.units
-    view = canvas(panel).viewport()
+    view = graphics_view(panel).viewport()
     driver.click(view, place(panel, "residual", times[frame]))
     assert driver.state.frame == frame
-    driver.settle()
+    driver.wait_until_shown()
     for name in ("force", "residual"):
         assert panel.plots[name].cursor.value() == pytest.approx(times[frame])
     force = force_text(driver.result, units)
     driver.wait(lambda: plain(panel, "force") == f"Force: {force}")
-    # pointing at a plot shows time and numbers there
+    # hovering shows time and values
     driver.seek(2)
     driver.wait(lambda: np.isfinite(history.quantity("residual_m")[[2, frame]]).all())
     at_cursor = f"Residual rms: {units.fine_length.text(history.quantity('residual_m')[2])}"
@@ -299,32 +301,32 @@ def test_statistics_of_a_range_and_numbers_at_a_click_and_the_mouse(drive):
     there = units.fine_length.text(history.quantity("residual_m")[frame])
     driver.wait(lambda: plain(panel, "residual") == f"at {times[frame]:.3f} s: {there}")
     assert plain(panel, "force").startswith("Force: ") and driver.state.frame == 2
-    QApplication.sendEvent(canvas(panel), QEvent(QEvent.Type.Leave))
+    QApplication.sendEvent(graphics_view(panel), QEvent(QEvent.Type.Leave))
     driver.wait(lambda: plain(panel, "residual") == at_cursor)
     for name, light in (("dark", False), ("light", True)):
         driver.state.change(theme=name)
-        assert (painted(canvas(panel))[3, -3].mean() > 127) == light
+        assert (painted(graphics_view(panel))[3, -3].mean() > 127) == light
 
 
-def test_plots_open_with_room_for_two_rows_in_a_small_window(drive):
-    """Of those that are chosen at first, two are side by side there; more rows are scrolled to."""
+def test_plots_open_with_two_rows_in_a_small_window(drive):
+    """Of the default plots two are side by side; further rows scroll."""
     driver = drive(frame=5)
     driver.resize(1016, 660)
-    driver.act("View › Plots")
-    driver.settle()
-    shown = canvas(driver.window.plots).viewport()
+    driver.trigger("View › Plots")
+    driver.wait_until_shown()
+    shown = graphics_view(driver.window.plots).viewport()
     assert shown.visibleRegion().boundingRect().height() == shown.height() > 200
     for box in driver.window.plots.boxes.values():
         if not box.isChecked():
             box.trigger()
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.size == (1016, 660)
     assert shown.height() >= 2 * shown.visibleRegion().boundingRect().height()
 
 
 @pytest.mark.parametrize("width", [110, 150, 310, 900])
 @pytest.mark.parametrize("span_s", [0.4, 2.9, 44.0, 700.0])
-def test_times_below_a_plot_do_not_touch(qtbot, width, span_s):
+def test_time_labels_of_a_plot_do_not_overlap(qtbot, width, span_s):
     frame = PlotFrame("seconds")
     (axis,) = (a for a in frame.item.items if getattr(a, "orientation", "") == "bottom")
     step, _ = axis.tickSpacing(0.0, span_s, width)[0]

@@ -1,4 +1,4 @@
-"""The timeline by clicks, drags and keys, its pixels read back; what playback makes of it."""
+"""Timeline by clicks, drags and keys, its pixels read back; playback clock."""
 
 from dataclasses import replace
 from functools import partial
@@ -33,14 +33,12 @@ def drag(driver, first, last, y):
     driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
 
 
-def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range_is_played(
-    drive, monkeypatch
-):
+def test_contact_shading_seeking_and_range_by_clicks_and_drags(drive, monkeypatch):
     driver = drive(DentSource)
-    assert not driver.window.playback.freeze.isVisible()  # it is for live sources only
+    assert not driver.window.playback.freeze.isVisible()  # only for live sources
     driver.key(Qt.Key.Key_F)
     assert not driver.state.frozen
-    # contacts, the largest force and a frame by number are one key away
+    # seek contacts, the largest force and a frame number by keys
     driver.key(Qt.Key.Key_PageDown, CTRL)
     assert driver.state.frame == 0 and "No further contact" in driver.window.notice.label.text()
     for frame in (FIRST_CONTACT - 1, FIRST_CONTACT, 6, 8, 7):
@@ -48,7 +46,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     force = driver.state.history.values["force_n"]
     driver.key(Qt.Key.Key_Home, CTRL)
     assert driver.state.frame == np.nanargmax(force)
-    told = driver.window.notice.label.text()  # a larger one may be among the others
+    told = driver.window.notice.label.text()  # larger forces may be in the other frames
     assert "computed so far" in told and f"{np.isnan(force).sum()} frames" in told
     driver.key(Qt.Key.Key_PageUp, CTRL)
     first = driver.state.frame
@@ -70,7 +68,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     assert colour(1) == rgb(theme.DARK.free)
     assert colour(FIRST_CONTACT + 4) == rgb(theme.CONTACT)
     assert colour(FRAMES - 2) == rgb(theme.DARK.field)
-    driver.state.change(kappa=3.0)  # another threshold: other patches
+    driver.state.change(kappa=3.0)  # another threshold drops the patches
     driver.wait(lambda: driver.state.history.contact[FIRST_CONTACT + 4] == CONTACT)
     driver.wait(lambda: driver.state.history.contact[1] == FREE)
     assert driver.state.history.contact[2] == UNKNOWN
@@ -79,9 +77,9 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     assert driver.state.frame == 7
     drag(driver, 7, 2, BELOW)
     assert driver.state.frame == 2
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.window.playback.readout.text().startswith(f"frame 2 of {FRAMES - 1}")
-    # a dragged range is played again and again
+    # a dragged range is looped
     driver.seek(0)
     drag(driver, 3, 6, ABOVE)
     assert driver.state.play_range == (3, 6) and driver.state.frame == 0
@@ -94,11 +92,11 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     driver.wait(lambda: len(played) > 9)
     driver.key(Qt.Key.Key_Space)
     assert played[:9] == [3, 4, 5, 6, 3, 4, 5, 6, 3]
-    drag(driver, 6, 9, ABOVE)  # the end of the range is taken hold of
+    drag(driver, 6, 9, ABOVE)  # drags the end of the range
     assert driver.state.play_range == (3, 9)
     driver.key(Qt.Key.Key_Backspace)
     assert driver.state.play_range is None
-    # where loop is off a range turns it on, which is one step
+    # a range turns loop on, in one undo step
     driver.key(Qt.Key.Key_L)
     steps = driver.window.undo_stack.index()
     drag(driver, 3, 6, ABOVE)
@@ -110,7 +108,7 @@ def test_contacts_are_found_and_shaded_clicks_and_drags_seek_and_a_dragged_range
     assert driver.state.play_range == (3, 6) and driver.state.settings.loop
 
 
-def test_gaps_and_markers_are_seen(drive):
+def test_gaps_and_markers_are_drawn(drive):
     driver = drive(GappySource)
     timeline = driver.window.playback.timeline
     assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
@@ -132,7 +130,7 @@ def test_gaps_and_markers_are_seen(drive):
     driver.key(Qt.Key.Key_M)
     assert driver.state.markers == (3,)
     assert "3 missing after it" in timeline.tip(5) and "marked" in timeline.tip(3)
-    # an outage is as wide as it was long
+    # the width of an outage is its duration
     times = driver.state.facts.times_s
     places = np.array([timeline.x_at(k) for k in range(FRAMES)])
     np.testing.assert_allclose(np.diff(places) / np.diff(times), np.ptp(places) / np.ptp(times))
@@ -143,8 +141,8 @@ def test_gaps_and_markers_are_seen(drive):
         assert driver.state.frame == frame
 
 
-def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot):
-    """What the solver left out is none, however long it was busy."""
+def test_outage_of_a_live_source_is_drawn_when_it_ends(qtbot):
+    """Frames dropped by a busy solver are no outage."""
     state, busy = SessionState(), 0.8
     times = np.arange(20) / 30.0 + busy * (np.arange(20) > 9)
     facts = SourceFacts("live", "dome", times, live=True, grows=True)
@@ -161,13 +159,13 @@ def test_an_outage_of_a_live_source_is_seen_as_soon_as_it_is_over(qtbot):
     assert np.ptp(red) > 400 and "missing after it" in timeline.tip(19)
 
 
-def test_a_replay_that_begins_again_is_laid_out_lap_after_lap():
+def test_repeated_replay_is_drawn_lap_after_lap():
     axis = TimeAxis(np.tile(np.arange(5) / 10.0, 3))
     np.testing.assert_allclose(axis.places, np.linspace(0.0, 1.0, 15))
     assert list(axis.nearest(axis.places)) == list(range(15))
 
 
-def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive):
+def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     driver = drive(frame=30)  # 30 Hz
     for which, modifier, frame in (
         (Qt.Key.Key_Right, SHIFT, 33),
@@ -193,20 +191,20 @@ def test_keys_and_buttons_jump_in_time_and_set_speed_mode_and_loop(drive):
     assert not driver.state.settings.loop and not panel.loop.isChecked()
 
 
-def test_every_frame_waits_for_the_slowest(drive):
-    slow = partial(DentSource, slow_s=0.04)  # as ten frames are to take at the fastest speed
+def test_every_frame_mode_waits_for_the_solver(drive):
+    slow = partial(DentSource, slow_s=0.04)  # slower than the fastest speed
     driver = drive(slow)
     solved: list[int] = []
     driver.window.controller.shown.connect(lambda r: solved.append(r.frame.index))
     driver.state.change(every_frame=True, speed=8.0, loop=False)
     driver.state.set_playing(True)
     driver.wait(lambda: not driver.state.playing)
-    driver.settle()
-    assert solved == [*range(1, FRAMES), FRAMES - 1]  # the last one again, settled
+    driver.wait_until_shown()
+    assert solved == [*range(1, FRAMES), FRAMES - 1]  # the last one again, as a cold solve
     assert driver.window.controller.dropped == 0
 
 
-def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive):
+def test_during_playback_the_drawn_frame_is_indicated_and_marked(drive):
     driver = drive(partial(DentSource, slow_s=0.1))
     state, shown = driver.state, driver.window.controller
     state.set_playing(True)
@@ -215,11 +213,11 @@ def test_while_playing_the_frame_in_the_picture_is_pointed_at_and_marked(drive):
     driver.key(Qt.Key.Key_M)
     assert len(state.markers) == 1 and state.markers[0] in (before, shown.result.frame.index)
     state.set_playing(False)
-    driver.settle()
+    driver.wait_until_shown()
     assert state.playhead == state.frame == shown.result.frame.index
 
 
-def test_a_live_source_goes_on_while_the_view_is_frozen(drive):
+def test_live_source_continues_while_the_view_is_frozen(drive):
     driver = drive(playing=True, live=True)
     panel, title = driver.window.playback, driver.window.windowTitle
     driver.wait(lambda: driver.state.frame > 2)
@@ -229,18 +227,18 @@ def test_a_live_source_goes_on_while_the_view_is_frozen(drive):
     frame, now = driver.state.frame, driver.state.live_frame
     driver.wait(lambda: driver.state.live_frame >= now + 5)
     assert driver.state.frame == frame and driver.state.playing
-    driver.settle()
+    driver.wait_until_shown()
     seen = painted(panel.timeline)
     assert np.all(seen == rgb(theme.FORCE), axis=2).any()
     driver.key(Qt.Key.Key_N)
     assert not driver.state.frozen and driver.state.frame == driver.state.live_frame
     assert " (simulated) " in title()
     driver.click(panel.timeline, at(panel.timeline, 40))
-    assert driver.state.frozen and driver.state.frame == 40  # looking back freezes, too
+    assert driver.state.frozen and driver.state.frame == 40  # seeking freezes too
     driver.state.set_playing(False)
 
 
-def test_36000_frames_are_a_few_pixels(qtbot):
+def test_timeline_of_36000_frames_is_fast(qtbot):
     frames = 36_000
     state = SessionState()
     state.open(SourceFacts("long", "dome", np.arange(frames) / 30.0), playing=False)
@@ -255,7 +253,7 @@ def test_36000_frames_are_a_few_pixels(qtbot):
     assert timeline.frame_at(timeline.x_at(20_000)) == pytest.approx(20_000, abs=1)
 
 
-def test_a_duration_that_no_clock_had_is_painted_with_a_few_times(qtbot, monkeypatch):
+def test_absurd_duration_is_drawn_with_a_few_time_labels(qtbot, monkeypatch):
     state, times = SessionState(), np.array([0.0, 0.1, 6e10])
     state.open(SourceFacts("broken stamps", "dome", times), playing=False)
     timeline = Timeline(state)
@@ -276,7 +274,7 @@ def test_one_contact_frame_is_never_lost_among_thousands():
     assert list(columns(np.array([0, 1], np.int8), TimeAxis(np.arange(2.0)), 4)) == [0, 0, 1, 1]
 
 
-def test_what_is_missing_depends_on_what_is_asked():
+def test_missing_frames_depend_on_the_requested_products():
     history = FrameHistory(4)
     history.record(0, Numbers(), patch=True)
     history.record(1, Numbers(status="ok"), patch=True)
@@ -288,7 +286,7 @@ def test_what_is_missing_depends_on_what_is_asked():
     assert list(history.missing(frozenset({"estimate", "patch"}))) == [0, 1, 3]
     history.forget_patches()
     assert list(history.missing(frozenset({"patch"}))) == [0, 1, 2, 3]
-    assert history.values["force_n"][2] == 2.0  # the whole pressure's, whatever the threshold
+    assert history.values["force_n"][2] == 2.0  # of all pressure, independent of the threshold
 
 
 @pytest.fixture
@@ -303,19 +301,19 @@ def clock():
     [
         (100.05, True, (2, 0, False)),
         (100.1, True, (3, 0, False)),
-        (100.4, True, (6, 3, False)),  # late looks count what they skip
+        (100.4, True, (6, 3, False)),  # a late call counts the skipped frames
         (100.7, False, (9, 6, True)),
         (100.75, True, (9, 6, False)),  # a loop begins one interval after the last frame
         (100.85, True, (0, 7, False)),
-        (102.85, True, (0, 27, False)),  # several turns at once
+        (102.85, True, (0, 27, False)),  # several loops at once
     ],
 )
-def test_frames_come_due_in_time(clock, now_s, loop, due):
+def test_frames_due_in_real_time(clock, now_s, loop, due):
     assert clock.due(now_s, loop=loop) == due
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 2.0, 8.0])
-def test_speed_a_single_frame_and_uneven_times(speed):
+def test_clock_with_speed_single_frame_and_uneven_times(speed):
     for times, wait_s, frame in (
         (np.arange(10) / 10.0, 0.5, 5),
         (np.zeros(1), 0.5, 0),
@@ -326,7 +324,7 @@ def test_speed_a_single_frame_and_uneven_times(speed):
         assert clock.due(wait_s / speed, loop=False)[0] == frame
 
 
-def test_the_clock_makes_up_for_small_delays_only():
+def test_every_frame_mode_compensates_only_small_delays():
     clock = PlayClock(np.arange(10) / 10.0)
     clock.start(0, 0.0, 1.0)
     assert clock.next_frame(0.05, loop=False) == (0, False)

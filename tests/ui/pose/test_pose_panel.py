@@ -1,4 +1,4 @@
-"""The pose panel in the real window: clicks, keys, drags, and what is seen."""
+"""Pose panel by clicks, keys and drags."""
 
 import csv
 import shutil
@@ -10,7 +10,16 @@ import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QApplication
 from scipy.spatial.transform import Rotation
-from window_driver import CTRL, LEFT, SHIFT, Driver, axes_corner, idle, in_view, texts
+from window_driver import (
+    CTRL,
+    LEFT,
+    SHIFT,
+    Driver,
+    axes_corner,
+    no_pending_timers,
+    screen_point,
+    view_texts,
+)
 
 from bubbleviz.files import presets_folder
 from bubbleviz.rigid_object import load_object
@@ -27,12 +36,12 @@ from bubbleviz_ui.view3d.object_layers import FitLayer
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5
 FLAT = "found; 3 of 6 directions not determined"
-"""Of a flat face: it slides and turns."""
+"""Undetermined directions of a flat face: translations and a rotation."""
 
 
 @pytest.fixture(scope="module")
 def source():
-    """A press on the preset's dome, seen by half the pixels a side."""
+    """A press on the preset's dome, with half the camera resolution."""
     T = np.eye(4)
     T[:3, 3] = TRUE
     preset = load_sensor("pico_flexx_75mm")
@@ -48,12 +57,12 @@ def source():
 
 
 class Bench(Driver):
-    """The window with its pose panel open, and what a person does with it."""
+    """The window with its pose panel open, driven by clicks and keys."""
 
     def __init__(self, driver):
         super().__init__(driver.bot, driver.window)
         self.window.use_scene(load_scene("pose"))
-        self.settle()
+        self.wait_until_shown()
 
     @property
     def panel(self):
@@ -64,13 +73,15 @@ class Bench(Driver):
         self.pick(box, box.itemText(box.findData(name)))
         box.activated.emit(box.currentIndex())
         obj = lambda: self.panel.session.obj  # noqa: E731
-        self.wait(lambda: obj() is not None and obj().name == name)  # others were passed by
+        self.wait(
+            lambda: obj() is not None and obj().name == name
+        )  # the arrow keys select others first
 
     def fit(self):
         self.click(self.panel.once)
         self.wait(lambda: not self.panel.session.busy)
         self.wait(lambda: self.text("state") != "fitting…")
-        self.settle()
+        self.wait_until_shown()
 
     def text(self, name):
         return self.panel.values[name].text()
@@ -93,10 +104,10 @@ class Bench(Driver):
 def bench(drive, source):
     made = Bench(drive(lambda _: source, sensor=source.sensor))
     yield made
-    made.let_go()
+    made.release()
 
 
-def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
+def test_fit_once_shows_object_and_quality_and_copies_the_pose(bench):
     assert bench.green() == 0
     assert not bench.panel.once.isEnabled()
     bench.choose_object("frustum")
@@ -105,7 +116,7 @@ def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
     for widget in (bench.panel.object, bench.panel.once, bench.panel.track, bench.panel.start):
         assert not widget.isEnabled()
     bench.wait(lambda: bench.text("state") == FLAT)
-    bench.settle()
+    bench.wait_until_shown()
     assert bench.panel.once.isEnabled()
     assert bench.green() == 0 and bench.drawn() == AMBER
     pose = bench.panel.session.pose
@@ -119,9 +130,9 @@ def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
     box.setFocus()
     bench.bot.keyClick(box, Qt.Key.Key_Down)
     box.activated.emit(box.currentIndex())
-    bench.settle()
+    bench.wait_until_shown()
     assert np.array_equal(bench.window.scene.object.T_B_O, pose.stage_one.T_B_O)
-    # it is read in numbers of the chosen units, selected and copied
+    # shown in the chosen units, selectable and copied
     bench.undo()
     panel = bench.panel
     T = pose.T_B_O
@@ -146,33 +157,33 @@ def test_fit_once_shows_the_object_and_how_well_and_is_copied(bench):
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     bench.wait(lambda: bench.text("place") == "–")
     assert not panel.copy.isEnabled()
-    # the patch that is fitted is the one that is shown, without parts that are too small
+    # the fitted patch is the one shown, without small parts
     bench.state.change(least_area_m2=0.01)
     bench.fit()
     assert bench.result.patch.area_m2 == 0.0
     assert panel.session.pose is None or panel.session.pose.stage_two is None
 
 
-def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
+def test_initial_pose_is_moved_or_typed_and_reset_discards_poses(bench):
     bench.choose_object("frustum")
     panel = bench.panel
     bench.click(bench.panel.move_in_view)
-    bench.settle()
+    bench.wait_until_shown()
     gizmo, view = bench.window.overlay.gizmo, bench.window.view
     assert gizmo.on
     start = bench.panel.session.start
-    assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn where it is to begin
+    assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn at the initial pose
     before = start.copy()
     # the middle of the frustum, which is 40 mm tall
-    at = in_view(bench, before[:3, 3] + [0.0, 0.0, 0.02])
+    at = screen_point(bench, before[:3, 3] + [0.0, 0.0, 0.02])
     bot = bench.bot
     bot.mouseMove(view, at)
     bot.mousePress(view, LEFT, pos=at)
     for step in range(1, 6):
         bot.mouseMove(view, at + QPoint(8 * step, 0))
-        bench.settle()
+        bench.wait_until_shown()
     bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
-    bench.settle()
+    bench.wait_until_shown()
     moved = bench.panel.session.start
     assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
     assert np.allclose(bench.window.scene.object.T_B_O, moved)
@@ -190,13 +201,11 @@ def test_a_start_moved_in_the_view_or_typed_is_used_and_reset_forgets(bench):
     assert panel.session.pose is None
     controller = bench.window.controller
     with bench.bot.waitSignal(controller.shown):
-        controller.client.request_cold_solve()  # of the frame as it was shown, with its pose
+        controller.client.request_cold_solve()  # of the shown frame, with its pose
     bench.wait(lambda: bench.text("state") == "not fitted yet")
 
 
-def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_brought_back(
-    bench, tmp_path, monkeypatch
-):
+def test_tracking_export_and_undo_of_reset(bench, tmp_path, monkeypatch):
     bench.choose_object("frustum")
     counts = bench.pipeline.counts
     bench.seek(1)
@@ -217,21 +226,21 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
         rows = list(csv.DictReader(file))
     assert [int(row["frame"]) for row in rows] == list(range(1, FRAMES))
     assert np.loadtxt(tmp_path / "p.tum").shape == (FRAMES - 1, 8)
-    bench.click(bench.panel.csv)  # the name of the last dialog is taken
+    bench.click(bench.panel.csv)  # uses the path of the last dialog
     assert "exists already" in bench.window.message.label.text()
-    # poses that were forgotten are brought back
+    # undo restores the poses
     stack, rows = bench.window.undo_stack, dict(session.rows)
     steps, place = stack.index(), bench.window.scene.object.T_B_O
-    bench.key(Qt.Key.Key_X)  # beside Z: no key of anything
+    bench.key(Qt.Key.Key_X)  # next to Z: not a shortcut
     assert stack.index() == steps and session.rows == rows
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
-    bench.settle()
+    bench.wait_until_shown()
     assert not session.rows and not bench.panel.track.isChecked()
     assert bench.drawn() == GAP and stack.index() == steps + 1  # above the membrane, not found
     bench.key(Qt.Key.Key_Z, CTRL)
     assert session.rows == rows and bench.panel.track.isChecked()
     assert np.array_equal(bench.window.scene.object.T_B_O, place)
-    bench.seek(0)  # tracked on
+    bench.seek(0)  # tracking continues
     bench.wait(lambda: 0 in session.rows)
     assert session.rows[0]["status"] == "ok"
     bench.key(Qt.Key.Key_Z, CTRL | SHIFT)
@@ -239,7 +248,7 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
     assert not session.rows and not bench.panel.track.isChecked()
     bench.click(bench.panel.track)  # on the same frame
     bench.wait(lambda: session.pose is not None)
-    # closing what shows it stops it
+    # closing the panel stops tracking
     ran = counts["pose"]
     bench.window.panels["pose"].hide()
     bench.state.change(layers=frozenset({"membrane"}))
@@ -247,47 +256,47 @@ def test_tracking_runs_only_when_asked_is_exported_and_forgotten_poses_are_broug
     assert counts["pose"] == ran
 
 
-def test_the_patch_by_the_object_is_beside_the_patch_and_goes_with_the_pose(bench):
-    """Both outlines in their colours and both areas in words; neither work nor outline before."""
+def test_patch_by_the_object_is_shown_with_the_patch_and_follows_the_pose(bench):
+    """Both outlines in their colours and both areas as text; not computed before."""
     driver, window = bench, bench.window
     driver.state.change(layers=frozenset({"membrane", "contour", "readout"}))
     bench.choose_object("frustum")
     bench.click(bench.panel.track)
     driver.seek(1)
-    driver.settle()
+    driver.wait_until_shown()
     assert outlined(driver) == (True, False) and not driver.pipeline.counts["object_patch"]
-    assert not window.kappa.by_object.text() and "by object" not in " ".join(texts(driver))
+    assert not window.kappa.by_object.text() and "by object" not in " ".join(view_texts(driver))
 
     bench.click(bench.panel.patch)
     driver.wait(lambda: window.controller.result.object_patch is not None)
-    driver.settle()
+    driver.wait_until_shown()
     result = window.controller.result
     assert result.patch is not None and outlined(driver) == (True, True)
     assert result.object_patch.area_m2 != result.patch.area_m2
-    words = " ".join(texts(driver))
+    words = " ".join(view_texts(driver))
     assert f"patch (white) {1e6 * result.patch.area_m2:.0f} (" in words
     assert f"by object (green) {1e6 * result.object_patch.area_m2:.0f} mm²" in words
     area = f"{1e6 * result.object_patch.area_m2:.0f} mm²"
     assert window.kappa.by_object.text() == area
     driver.wait(lambda: bench.panel.patch.text() == f"Patch by object: {area}")
 
-    driver.pipeline.tracker.reset(np.diag([1.0, -1.0, -1.0, 1.0]))  # far off: no fit from there
+    driver.pipeline.tracker.reset(np.diag([1.0, -1.0, -1.0, 1.0]))  # far off: the fit fails
     driver.seek(2)
     lost = window.controller.result
     assert lost.frame.index == 2 and lost.pose.status == "lost"
     assert lost.object_patch is None and outlined(driver) == (True, False)
-    assert not window.kappa.by_object.text() and "by object" not in " ".join(texts(driver))
+    assert not window.kappa.by_object.text() and "by object" not in " ".join(view_texts(driver))
     driver.wait(lambda: bench.panel.patch.text() == "Patch by object")
 
 
 def outlined(driver):
-    """Whether the outlines of the patch and of that by the object are seen."""
+    """Whether the outlines of the patch and of the patch by the object are visible."""
     pixels = driver.pixels()[:, 60:]
     white, green = (np.all(pixels == rgb(colour), axis=2).sum() for colour in (LINE, OBJECT_PATCH))
     return bool(white > 40), bool(green > 40)
 
 
-def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypatch):
+def test_pose_curves_break_at_lost_and_skipped_frames(bench, monkeypatch):
     lose(monkeypatch, 1)
     bench.choose_object("frustum")
     bench.click(bench.panel.track)
@@ -297,9 +306,9 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypa
         bench.seek(frame)
         bench.wait(lambda frame=frame: frame in session.rows)
         assert bench.drawn() == (GAP if frame == 1 else AMBER)
-        bench.wait(lambda: idle(bench.panel))
+        bench.wait(lambda: no_pending_timers(bench.panel))
         curves = bench.panel.findChild(Curves)
-        for curve in (*curves.frames, *curves.iterations):  # of a lost pose: no number, no curve
+        for curve in (*curves.frames, *curves.iterations):  # lost pose: no value, no curve
             assert (f" {DASH}<" in curve.frame.text or curve.frame.text.count(" ") == 1) == (
                 frame == 1
             )
@@ -314,7 +323,7 @@ def test_curves_have_no_line_across_what_is_lost_or_was_left_out(bench, monkeypa
 
 
 def lose(monkeypatch, lost):
-    """Have a frame without depth."""
+    """Insert a frame without depth."""
     seen = SyntheticSource.__getitem__
 
     def blinded(source, index):
@@ -325,7 +334,7 @@ def lose(monkeypatch, lost):
     monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
 
 
-def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_path):
+def test_dropped_mesh_is_the_object_and_curves_fit_a_small_screen(bench, tmp_path):
     path = tmp_path / "mine.ply"
     shutil.copy(presets_folder("objects") / "cylinder.ply", path)
     bench.drop(path, on=bench.panel)
@@ -340,7 +349,7 @@ def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_p
     # curves fit a small screen, and RMSE is in the unit of length
     bench.choose_object("two_spheres")  # the frustum is pressed
     bench.fit()
-    assert bench.text("state") == "not found yet"  # and has no last pose
+    assert bench.text("state") == "not found yet"  # no earlier pose
     assert bench.text("place") == bench.text("fit") == DASH
     bench.choose_object("frustum")
     bench.fit()
@@ -348,7 +357,7 @@ def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_p
     window, curves = bench.window, bench.panel.findChild(Curves)
     assert curves is not None and curves.isVisible()
     window.resize(1024, 700)
-    bench.settle()
+    bench.wait_until_shown()
     assert (window.width(), window.height()) == (1024, 700)
     pose = bench.panel.session.pose
     assert pose is not None and pose.stage_two is not None
@@ -360,4 +369,4 @@ def test_a_dropped_file_is_the_object_and_curves_fit_a_small_screen(bench, tmp_p
         assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
         for curve, largest in zip(curves.iterations, (100.0, rmse.max()), strict=True):
             low, high = curve.frame.box.viewRange()[1]
-            assert low <= 0.0 and low + high == pytest.approx(largest)  # from 0, no further
+            assert low <= 0.0 and low + high == pytest.approx(largest)  # the axis starts at 0

@@ -1,9 +1,9 @@
-"""Which sensor is in use, a copy with other values, and a file that changes meanwhile."""
+"""Sensor panel: values in use, saving of an edited copy, and a sensor file that changes on disk."""
 
 import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
-from window_driver import Driver, typed
+from window_driver import Driver, answer_file_dialog
 
 from bubbleviz.sensor import Calibration, load_sensor, sensor_to_toml
 from bubbleviz_ui.sensor import sensor_panel
@@ -63,12 +63,10 @@ def bench(drive, left):
     made.show("sensor")
     made.wait(made.panel.edit.isVisible)
     yield made
-    made.let_go()
+    made.release()
 
 
-def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_used(
-    bench, left, monkeypatch
-):
+def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, monkeypatch):
     window, panel = bench.window, bench.panel
     assert "left finger (left.toml)" in window.windowTitle()
     assert "left finger (left.toml)" in window.status.labels["sensor"].toolTip()
@@ -83,14 +81,14 @@ def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_use
     assert panel.recording.text() == "rest.mcap"
     bench.state.change(pressure_unit="psi")
     assert panel.rows[GAUGE].shown.text().endswith(" psi")
-    # what cannot be saved is not lost
+    # a failed save keeps the edits
     before = left.read_bytes()
     bench.click(bench.panel.edit)
     bench.write(TENSION, "101.5")
-    bench.state.change(pressure_unit="psi", solver="linear")  # the sensor is opened anew
-    bench.settle()
+    bench.state.change(pressure_unit="psi", solver="linear")  # reopens the sensor
+    bench.wait_until_shown()
     bench.save(left, monkeypatch)
-    assert "exists already" in bench.said
+    assert "exists already" in bench.message_text
     assert left.read_bytes() == before
     assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
     bench.click(bench.panel.cancel)
@@ -98,7 +96,7 @@ def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_use
     # a copy with another value is saved and used
     bench.click(bench.window.message.dismiss)
     bench.state.change(pressure_unit="kPa", solver=None)
-    bench.settle()
+    bench.wait_until_shown()
     copy = left.with_name("right.toml")
     bench.click(bench.panel.edit)
     bench.write(GAUGE, "5.259")
@@ -120,15 +118,17 @@ def test_what_the_sensor_is_named_and_a_copy_with_another_value_is_saved_and_use
     # named without its suffix it is a TOML file
     monkeypatch.undo()
     bench.click(bench.panel.edit)
-    assert typed(bench, bench.panel.save.click, str(left.parent / "double")) == ["dialog"]
+    assert answer_file_dialog(bench, bench.panel.save.click, str(left.parent / "double")) == [
+        "dialog"
+    ]
     bench.wait(lambda: bench.sensor.file == "double.toml")
     assert not bench.window.message.isVisible()
     bench.click(bench.panel.edit)
-    typed(bench, bench.panel.save.click, str(left.parent / "double"))
-    bench.told("double.toml: exists already")
+    answer_file_dialog(bench, bench.panel.save.click, str(left.parent / "double"))
+    bench.wait_for_message("double.toml: exists already")
 
 
-def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
+def test_depth_noise_has_three_digits_and_a_preset_is_labelled(drive, left):
     sensor = load_sensor(left)
     camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
     driver = drive(DentSource, sensor=sensor.model_copy(update={"camera": camera}))
@@ -141,12 +141,12 @@ def test_depth_noise_has_three_digits_and_a_preset_says_so(drive, left):
     assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
     assert row.unit.isVisible()
     driver.click(panel.cancel)
-    driver.opens("dent", DentSource, load_sensor("pico_flexx_75mm"), playing=False)
+    driver.open("dent", DentSource, load_sensor("pico_flexx_75mm"), playing=False)
     driver.wait(lambda: "soft-bubble pico flexx (preset)" in driver.window.windowTitle())
     assert driver.window.sensor.file.text() == "preset"
 
 
-def test_a_changed_sensor_file_is_reported_and_read_again(bench, left):
+def test_changed_sensor_file_is_reported_and_reloaded(bench, left):
     message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
     new = left.with_suffix(".new")
@@ -169,7 +169,7 @@ def test_a_changed_sensor_file_is_reported_and_read_again(bench, left):
     # so are pixels that change, and the panel fits a small screen
     pixels, dock = left.with_suffix(".npz"), bench.window.panels["sensor"]
     pixels.write_bytes(pixels.read_bytes())
-    bench.told("mesh or pixels have changed on disk")
+    bench.wait_for_message("mesh or pixels have changed on disk")
     bench.click(bench.panel.reload)
     bench.wait(bench.panel.difference.isHidden)
     bench.resize(1016, 660)

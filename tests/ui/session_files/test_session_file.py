@@ -1,4 +1,4 @@
-"""Sessions: saved, restored, sent to a colleague, and found again after the program was killed."""
+"""Session files: saving, restoring, moving to another folder, recovery after a kill."""
 
 import gc
 import json
@@ -44,13 +44,13 @@ def open_press(driver, files, folder=None, **at):
     """Open the recording, or a copy of it, in a window."""
     source = Source.of_recording((folder or files) / "press.mcap")
     former = driver.window.controller.client.session
-    driver.opens("press", source, load_sensor(files / "dome.toml"), playing=False, **at)
+    driver.open("press", source, load_sensor(files / "dome.toml"), playing=False, **at)
     driver.wait(lambda: driver.window.controller.client.session is not former)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
 
 def settings(driver, files):
-    """Change something of every kind."""
+    """Change settings of every kind."""
     open_press(driver, files, frame=7)
     driver.state.change(
         kappa=2.5, speed=0.5, pressure_max_pa=4000.0, cloud_colour="plain", theme="light",
@@ -61,37 +61,37 @@ def settings(driver, files):
     driver.show("plots")
     driver.window.panels["layers"].hide()
     driver.window.view.camera.position = (0.3, 0.2, 0.1)
-    driver.settle()
+    driver.wait_until_shown()
 
 
 def check(driver):
-    """All of `settings` is there again."""
+    """Check that everything changed by `settings` is restored."""
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     state, choices = driver.state, driver.state.settings
-    driver.settle()
+    driver.wait_until_shown()
     assert (state.frame, state.markers, state.play_range) == (7, (3, 9), (2, 10))
     assert (choices.kappa, choices.speed, choices.pressure_max_pa) == (2.5, 0.5, 4000.0)
     assert choices.layers == {"membrane", "rim"} and choices.plots == {"force"}
     assert driver.window.panels["plots"].isVisible() and driver.window.panels["layers"].isHidden()
     assert driver.window.view.camera.position == pytest.approx((0.3, 0.2, 0.1))
-    assert driver.thresholded()
+    assert driver.shows_chosen_kappa()
     assert driver.window.controller.sensor.name == "small dome"
 
 
-def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, files, tmp_path):
+def test_session_file_restores_elsewhere_with_or_without_its_recording(drive, files, tmp_path):
     mine = drive()
     settings(mine, files)
     mine.window.session_saver.save_as(files / "look.bubbleviz")
     text = (files / "look.bubbleviz").read_text()
-    assert str(files) not in text  # nothing of my disk
+    assert str(files) not in text  # no local paths
     theirs = tmp_path / "elsewhere"
     shutil.copytree(files, theirs)
     other = drive()
     other.window.open_file(theirs / "look.bubbleviz")
     check(other)
     assert not other.window.message.isVisible()
-    assert other.state.settings.theme == "system"  # theirs stays theirs
-    # what is missing is one sentence, and the rest is restored
+    assert other.state.settings.theme == "system"  # their own setting is kept
+    # a missing file gives a message, and the rest is restored
     mine.window.session_saver.save_as(files / "alone.bubbleviz")
     shutil.copy(files / "alone.bubbleviz", tmp_path)
     (files / "alone.bubbleviz").unlink()
@@ -104,10 +104,10 @@ def test_a_session_is_sent_to_a_colleague_whole_or_without_its_recording(drive, 
     assert "press.mcap is missing" in message.label.text()
     assert message.label.text().count(".") <= 6 and "\n" not in message.label.text()
     assert other.state.settings.kappa == 2.5 and other.window.panels["layers"].isHidden()
-    assert other.state.frame == 5  # what was open stays
+    assert other.state.frame == 5  # the open source stays
 
 
-def test_choices_of_another_version_cost_only_themselves():
+def test_unknown_settings_of_another_version_are_ignored():
     mine = Settings(kappa=2.0, speed=4.0, layers=frozenset({"rim"}), theme="light")
     assert usable_settings(json.loads(json.dumps(plain_settings(mine)))) == mine
     fields_ = plain_settings(mine)
@@ -118,11 +118,11 @@ def test_choices_of_another_version_cost_only_themselves():
     assert got.theme == "system" and got.kappa is None and got.view_from == Settings().view_from
 
 
-def test_every_choice_is_in_the_file():
+def test_every_setting_is_in_the_session_file():
     assert plain_settings(Settings()).keys() == {f.name for f in fields(Settings)}
 
 
-def test_an_unreadable_session_is_put_aside(tmp_path):
+def test_unreadable_session_is_renamed(tmp_path):
     file = tmp_path / "session.json"
     file.write_text("{")
     with pytest.raises(InputError, match=r"session\.json.*kept as session\.unreadable"):
@@ -142,30 +142,28 @@ def test_recent_files_and_reload(drive, files, tmp_path):
     assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml"]
     driver.state.set_markers((1,))
     gone = window.controller.client.session
-    driver.act("File › Reload")
+    driver.trigger("File › Reload")
     driver.wait(lambda: window.controller.client.session is not gone)
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.state.frame == 5 and driver.state.markers == (1,)
     driver.state.set_range((2, 10))
-    open_press(driver, files)  # another recording of the same name does not take them over
+    open_press(driver, files)  # not applied to another recording of the same name
     assert driver.state.facts.title == "press.mcap"
     assert not driver.state.markers and driver.state.play_range is None
     open_press(driver, files, tmp_path)
     copy.unlink()
-    driver.act("File › Reload")
-    driver.told("press.mcap")
+    driver.trigger("File › Reload")
+    driver.wait_for_message("press.mcap")
 
 
-def test_recording_and_sensor_dropped_together(drive, files):
+def test_recording_and_sensor_file_dropped_together(drive, files):
     driver = drive(sensor=small_sensor("other", nodes=150))
     driver.drop(files / "press.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     driver.wait(lambda: driver.window.controller.sensor.name == "small dome")
 
 
-def test_what_the_user_moved_is_kept_a_still_view_is_not_and_no_session_is_a_message(
-    drive, tmp_path
-):
+def test_moved_camera_is_saved_and_an_invalid_session_gives_a_message(drive, tmp_path):
     driver = drive(frame=3)
     saver, view = driver.window.session_saver, driver.window.view
     assert saver.snapshot().camera is None
@@ -175,13 +173,13 @@ def test_what_the_user_moved_is_kept_a_still_view_is_not_and_no_session_is_a_mes
     saver.save_as(tmp_path / "a.bubbleviz")
     assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
     assert read_session(tmp_path / "a.bubbleviz").frame == 3
-    # a file that is no session is a message
+    # an invalid file gives a message
     bad = tmp_path / "bad.bubbleviz"
     for text in ("not json", '{"schema_version": 99}', '{"frame": -1}', "[]", '{"camera": [1]}'):
         bad.write_text(text)
         driver.window.message.hide()
         driver.window.open_file(bad)
-        assert driver.window.message.isVisible() and "bad.bubbleviz" in (driver.said)
+        assert driver.window.message.isVisible() and "bad.bubbleviz" in (driver.message_text)
 
 
 KILLED = """
@@ -217,7 +215,7 @@ def run(files, config, rec):
     )  # fmt: skip
 
 
-def test_after_a_kill_the_next_start_is_where_it_was(qtbot, files, tmp_path, eventually):
+def test_session_is_restored_after_a_kill(qtbot, files, tmp_path, eventually):
     rec = tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", rec)
     process = run(files, tmp_path / "config", rec)
@@ -239,8 +237,8 @@ def test_after_a_kill_the_next_start_is_where_it_was(qtbot, files, tmp_path, eve
         assert gone.state.settings.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 
-def test_what_was_open_is_not_kept(qtbot, files):
-    """Each answer holds a camera's rays and a frame: 15 MiB for a RealSense."""
+def test_closed_source_is_freed_from_memory(qtbot, files):
+    """Each result holds camera rays and a frame: 15 MiB for a RealSense."""
     sensor = load_sensor(files / "dome.toml")
     with window_session(sensor, files / "press.mcap", 3) as session:
         controller = session.controller

@@ -1,4 +1,4 @@
-"""What a session remembers beyond a recording: live sources, sensors of no file, the object."""
+"""Sessions with live sources, unsaved sensors and objects; session files from the command line."""
 
 import json
 import shutil
@@ -51,14 +51,14 @@ def start(keep_in=None, saved=None):
 
 def open_press(driver, files, sensor=None):
     chosen = sensor or load_sensor(files / "dome.toml")
-    driver.opens("press", Source.of_recording(files / "press.mcap"), chosen, frame=8, playing=False)
+    driver.open("press", Source.of_recording(files / "press.mcap"), chosen, frame=8, playing=False)
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
 
 
-# -- the object ---------------------------------------------------------------------------------
+# -- object -------------------------------------------------------------------------------------
 
 
-def test_the_object_its_start_and_tracking_go_to_a_colleague_and_one_that_is_gone_is_said(
+def test_session_keeps_object_initial_pose_and_tracking_and_reports_a_missing_object(
     drive, files, tmp_path
 ):
     mine = drive()
@@ -80,23 +80,23 @@ def test_the_object_its_start_and_tracking_go_to_a_colleague_and_one_that_is_gon
     assert np.allclose(theirs.session.start[:3, 3], [4e-3, 1e-3, 45e-3])
     assert not theirs.search.isChecked() and theirs.start.places[2].value() == 45.0
     assert theirs.track.isChecked() and other.window.panels["pose"].isVisible()
-    other.wait(lambda: theirs.session.pose is not None)  # it is looked for in the frame one sees
+    other.wait(lambda: theirs.session.pose is not None)  # registered in the frame shown
     other.wait(lambda: theirs.object.currentText() == "stamp.ply")
-    # an object that is gone is a message
+    # a missing object gives a message
     (tmp_path / "theirs" / "stamp.ply").unlink()
     other.seek(3)
     other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
     other.wait(other.window.message.isVisible)
-    assert "stamp.ply is missing; the rest is restored" in other.said
+    assert "stamp.ply is missing; the rest is restored" in other.message_text
     other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
     assert theirs.session.object_name is None
 
 
-# -- sensors of no file -------------------------------------------------------------------------
+# -- unsaved sensors ----------------------------------------------------------------------------
 
 
 @pytest.mark.long
-def test_a_sensor_of_no_file_is_there_at_the_next_start(files, tmp_path):
+def test_unsaved_sensor_is_restored_at_the_next_start(files, tmp_path):
     config = tmp_path / "config" / "session.json"
     with start(config) as session:
         session.window.controller.opening.use_sensor(small_sensor("edited", nodes=150))
@@ -109,13 +109,13 @@ def test_a_sensor_of_no_file_is_there_at_the_next_start(files, tmp_path):
         assert not session.window.message.isVisible() and not session.window.session_saver.recent
         session.window.controller.opening.use_sensor(load_sensor(files / "dome.toml"))
         session.wait_for(lambda: session.controller.sensor.name == "small dome", "opening")
-    assert not list(config.parent.glob("session_sensor_*"))  # nobody needs it any more
+    assert not list(config.parent.glob("session_sensor_*"))  # not needed any more
 
 
 # -- live sources -------------------------------------------------------------------------------
 
 
-def test_a_live_source_is_connected_again_at_the_next_start(qtbot, tmp_path):
+def test_live_source_is_reconnected_at_the_next_start(qtbot, tmp_path):
     config = tmp_path / "session.json"
     live = single("synthetic:?frames=6", sensor_file(tmp_path))
     with start(config) as session:
@@ -127,15 +127,15 @@ def test_a_live_source_is_connected_again_at_the_next_start(qtbot, tmp_path):
         assert session.state.facts.title == "synthetic:?frames=6"
         assert session.controller.sensor.name == "robot dome"
         assert session.state.settings.kappa == 2.0 and not session.window.message.isVisible()
-        session.window.live.leave.click()  # on purpose: the next start leaves it alone
+        session.window.live.leave.click()  # by the user: not reconnected later
     assert json.loads(config.read_text())["session"]["live"] is None
 
 
 @pytest.mark.parametrize("agrees", [False, True])
-def test_a_session_file_connects_to_other_computers_only_where_the_user_agrees(
+def test_session_file_connects_to_other_computers_only_after_a_question(
     qtbot, tmp_path, monkeypatch, agrees
 ):
-    """It is told where to, and by which file of passwords; Enter means no."""
+    """The question names address and password file; the default is No."""
     place, asked, connected = f"zenoh:tcp/127.0.0.1:{free_port()}?login=/etc/passwd", [], []
     saved = SavedSession(live=single(place, sensor_file(tmp_path)))
     (tmp_path / "a.json").write_text(saved.model_dump_json())
@@ -164,7 +164,7 @@ def test_an_invalid_viewpoint_is_refused(tmp_path, up):
 
 
 @pytest.mark.long
-def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(qtbot, files, tmp_path):
+def test_missing_live_source_gives_a_message_and_stays_in_the_session(qtbot, files, tmp_path):
     config = tmp_path / "session.json"
     rec = files / "press.mcap"
     live = single(f"replay:{rec}?loop=1", str(files / "dome.toml"))
@@ -183,7 +183,7 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(qtbot,
         gone = session.controller.client.session
         session.wait_for(lambda: session.controller.client.session is not gone, "again")
         session.state.change(solver=None)
-    assert read_user_file(config).session.live == live  # for the start after this one
+    assert read_user_file(config).session.live == live  # for the next start
     (tmp_path / "away.mcap").rename(rec)
     shutil.move(files, tmp_path / "theirs")
     with start(saved=tmp_path / "theirs" / "live.bubbleviz") as session:
@@ -192,15 +192,15 @@ def test_a_live_source_that_is_gone_is_a_message_and_stays_in_the_session(qtbot,
 
 
 @pytest.mark.long
-def test_a_robot_that_is_not_there_yet_is_waited_for(qtbot, files, tmp_path):
+def test_robot_that_is_not_running_yet_is_awaited(qtbot, files, tmp_path):
     config = tmp_path / "session.json"
     robot = single(f"zenoh:tcp/127.0.0.1:{free_port()}", str(files / "dome.toml"))
     config.write_text(UserFile(session=SavedSession(live=robot)).model_dump_json())
     with start(config) as session:
         bar = session.window.live
         session.wait_for(bar.isVisible, "the bar")
-        assert session.controller.result is not None  # the built-in press, meanwhile
-        session.window.open_file(files / "dome.toml")  # another sensor, but no other source
+        assert session.controller.result is not None  # the built-in press in the meantime
+        session.window.open_file(files / "dome.toml")  # another sensor, same source
         session.wait_for(lambda: session.controller.sensor.file == "dome.toml", "the sensor")
         bar.leave.click()
         assert not bar.isVisible()
@@ -209,12 +209,12 @@ def test_a_robot_that_is_not_there_yet_is_waited_for(qtbot, files, tmp_path):
         session.wait_for(session.window.live.isVisible, "the bar")
         session.window.open_file(files / "press.mcap")
         session.wait_for(lambda: session.state.facts.frames == FRAMES, "the recording")
-        assert session.window.live_controller.connection is None  # it will not come in its place
+        assert session.window.live_controller.connection is None  # will not replace it
         assert not session.window.live.isVisible()
     assert read_user_file(config).session.live is None
 
 
-def test_a_recording_that_is_gone_for_a_while_loses_nothing(qtbot, files, tmp_path):
+def test_session_of_a_temporarily_missing_recording_is_kept(qtbot, files, tmp_path):
     config, rec = tmp_path / "session.json", files / "press.mcap"
     with window_session(load_sensor(files / "dome.toml"), rec, 5, None, lambda: config) as session:
         session.state.set_markers((2, 9))
@@ -246,7 +246,7 @@ def test_the_command_line_opens_a_session(drive, files, tmp_path):
 
 
 @pytest.mark.parametrize("text", [None, "", "[]", '{"schema_version": 9}', '{"live": {"a": 1}}'])
-def test_a_bad_session_file_is_one_sentence(tmp_path, text):
+def test_invalid_session_file_gives_one_sentence(tmp_path, text):
     bad = tmp_path / "bad.bubbleviz"
     if text is not None:
         bad.write_text(text)
@@ -255,15 +255,15 @@ def test_a_bad_session_file_is_one_sentence(tmp_path, text):
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_a_session_that_is_not_there_or_has_a_frame_ends_the_command(tmp_path):
+def test_missing_session_or_session_with_frame_option_is_an_error(tmp_path):
     for words, told in ([], "a.bubbleviz"), (["--frame", "3"], "--frame"):
         done = run_bubbleviz("open", tmp_path / "a.bubbleviz", *words)
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1 and told in done.stderr
 
 
-def test_a_session_does_not_say_where_to_publish(drive, tmp_path):
-    """Nor where to record: a file of somebody else must not open this computer to others."""
+def test_session_file_does_not_change_the_publishing_endpoint(drive, tmp_path):
+    """Nor the recording folder: a foreign file must not expose this computer."""
     mine = drive()
     mine.window.session_saver.save_as(tmp_path / "a.bubbleviz")
     saved = read_session(tmp_path / "a.bubbleviz")

@@ -1,11 +1,11 @@
-"""Shear in the window: what it is measured against, its numbers, and nothing of it while hidden."""
+"""Shear in the window: reference images, numbers, and no computation while hidden."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from fakes import DentSource, SpeckledSource, record, small_sensor
-from window_driver import copied, drawn_points
+from window_driver import clipboard_text, drawn_points
 
 from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.recordings import LAG
@@ -24,7 +24,7 @@ NOTHING = Settings(layers=frozenset(), panels=frozenset())
 
 @pytest.fixture(scope="module")
 def rubber():
-    """The small sensor with its prestretch, so that its membrane is known exactly."""
+    """The small sensor with a prestretch, for the exact membrane."""
     return small_sensor(prestretch=1.2)
 
 
@@ -39,7 +39,7 @@ def shown(driver):
     driver.wait(lambda: bool(driver.inspection.reference))
 
 
-def test_traction_is_asked_for_by_what_shows_it():
+def test_traction_is_requested_only_by_what_shows_it():
     layers = replace(NOTHING, layers=frozenset({"traction"}))
     assert "traction" in needed_products(layers) and "slip" not in needed_products(layers)
     panel = replace(NOTHING, panels=frozenset({"shear"}))
@@ -47,13 +47,13 @@ def test_traction_is_asked_for_by_what_shows_it():
     plots = replace(NOTHING, panels=frozenset({"plots"}), plots=frozenset({"slip"}))
     assert needed_products(plots) == {"slip"}
     assert not needed_products(Settings()) & {"flow", "traction", "slip", "texture"}
-    # another bound is another demand only while shear is seen
+    # another bound changes the demand only while shear is visible
     for settings, same in ((panel, False), (NOTHING, True)):
         other = Demand.of(replace(settings, friction=0.5))
         assert Demand.of(settings).covers(other) is same
 
 
-def test_a_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
+def test_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
     driver, source = opened(drive, rubber)
     driver.seek(3)
     counts = driver.pipeline.counts
@@ -73,11 +73,11 @@ def test_a_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
     assert driver.window.shear.isVisible()
     driver.wait(lambda: driver.window.shear.copy.isEnabled())
     driver.click(driver.window.shear.copy)
-    assert copied().startswith("frame 5, 0.167 s\nstatus: ")
+    assert clipboard_text().startswith("frame 5, 0.167 s\nstatus: ")
 
 
-def test_frames_that_pass_without_contact_are_the_reference(drive, rubber):
-    """One of another size among them begins them anew, and one after them is left to depth."""
+def test_contact_free_live_frames_are_the_reference(drive, rubber):
+    """An image of another size restarts the collection; later ones are solved by depth alone."""
     pytest.importorskip("cv2")
     odd = COLLECTED + 1
     driver, _ = opened(drive, rubber, halved=frozenset({0, odd}))
@@ -103,7 +103,7 @@ def test_frames_that_pass_without_contact_are_the_reference(drive, rubber):
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
 
 
-def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
+def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_path):
     pytest.importorskip("cv2")
     driver, _ = opened(drive, rubber, info=False)
     shown(driver)
@@ -114,12 +114,12 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     driver.wait(lambda: panel.reference.text().startswith(said))
     assert driver.result.flow is None
     record(tmp_path / "dent.mcap", list(DentSource(rubber))[:6])
-    driver.opens("dent", Source.of_recording(tmp_path / "dent.mcap"), rubber, playing=False)
+    driver.open("dent", Source.of_recording(tmp_path / "dent.mcap"), rubber, playing=False)
     driver.wait(lambda: panel.reference.text().startswith("Depth alone: no colour images"))
-    # the exact membrane is not known: what to do, in the image as well
+    # without the exact membrane: the advice is shown, also in the image
     driver.state.change(images=frozenset({"flow"}))
     driver.show("images")
-    driver.opens("speckled", SpeckledSource, sensor, playing=False)
+    driver.open("speckled", SpeckledSource, sensor, playing=False)
     driver.wait(lambda: panel.reference.text() == NEEDS_RUBBER)
     cell = lambda: driver.window.images.cells["flow"]  # noqa: E731
     driver.wait(lambda: cell().text.replace("<br>", " ") == f"Flow {NEEDS_RUBBER}")
@@ -129,7 +129,7 @@ def test_why_depth_is_left_alone_is_said(drive, rubber, sensor, tmp_path):
     assert driver.pipeline.counts["traction"] == 0 and not panel.copy.isEnabled()
 
 
-def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(drive, rubber):
+def test_flow_image_is_shown_and_not_computed_while_hidden(drive, rubber):
     pytest.importorskip("cv2")
     driver, source = opened(drive, rubber)
     driver.state.change(images=frozenset({"flow"}))
@@ -143,14 +143,14 @@ def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(dri
     for k in range(2, COLLECTED + 2):
         driver.seek(k)
     driver.wait(lambda: cell.image is not None)
-    driver.settle()
+    driver.wait_until_shown()
     flow, width = driver.result.flow, rubber.camera.width
     assert cell.image.shape == (rubber.camera.height // 8, width // 8)
     assert np.isfinite(cell.image).sum() == len(flow.pixel) > 20
     row, column = np.divmod(flow.pixel[7], width)
     assert cell.image[row // 8, column // 8] == np.hypot(*flow.moved_px[7])
     assert cell.text.startswith("Flow") and cell.text.endswith(" px")
-    assert driver.pipeline.counts["traction"] == 0  # not asked for
+    assert driver.pipeline.counts["traction"] == 0  # not requested
     driver.window.panels["images"].hide()
     driver.wait(lambda: "images" not in driver.state.settings.panels)
     driver.seek(2)
@@ -160,7 +160,7 @@ def test_the_motion_of_the_texture_is_an_image_and_hidden_it_is_not_measured(dri
 
 
 def dragged(driver, status="ok"):
-    """The result that is shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
+    """The result shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
     result = driver.result
     mesh = driver.pipeline.mesh
     top = np.argsort(np.linalg.norm(mesh.nodes[:, :2], axis=1))[:3]
@@ -176,7 +176,7 @@ def dragged(driver, status="ok"):
     return replace(result, traction=traction, slip=slip)
 
 
-def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
+def test_arrows_numbers_with_intervals_and_friction_bound(drive, sensor, qtbot):
     driver, _ = opened(drive, sensor)
     settings = replace(driver.state.settings, layers=frozenset({"membrane", "traction"}))
     layer = driver.window.scene.layers["traction"]
@@ -192,7 +192,7 @@ def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     assert np.ptp(np.asarray(layer.actors[1].mapper.dataset.points)) == 0.0
     driver.window.scene.show(replace(dragged(driver), traction=None), settings)
     assert not any(actor.GetVisibility() for actor in layer.actors)
-    # numbers have their interval and their doubts
+    # numbers have intervals and remarks
     words = shear_texts(dragged(driver), Units())
     assert words["normal"] == "3.00 ± 0.20 N" and words["tangential"] == "1.50 ± 0.20 N"
     assert words["direction"] == "0 ± 7 °, not verified on real sensors"
@@ -201,7 +201,7 @@ def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "–"
     text = shear_report(dragged(driver), Units())
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
-    # the bound is off until it is ticked, and that can be undone
+    # the bound is off by default, and its check box can be undone
     panel, window = driver.window.shear, driver.window
     assert driver.state.settings.friction is None and not panel.friction.isEnabled()
     panel.bounded.click()
@@ -214,7 +214,7 @@ def test_arrows_numbers_with_their_doubts_and_the_bound(drive, sensor, qtbot):
     assert driver.state.settings.friction is None and driver.state.settings.flow_preset == "fast"
 
 
-def test_the_ellipse_is_drawn_in_the_unit_of_force(qtbot):
+def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     plot = ShearPlot()
     qtbot.addWidget(plot)
     plot.show()

@@ -27,7 +27,7 @@ def done(driver, letters):
     return name
 
 
-def test_the_palette_by_keys(drive):
+def test_palette_by_keyboard(drive):
     driver = drive(frame=3)
     title, palette = driver.window.windowTitle(), opened(driver)
     found = lambda: [palette.list.item(row).text() for row in range(palette.list.count())]  # noqa: E731
@@ -76,7 +76,7 @@ def test_the_palette_by_keys(drive):
     assert driver.window.isVisible() and not driver.window.findChildren(CommandPalette)
 
 
-def test_search_finds_the_best_place_of_many():
+def test_search_finds_the_best_of_several_matches():
     """Against all ways to place the letters, tried one by one."""
     names = ["Playback › Play / pause", "Playback › Last frame", "View › Plots", "File › Quit"]
     assert ranked("pp", names)[0] == "Playback › Play / pause"

@@ -4,26 +4,26 @@ from fakes import DentSource, record
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QFileDialog
-from window_driver import typed
+from window_driver import answer_file_dialog
 
 from bubbleviz.files import SESSION_SUFFIX
 from bubbleviz_ui.model.settings import Settings
 
 
-def test_nothing_is_replaced_unasked_names_get_their_suffix_and_folders_are_remembered(
+def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
     drive, tmp_path, monkeypatch
 ):
     driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
     actions = driver.window.shortcuts.actions
     precious.write_text("precious")
     save = actions["File › Save session as"].trigger
-    assert typed(driver, save, str(tmp_path / "look")) == ["dialog", "question"]
+    assert answer_file_dialog(driver, save, str(tmp_path / "look")) == ["dialog", "question"]
     assert precious.read_text() == "precious"
-    assert typed(driver, save, str(tmp_path / "other")) == ["dialog"]
+    assert answer_file_dialog(driver, save, str(tmp_path / "other")) == ["dialog"]
     assert (tmp_path / f"other{SESSION_SUFFIX}").is_file()
     for name in ("shot", "shot.v2"):
         before = set(tmp_path.iterdir())
-        typed(driver, actions["File › Screenshot"].trigger, str(tmp_path / name))
+        answer_file_dialog(driver, actions["File › Screenshot"].trigger, str(tmp_path / name))
         (path,) = set(tmp_path.iterdir()) - before
         assert path.name in ("shot.png", "shot.v2")
         assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
@@ -42,15 +42,15 @@ def test_nothing_is_replaced_unasked_names_get_their_suffix_and_folders_are_reme
         (tmp_path / name).parent.mkdir()
     for _ in range(2):
         for title in answers:
-            driver.act(f"File › {title}")
+            driver.trigger(f"File › {title}")
     assert asked[2:] == [(title, str((tmp_path / name).parent)) for title, name in answers.items()]
-    driver.told()  # neither is there
+    driver.wait_for_message()  # neither is there
     (tmp_path / "records").rmdir()
-    driver.act("File › Open recording")
+    driver.trigger("File › Open recording")
     assert asked[-1] == ("Open recording", "")
 
 
-def test_space_plays_what_was_opened_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
+def test_space_plays_after_opening_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
     def asked(parent, title, folder, kinds):
         dialog = QFileDialog(parent, title, folder, kinds)
         chosen = dialog.selectedFiles() if dialog.exec() else [""]
@@ -63,7 +63,7 @@ def test_space_plays_what_was_opened_by_the_dialog(drive, sensor, tmp_path, monk
     loop, state = driver.window.playback.loop, driver.state
     driver.activate()
     loop.setFocus()  # as by Tab; Space there is a click on it
-    typed(driver, lambda: driver.act("File › Open recording"), str(path))
+    answer_file_dialog(driver, lambda: driver.trigger("File › Open recording"), str(path))
     driver.wait(lambda: state.facts.title == "press.mcap")
     driver.activate()
     driver.wait(lambda: QApplication.focusWidget() is not None)

@@ -8,7 +8,7 @@ from fakes import DentSource
 from PySide6.QtCore import QObject, QUrl, Slot
 from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication
-from window_driver import copied
+from window_driver import clipboard_text
 
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.session_files.session_file import read_user_file
@@ -36,7 +36,7 @@ def desktop():
     QDesktopServices.unsetUrlHandler("file")
 
 
-def test_a_written_file_is_opened_from_its_notice_which_moves_nothing_and_leaves(
+def test_notice_opens_the_written_file_moves_nothing_and_disappears(
     drive, desktop, tmp_path, monkeypatch
 ):
     driver = drive(frame=5)
@@ -49,7 +49,7 @@ def test_a_written_file_is_opened_from_its_notice_which_moves_nothing_and_leaves
     assert desktop.opened == [path, tmp_path]
     path.unlink()
     driver.click(notice.open)
-    assert f"{path}: cannot be opened; it no longer exists" in driver.said
+    assert f"{path}: cannot be opened; it no longer exists" in driver.message_text
     driver.click(notice.dismiss)
     assert not notice.isVisible()
     # a session is opened in the window
@@ -80,12 +80,12 @@ def test_a_written_file_is_opened_from_its_notice_which_moves_nothing_and_leaves
     window.session_saver.save_as(tmp_path / "look.bubbleviz")  # something else
     assert window.notice.isVisible()
     driver.wait(lambda: not window.notice.isVisible())
-    driver.told("cannot be written")
+    driver.wait_for_message("cannot be written")
     driver.click(window.message.dismiss)
     assert not window.message.isVisible()
 
 
-def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, tmp_path):
+def test_messages_are_shown_by_kind_listed_and_copied_and_the_hint_is_dismissed(drive, tmp_path):
     driver = drive()
     window, message = driver.window, driver.window.message
     for theme in ("dark", "light"):
@@ -103,7 +103,7 @@ def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, t
     window.messages.add(UserMessage("error", "bad", "Traceback: here"))
     for _ in range(2):
         window.messages.add(UserMessage("warning", "odd"))
-    assert message.kind.text() == "Error" and driver.said == "bad"
+    assert message.kind.text() == "Error" and driver.message_text == "bad"
     driver.click(message.more)
     (dialog,) = window.findChildren(MessagesDialog)
     lines = [line.split()[1:] for line in dialog.text.toPlainText().splitlines()]
@@ -112,11 +112,11 @@ def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, t
     window.messages.add(UserMessage("notice", "good"))
     assert "good" in dialog.text.toPlainText()
     driver.click(dialog.copy)
-    places = [copied().index(text) for text in ("Traceback: here", "odd", "good")]
+    places = [clipboard_text().index(text) for text in ("Traceback: here", "odd", "good")]
     assert places == sorted(places)
     dialog.close()
     driver.click(message.dismiss)
-    assert message.kind.text() == "Warning" and driver.said == "odd"
+    assert message.kind.text() == "Warning" and driver.message_text == "odd"
     driver.click(message.dismiss)
     assert not message.isVisible()
     # the hint is shown until it is read
@@ -132,7 +132,7 @@ def test_messages_are_told_apart_listed_and_copied_and_the_hint_is_read(drive, t
     assert read_user_file(file).hinted
     saver.keep_in(file)
     assert not hint.isVisible()
-    driver.act("Help › First steps")
+    driver.trigger("Help › First steps")
     assert hint.isVisible()
 
 
@@ -154,11 +154,11 @@ class SlowOpener:
         return self.source is not None and self.source.closed
 
 
-def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(drive, sensor):
+def test_slow_opening_shows_progress_and_can_be_cancelled_or_replaced(drive, sensor):
     driver = drive(frame=5)
     window, title = driver.window, driver.window.windowTitle()
     left, replaced, last = SlowOpener(), SlowOpener(), SlowOpener()
-    driver.opens("slow.mcap", left, sensor)
+    driver.open("slow.mcap", left, sensor)
     driver.wait(window.busy.isVisible)
     assert "slow.mcap" in window.busy.label.text()
     driver.state.seek(6)
@@ -167,18 +167,18 @@ def test_opening_that_takes_long_says_so_and_can_be_left_or_replaced(drive, sens
     driver.wait(left.begun.is_set)
     left.go.set()
     driver.wait(left.let_go)
-    driver.settle()
+    driver.wait_until_shown()
     assert window.windowTitle() == title and driver.state.frame == 6
     assert not window.message.isVisible()
 
-    driver.opens("slow.mcap", replaced, sensor)
+    driver.open("slow.mcap", replaced, sensor)
     driver.wait(replaced.begun.is_set)
-    driver.opens("dent", DentSource, sensor, frame=3, playing=False)
+    driver.open("dent", DentSource, sensor, frame=3, playing=False)
     replaced.go.set()
     driver.wait(lambda: driver.state.facts.title == "dent" and driver.state.frame == 3)
     assert replaced.let_go() and not window.busy.isVisible()
 
-    driver.opens("slow.mcap", last, sensor, frame=4, playing=False)
+    driver.open("slow.mcap", last, sensor, frame=4, playing=False)
     driver.wait(window.busy.isVisible)
     last.go.set()
     driver.wait(lambda: driver.state.frame == 4)

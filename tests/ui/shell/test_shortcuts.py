@@ -10,12 +10,12 @@ from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
 PLAY, LOOP = "Playback › Play / pause", "Playback › Loop"
 
 
-def test_keys_are_listed_changed_refused_and_reset(drive):
+def test_shortcuts_are_listed_changed_rejected_and_reset(drive):
     driver = drive()
     shortcuts = driver.window.shortcuts
     keys = Counter(k.toString() for a in shortcuts.actions.values() for k in a.shortcuts())
     assert len(keys) > 30 and set(keys.values()) == {1}
-    driver.act("Help › Keyboard shortcuts")
+    driver.trigger("Help › Keyboard shortcuts")
     dialog = driver.window.findChildren(ShortcutsDialog)[-1]
     table = dialog.table
     listed = {table.item(r, 0).text(): table.item(r, 1) for r in range(table.rowCount())}
@@ -40,7 +40,7 @@ def test_keys_are_listed_changed_refused_and_reset(drive):
     driver.state.set_playing(False)
     # the default is taken by another action, until all have theirs
     assert shortcuts.set_keys(LOOP, QKeySequence("Space")) == ""
-    driver.act("Help › Keyboard shortcuts")
+    driver.trigger("Help › Keyboard shortcuts")
     dialog = driver.window.findChildren(ShortcutsDialog)[-1]
     driver.bot.keyClicks(dialog.search, "play pause")
     driver.click(dialog.reset)

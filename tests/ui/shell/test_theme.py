@@ -9,7 +9,7 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication, QLineEdit, QMenu, QWidget
-from window_driver import CONTACT, clipped, painted, run_python
+from window_driver import CONTACT, clipped_labels, painted, run_python
 
 from bubbleviz_ui.live.live_bar import BADGES
 from bubbleviz_ui.shell import theme
@@ -36,13 +36,13 @@ def contrast(one, other):
     return (high + 0.05) / (low + 0.05)
 
 
-def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive):
+def test_theme_menu_changes_all_parts(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
     parts = (window.status, window.menuBar(), window.layers, window.kappa, window.playback)
     for title, colours in (("Light", theme.LIGHT), ("Dark", theme.DARK)):
         choose(driver, title)
-        driver.settle()
+        driver.wait_until_shown()
         corner = window.view.pixels()[-3, 3]
         assert np.allclose(corner, rgb(colours.view), atol=2)
         is_light = colours is theme.LIGHT
@@ -54,7 +54,7 @@ def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive):
         # The icon on the play button.
         play = painted(window.playback.play).reshape(-1, 3).astype(int)
         assert np.abs(play - rgb(colours.text)).sum(axis=1).min() < 12
-        assert len(driver.warm_pixels()) > 200  # pressure has its colours on both
+        assert len(driver.pressure_pixels()) > 200  # pressure has its colours on both
     choose(driver, "&system")
     changed = QApplication.styleHints().colorSchemeChanged  # a desktop emits it; Xvfb is none
     changed.emit(Qt.ColorScheme.Light)
@@ -67,7 +67,7 @@ def test_the_theme_is_chosen_in_the_menu_and_everything_follows(drive):
 
 
 @pytest.mark.parametrize("colours", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
-def test_text_can_be_read(colours):
+def test_text_contrast(colours):
     for ground in (colours.window, colours.panel, colours.field, colours.view, colours.button):
         assert contrast(QColor(colours.text), QColor(ground)) > 7.0
         assert contrast(QColor(colours.dim), QColor(ground)) > 4.5
@@ -97,7 +97,7 @@ def within(widget, place):
     return painted(widget)[top : place.bottom() - 2, left : place.right() - 28]
 
 
-def test_what_is_selected_or_disabled_can_be_read(drive):
+def test_contrast_of_selected_and_disabled_text(drive):
     driver = drive(frame=3)
     for title in ("Dark", "Light"):
         choose(driver, title)
@@ -143,7 +143,7 @@ def check_contrasts(driver):
     action.setEnabled(True)
 
 
-def test_colours_are_nowhere_else():
+def test_colours_are_defined_only_in_the_theme():
     for path in (HERE.parents[1] / "ui").rglob("*.py"):
         if path.name != "theme.py":
             found = re.findall(r"[\"'>:]#[0-9a-fA-F]{3,8}\b", path.read_text(encoding="utf-8"))
@@ -166,7 +166,7 @@ with screen_for_pictures(3200, 2000), window_session(small_sensor(), None, 75) a
         for title, panel in window.panels.items():
             if panel.isHidden():
                 panel.show()
-        session.settle()
+        session.wait_until_drawn()
         for widget in [*window.findChildren(QLabel), *window.findChildren(QAbstractButton)]:
             text = widget.text().replace("&", "")
             if not widget.isVisible() or not text or "<" in text:
@@ -181,7 +181,7 @@ with screen_for_pictures(3200, 2000), window_session(small_sensor(), None, 75) a
 
 
 @pytest.mark.long
-def test_nothing_is_clipped_at_200_percent():
+def test_no_text_is_clipped_at_200_percent_scaling():
     done = run_python(FITS, QT_SCALE_FACTOR="2")
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
@@ -195,7 +195,7 @@ def test_the_window_fits_into_1280_by_800(drive):
         driver.state.change(theme=name)
         driver.window.resize(1280, 800)
         driver.window.show_rates()
-        driver.settle()
+        driver.wait_until_shown()
         assert driver.size == (1280, 800)
         for panel in driver.window.panels.values():
             shown = panel.isVisible()
@@ -203,4 +203,4 @@ def test_the_window_fits_into_1280_by_800(drive):
             QApplication.processEvents()
             assert driver.size == (1280, 800), (name, panel)
             panel.setVisible(shown)
-        assert not clipped(driver.window)
+        assert not clipped_labels(driver.window)

@@ -1,4 +1,4 @@
-"""What is on the screen, read from the screen, is what the view shows at any time."""
+"""Direct buffer swap: the screen, read back, always shows the current picture."""
 
 from itertools import product
 
@@ -12,7 +12,7 @@ from window_driver import as_pixels
 from bubbleviz_ui.view3d.render_view import FAST, SMOOTH
 
 DIFFERENT = 30
-"""Steps of 255: what dithering or rounding may make is less."""
+"""Colour difference, of 255, above that of dithering and rounding."""
 NAMES = FAST.name, SMOOTH.name
 
 
@@ -31,18 +31,18 @@ def seen_of(widget):
 
 
 def share_that_differs(a, b):
-    """Of the pixels of two pictures; 1 where they have another size."""
+    """Share of differing pixels of two pictures; 1 for different sizes."""
     if a.shape != b.shape:
         return 1.0
     return float((np.abs(a.astype(int) - b).max(axis=2) > DIFFERENT).mean())
 
 
 def assert_shown(driver, before):
-    """The screen, once it is another than before and at rest, shows what the view would draw."""
+    """Wait until the screen has changed and is stable; then it shows what the view draws."""
     seen = [before]
 
     def rests():
-        seen.append(on_screen(driver))  # not the view's pixels: asking for them could mend it
+        seen.append(on_screen(driver))  # not the view's pixels: reading them could trigger a redraw
         return np.array_equal(seen[-1], seen[-2]) and share_that_differs(seen[-1], before) > 1e-3
 
     driver.wait(rests)
@@ -50,8 +50,8 @@ def assert_shown(driver, before):
 
 
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
-def test_every_frame_reaches_the_screen_and_what_covered_it_leaves_nothing_behind(drive, quality):
-    """By the view's own swap, and by Qt's."""
+def test_every_frame_reaches_the_screen_and_closed_popups_leave_no_trace(drive, quality):
+    """With direct swap, and through Qt."""
     driver = drive(quality=quality)
     assert (driver.window.view.windowHandle() is not None) is quality.own_swap
     for frame in (10, 0, 14):
@@ -59,7 +59,7 @@ def test_every_frame_reaches_the_screen_and_what_covered_it_leaves_nothing_behin
         driver.state.seek(frame)
         driver.wait(lambda frame=frame: driver.result.frame.index == frame)
         assert_shown(driver, before)
-    # what covered the panels leaves nothing behind
+    # popups over the panels leave no trace
     driver.seek(3)
     kinds = (Qt.WindowType.Popup, Qt.WindowType.ToolTip, Qt.WindowType.Dialog)
     for kind, panel in product(kinds, (driver.window.playback, driver.window.layers)):
@@ -75,7 +75,7 @@ def test_every_frame_reaches_the_screen_and_what_covered_it_leaves_nothing_behin
 
 
 @pytest.mark.parametrize("quality", [FAST, pytest.param(SMOOTH, marks=pytest.mark.long)], ids=NAMES)
-def test_the_picture_is_the_present_one_whatever_happens_to_the_window(drive, quality):
+def test_picture_stays_current_when_the_window_changes(drive, quality):
     driver = drive(quality=quality)
     window = driver.window
 
@@ -120,14 +120,14 @@ def same(a, b):
     return share_that_differs(a, b) < 1e-3
 
 
-def test_the_view_s_own_window_beside_qt_s_picture_of_the_rest(drive):
+def test_native_view_and_qt_panels_stay_consistent(drive):
     driver = drive()
     swapped: list[int] = []
     driver.window.view.frameSwapped.connect(lambda: swapped.append(1))
     driver.window.status.repaint()
     QApplication.processEvents()
-    assert not swapped  # Qt has not put the window together anew
-    # no older picture comes back where Qt paints the window: its own of the view is older
+    assert not swapped  # Qt has not composed the window again
+    # no older picture reappears when Qt paints the window, although its copy is older
     window, swapped = driver.window, list[int]()
     driver.seek(3)
     old = window.view.pixels()  # by Qt
@@ -135,7 +135,7 @@ def test_the_view_s_own_window_beside_qt_s_picture_of_the_rest(drive):
     now = on_screen(driver)
     assert share_that_differs(now, old) > 1e-3
     window.view.frameSwapped.connect(lambda: swapped.append(1))
-    window.update()  # as after something above it has been closed
+    window.update()  # as after closing a popup
     driver.wait(lambda: bool(swapped))
     driver.wait(lambda: same(on_screen(driver), now))
     # the mouse reaches the view through its own window

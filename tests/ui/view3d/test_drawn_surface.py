@@ -9,14 +9,14 @@ from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.layer import Surface
 
 RADIUS_M, SUNK_M = 0.004, 0.003
-"""Of a circle smaller than the mesh resolves, and how far the whole membrane is moved down."""
+"""Radius of a circle smaller than the mesh resolves, and shift of the membrane."""
 
 
 def from_center(points):
     return np.hypot(points[:, 0] - 0.011, points[:, 1] - 0.004)
 
 
-def test_the_edge_of_a_fine_patch_is_drawn_on_the_surface_where_its_mesh_has_it():
+def test_edge_of_a_refined_patch_is_drawn_at_its_position():
     mesh = mesh_cap(spherical_cap(0.045, 0.02), 200)
     finer = refinement(mesh)
     out = from_center(finer.mesh.nodes)

@@ -1,4 +1,4 @@
-"""How the view is drawn follows what draws it, and is seen in its pixels."""
+"""Render quality by renderer, checked in the pixels of the view."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ GPUS = (
 
 
 @pytest.mark.parametrize("renderer", [*SOFTWARE, *GPUS])
-def test_software_is_fast_and_a_gpu_smooth_unless_somebody_wants_the_other(renderer):
+def test_software_renderer_is_fast_gpu_smooth_unless_overridden(renderer):
     usual, other = (FAST, SMOOTH) if renderer in SOFTWARE else (SMOOTH, FAST)
     found, wanted = quality_for(renderer), quality_for(renderer, other.name)
     for quality, kind in ((found, usual), (wanted, other)):
@@ -41,7 +41,7 @@ def test_software_is_fast_and_a_gpu_smooth_unless_somebody_wants_the_other(rende
     assert renderer in found.text and renderer in wanted.text
 
 
-def test_the_driver_is_asked_and_the_variable_chooses(monkeypatch):
+def test_quality_from_the_driver_or_the_environment_variable(monkeypatch):
     application()
     monkeypatch.delenv(VARIABLE, raising=False)
     found = quality_here()
@@ -65,7 +65,7 @@ def test_edges_and_points_are_smooth_or_fast(drive, quality):
 
     window.tools.distance.add(np.array(window.view.camera.focal_point))
     window.view.refresh()
-    driver.settle()
+    driver.wait_until_shown()
     dot = (window.view.pixels().astype(int) - rim).any(axis=2)
     rows, columns = np.flatnonzero(dot.any(axis=1)), np.flatnonzero(dot.any(axis=0))
     inside = dot[np.ix_(rows, columns)]
@@ -74,7 +74,7 @@ def test_edges_and_points_are_smooth_or_fast(drive, quality):
     assert corners.all() if not smooth else not corners.any()
     assert inside.mean() == pytest.approx(np.pi / 4 if smooth else 1.0, abs=0.1)
     colours = window.view.pixels()[dot]
-    assert (len(np.unique(colours, axis=0)) > 5) is smooth  # a ball has light and shade
+    assert (len(np.unique(colours, axis=0)) > 5) is smooth  # spheres are shaded
     # playing shows fewer points with software rendering
     driver.choose(layers=frozenset({"cloud"}), cloud_colour="plain", cloud_points=200)
     still = len(driver.result.cloud_m)
@@ -82,24 +82,24 @@ def test_edges_and_points_are_smooth_or_fast(drive, quality):
     driver.state.set_playing(True)
     driver.wait(lambda: driver.state.shown_frame > 3)
     moving = len(driver.result.cloud_m)
-    assert (moving <= 50) == (quality is FAST)  # frames have holes, each its own
+    assert (moving <= 50) == (quality is FAST)  # frames have different holes
     driver.state.set_playing(False)
     driver.wait(lambda: len(driver.result.cloud_m) > 100)
 
 
 def share_of_shades(picture, line, ground):
-    """Pixels that are neither line nor ground, over those that are not ground."""
+    """Share of antialiased pixels among those not of the background."""
     on, off = ((picture == rgb(colour)).all(axis=2) for colour in (line, ground))
     return float((~on & ~off).sum() / (~off).sum())
 
 
-def test_the_membrane_is_lit_as_by_vtk(drive):
+def test_membrane_lighting_equals_vtk_lighting(drive):
     driver = drive()
     driver.choose(layers=frozenset({"membrane"}))
     ours = driver.pixels().astype(int)
-    assert np.ptp(ours[ours.shape[0] // 2], axis=0).max() > 30  # there is light and shade
+    assert np.ptp(ours[ours.shape[0] // 2], axis=0).max() > 30  # shaded
     actor = driver.window.scene.layers["membrane"].actor
     actor.GetShaderProperty().ClearAllFragmentShaderReplacements()
     driver.window.view.refresh()
-    driver.settle()
+    driver.wait_until_shown()
     assert np.abs(driver.pixels().astype(int) - ours).max() <= 1

@@ -1,4 +1,4 @@
-"""Pressure without evidence of contact is hatched and named, wherever one looks at it."""
+"""Pressure without evidence of contact is hatched and explained."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fakes import DentSource, small_sensor
 from PySide6.QtCore import QPoint
-from window_driver import hover, in_view, texts
+from window_driver import hover, screen_point, view_texts
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz_ui.shell import theme
@@ -14,14 +14,14 @@ from bubbleviz_ui.view3d.colours import rgb
 
 PRESSED = 6
 ASIDE_M, WITHIN_M = np.array([-0.03, -0.03]), 0.012
-"""Middle in B of pressure that is no evidence, and how far from there nodes have it."""
+"""Centre in B, and radius, of the pressure without evidence of contact."""
 PRESSURE_PA = 1730.0
 TOLD = "pressure without evidence of contact, not in the force"
 
 
 @pytest.fixture
 def driver(drive, monkeypatch):
-    """A window on a dent, where every estimate of contact has pressure on the other side."""
+    """A window on a dent, with pressure without evidence added on the other side."""
     process = Pipeline.process
 
     def leaving_pressure(pipeline, *frame, **options):
@@ -37,7 +37,7 @@ def driver(drive, monkeypatch):
     made = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
     made.choose(layers=made.state.settings.layers - {"cloud"})
     yield made
-    made.let_go()
+    made.release()
 
 
 def strokes(driver):
@@ -46,23 +46,23 @@ def strokes(driver):
 
 
 def middle(driver):
-    """Where the middle of that pressure is drawn."""
+    """Position of its centre in the view."""
     nodes = driver.nodes()
-    return in_view(driver, nodes[np.argmin(np.linalg.norm(nodes[:, :2] - ASIDE_M, axis=1))])
+    return screen_point(driver, nodes[np.argmin(np.linalg.norm(nodes[:, :2] - ASIDE_M, axis=1))])
 
 
-def test_it_is_hatched_where_it_is_and_named(driver):
+def test_unexplained_pressure_is_hatched_and_explained(driver):
     drawn, place = strokes(driver), middle(driver).toTuple()
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     assert (low < place).all() and (place < high).all()
     assert len(drawn) > 300 and (high - low < 180).all()
-    # the strokes of a diagonal hatching: along each row of pixels many begin and end
+    # diagonal hatching: many strokes along each pixel row
     rows = [np.sort(drawn[drawn[:, 1] == row, 0]) for row in range(low[1] + 8, high[1] - 8)]
     assert np.median([np.count_nonzero(np.diff(row) > 1) for row in rows]) >= 3
-    contact = driver.warm_pixels()[:, ::-1]
+    contact = driver.pressure_pixels()[:, ::-1]
     assert len(contact) > 100
     assert not ((contact >= low) & (contact <= high)).all(axis=1).any()
-    # it is cut with the membrane, and hidden with it
+    # clipped and hidden with the membrane
     driver.choose(section_axis="y", section_at_m=float(ASIDE_M[1]))
     assert 0 < len(strokes(driver)) < len(drawn)
     driver.choose(section_at_m=0.0)
@@ -70,13 +70,13 @@ def test_it_is_hatched_where_it_is_and_named(driver):
     layers = driver.state.settings.layers - {"membrane"}
     driver.choose(section_axis=None, layers=layers)
     assert not len(strokes(driver))
-    # the readout says what it means, and who points there reads how much it is
+    # the readout explains it, the probe shows its value
     driver.choose(layers=layers | {"membrane"})
-    says = lambda words: any(words in text for text in texts(driver))  # noqa: E731
+    says = lambda words: any(words in text for text in view_texts(driver))  # noqa: E731
     assert says(f"hatched: {TOLD}")
     assert TOLD in driver.window.layers.boxes["membrane"].toolTip()
     driver.show("images")
-    driver.settle()
+    driver.wait_until_shown()
     hover(driver.window.view, middle(driver))
     driver.wait(lambda: says("node"))
     said = "1.73 kPa without evidence of contact"

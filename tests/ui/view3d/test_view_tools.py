@@ -1,11 +1,19 @@
-"""The 3-D tools by clicks: what is looked at, measured, cut, exaggerated and saved."""
+"""3-D tools by clicks: viewpoints, probe, distance, section, exaggeration, pictures."""
 
 import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QTabBar
-from window_driver import CONTACT, drawn_points, hover, idle, in_view, near, texts
+from window_driver import (
+    CONTACT,
+    drawn_points,
+    hover,
+    near,
+    no_pending_timers,
+    screen_point,
+    view_texts,
+)
 
 from bubbleviz_ui.shell.theme import GREEN, NODE, ORANGE
 from bubbleviz_ui.view3d.tools import picture_of
@@ -17,59 +25,59 @@ def opened(driver):
     driver.window.panels["tools"].raise_()
     driver.state.change(layers=frozenset({"membrane"}))
     QApplication.processEvents()
-    driver.settle()
+    driver.wait_until_shown()
     return driver.window.tools
 
 
-def test_views_exaggeration_vectors_and_colour_maps(drive):
+def test_viewpoints_exaggeration_vectors_and_colour_maps(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     for name, direction in {"top": (0, 0, -1), "side": (-1, 0, 0), "front": (0, 1, 0)}.items():
         driver.click(tools.views[name])
         np.testing.assert_allclose(camera.direction, direction, atol=1e-9)
     driver.click(tools.views["camera"])
-    driver.settle()
+    driver.wait_until_shown()
     view, depth_camera = driver.window.view, driver.pipeline.camera
     np.testing.assert_allclose(camera.position, depth_camera.center)
     # A pixel of the depth image is seen in the middle's distance that the intrinsics say.
     own = depth_camera.intrinsics
     point = depth_camera.center + 0.1 * np.array([0.2, -0.1, 1.0])
-    seen = in_view(driver, point)
+    seen = screen_point(driver, point)
     off = np.array([seen.x() - view.width() / 2, seen.y() - view.height() / 2])
     wide = own.width / own.fx * view.height() / view.width()
     tall = view.height() / max(own.height / own.fy, wide)
     np.testing.assert_allclose(off, tall * np.array([0.2, -0.1]), atol=2.0)
     driver.window.scene.reset_view()
     assert camera.view_angle == pytest.approx(30.0 / driver.state.settings.zoom)
-    # exaggeration moves what is drawn and not what is measured
-    driver.settle()
+    # exaggeration moves drawn points, not measured ones
+    driver.wait_until_shown()
     estimate, mesh = driver.result.estimate, driver.pipeline.mesh
     solved = driver.pipeline.counts["estimate"]
     tools.exaggeration.setValue(3.0)
-    driver.settle()
+    driver.wait_until_shown()
     drawn = drawn_points(driver.window.scene.layers["membrane"])
     np.testing.assert_allclose(drawn, mesh.deformed(3.0 * estimate.displacement_m), atol=1e-7)
     k = int(np.argmin(estimate.displacement_m))
     driver.window.scene.look_from("top")
-    driver.settle()
-    place, true = in_view(driver, drawn[k]), mesh.deformed(estimate.displacement_m)[k]
+    driver.wait_until_shown()
+    place, true = screen_point(driver, drawn[k]), mesh.deformed(estimate.displacement_m)[k]
     picked = driver.window.scene.pick(place.x(), place.y())
     np.testing.assert_allclose(picked, true, atol=2e-3)
     assert abs(drawn[k] - true).max() > 6e-3
     assert driver.pipeline.counts["estimate"] == solved
     assert not near(driver.pixels(), place, NODE)
-    driver.state.set_panel_open("images", True)  # which shows the place, too
+    driver.state.set_panel_open("images", True)  # which also marks the place
     driver.window.hover.at_point(true)
-    driver.settle()
+    driver.wait_until_shown()
     assert near(driver.pixels(), place, NODE)
-    # vectors are as long as the pressure is high, and maps change the colours
+    # vector lengths follow the pressure, and colour maps the colours
     tools.exaggeration.setValue(1.0)
-    driver.settle()
-    assert len(driver.warm_pixels()) > 100
+    driver.wait_until_shown()
+    assert len(driver.pressure_pixels()) > 100
     tools.colour_map.setFocus()
     driver.bot.keyClicks(tools.colour_map, "viridis")
-    driver.settle()
-    assert driver.state.settings.colour_map == "viridis" and len(driver.warm_pixels()) == 0
+    driver.wait_until_shown()
+    assert driver.state.settings.colour_map == "viridis" and len(driver.pressure_pixels()) == 0
     driver.click(driver.window.layers.boxes["vectors"])
     driver.choose(layers=frozenset({"vectors"}))
     points = drawn_points(driver.window.scene.layers["vectors"])
@@ -84,34 +92,34 @@ def hottest(driver):
     return driver.nodes()[int(np.argmax(driver.result.estimate.contact_pressure_pa))]
 
 
-def test_places_and_distances_by_clicks(drive):
+def test_probe_and_distance_by_clicks(drive):
     driver = drive(frame=CONTACT)
     tools, view, middle = opened(driver), driver.window.view, driver.window.view.rect().center()
     driver.click(tools.tools["probe"])
     driver.drag(view, middle, middle + QPoint(40, 0))
-    assert tools.picked.place is None  # dragging is no click
+    assert tools.picked.place is None  # dragging is not a click
     driver.window.scene.look_from("top")
-    driver.settle()
+    driver.wait_until_shown()
     node = hottest(driver)
-    driver.click(view, in_view(driver, node))
+    driver.click(view, screen_point(driver, node))
     found = tools.picked.place
     assert found is not None and np.linalg.norm(found.node_m - node) < 0.01
     assert "kPa" in tools.reading[2].text() and f"node {found.node}" in tools.reading[0].text()
-    driver.settle()
-    assert near(driver.pixels(), in_view(driver, found.node_m), NODE)
+    driver.wait_until_shown()
+    assert near(driver.pixels(), screen_point(driver, found.node_m), NODE)
     before = tools.reading[2].text()
     driver.seek(2)
     assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
-    # without the panel both are written in the view, until Escape
+    # without the panel both are shown in the view until Escape
     driver.click(tools.tools["rotate"])
     driver.seek(CONTACT)
     driver.window.panels["tools"].hide()
-    driver.act("View › Probe a point")
-    driver.click(view, in_view(driver, hottest(driver)))
+    driver.trigger("View › Probe a point")
+    driver.click(view, screen_point(driver, hottest(driver)))
     found = driver.window.tools.picked.place
 
     def written():
-        return [text for text in texts(driver) if f"node {found.node}" in text]
+        return [text for text in view_texts(driver) if f"node {found.node}" in text]
 
     assert found is not None and f"p_c {1e-3 * found.pressure_pa:.2f} kPa" in written()[0]
     driver.state.change(pressure_unit="Pa")
@@ -121,20 +129,20 @@ def test_places_and_distances_by_clicks(drive):
 
     driver.seek(3)
     driver.window.scene.look_from("top")
-    driver.settle()
-    driver.act("View › Measure a distance")
+    driver.wait_until_shown()
+    driver.trigger("View › Measure a distance")
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
     true_m = float(np.linalg.norm(ends[1] - ends[0]))
 
     def measured(unit, true):
-        """Whether the length stands in the view, beside that of the scale bar."""
-        found = [text.split() for text in texts(driver)]
+        """Whether the view shows the length, in addition to that of the scale bar."""
+        found = [text.split() for text in view_texts(driver)]
         lengths = [float(words[0]) for words in found if words[1:] == [unit]]
         return any(length == pytest.approx(true, rel=0.05) for length in lengths)
 
     for end in ends:
         assert not measured("mm", 1e3 * true_m)
-        driver.click(view, in_view(driver, end))
+        driver.click(view, screen_point(driver, end))
     assert measured("mm", 1e3 * true_m)
     driver.state.change(length_unit="m")
     assert measured("m", true_m)
@@ -143,35 +151,35 @@ def test_places_and_distances_by_clicks(drive):
     driver.state.change(length_unit="mm")
     opened(driver)
     driver.window.scene.look_from("top")
-    driver.settle()
+    driver.wait_until_shown()
     driver.click(tools.tools["distance"])
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
-    where = [in_view(driver, end) for end in ends]
+    where = [screen_point(driver, end) for end in ends]
     for place in where:
         driver.click(driver.window.view, place)
     assert len(tools.distance.points_m) == 2
     true_m = float(np.linalg.norm(ends[1] - ends[0]))
     assert tools.distance.length_m == pytest.approx(true_m, abs=5e-4)
     assert tools.reading[0].text() == f"distance {1e3 * tools.distance.length_m:.2f} mm"
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.count(GREEN)[0] > 50
     driver.state.change(length_unit="m")
     assert tools.reading[0].text().endswith(" m")
     driver.click(driver.window.view, where[0])
     assert tools.distance.length_m is None
     driver.click(tools.tools["rotate"])
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.count(GREEN)[0] == 0
 
 
-def test_a_section_cuts_the_scene_open_and_what_is_cut_away_is_not_pointed_at(drive):
+def test_section_clips_the_scene_and_clipped_parts_are_not_picked(drive):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     driver.window.scene.look_from("top")
-    driver.settle()
+    driver.wait_until_shown()
     view = driver.window.view
     background = view.pixels()[5, 5]
-    left, right = (in_view(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
+    left, right = (screen_point(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
 
     def drawn(place):
         return bool(np.any(view.pixels()[place.y(), place.x()] != background))
@@ -180,20 +188,20 @@ def test_a_section_cuts_the_scene_open_and_what_is_cut_away_is_not_pointed_at(dr
     tools.section.setFocus()
     driver.bot.keyClick(tools.section, Qt.Key.Key_Down)
     assert driver.state.settings.section_axis == "x"
-    driver.settle()
+    driver.wait_until_shown()
     assert not drawn(left) and drawn(right)
     assert driver.count(ORANGE)[0] > 50
     driver.click(tools.flipped)
-    driver.settle()
+    driver.wait_until_shown()
     assert drawn(left) and not drawn(right)
     tools.section_at.setValue(tools.section_at.maximum())
     assert tools.section_text.text() == "at 75.00 mm"
-    driver.settle()
+    driver.wait_until_shown()
     assert drawn(left) and drawn(right)
     tools.section.setCurrentIndex(0)
-    driver.settle()
+    driver.wait_until_shown()
     assert driver.count(ORANGE)[0] == 0
-    # what is cut away is not pointed at: neither membrane nor measured points
+    # clipped membrane and points are not picked
     driver.choose(section_flipped=False, section_at_m=0.0)
     tools.section.setCurrentIndex(tools.section.findText("cut ⊥ x"))
     view = driver.window.view
@@ -203,14 +211,14 @@ def test_a_section_cuts_the_scene_open_and_what_is_cut_away_is_not_pointed_at(dr
         points = driver.nodes() if cloud is None else cloud
         there = [point for point in points[::7] if abs(point[0]) > 0.01 and point[2] > 0.02]
         for point in there[:: len(there) // 6]:
-            hover(view, in_view(driver, point))
-            driver.wait(lambda: idle(driver.window.pointing))
+            hover(view, screen_point(driver, point))
+            driver.wait(lambda: no_pending_timers(driver.window.pointing))
             place = driver.window.hover.place
             assert (place is not None) == (point[0] > 0.0), (layers, point)
         assert len({point[0] > 0.0 for point in there[:: len(there) // 6]}) == 2
 
 
-def test_a_picture_of_any_size_is_saved_without_what_the_mouse_points_at(drive, tmp_path):
+def test_saved_picture_has_any_size_and_no_pointer_marks(drive, tmp_path):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     before = driver.pixels()
@@ -226,28 +234,28 @@ def test_a_picture_of_any_size_is_saved_without_what_the_mouse_points_at(drive, 
     large = picture_of(driver.window.view, 1800, 700)
     red, green, blue = (large[:, :1500, k].astype(int) for k in range(3))
     assert np.count_nonzero((red > 130) & (red > 2 * blue) & (red > green + 30)) > 200
-    driver.settle()
+    driver.wait_until_shown()
     np.testing.assert_array_equal(driver.pixels(), before)
     tools.save_picture(tmp_path / "missing" / "view.png")
-    assert "cannot be written" in driver.said
-    # what the mouse points at is in none, and what was asked for by a click is
-    driver.state.set_panel_open("images", True)  # the place is marked, too
+    assert "cannot be written" in driver.message_text
+    # hover marks are hidden, marks of a click are kept
+    driver.state.set_panel_open("images", True)  # also marks the place
     view = driver.window.view
     driver.wait(lambda: bool(driver.inspection.images))
-    driver.settle()
+    driver.wait_until_shown()
     before, size = picture_of(view, 640, 400), view.size()
-    hover(view, in_view(driver, driver.nodes()[int(np.argmax(driver.nodes()[:, 2]))]))
-    numbers = lambda: [text for text in texts(driver) if "node" in text]  # noqa: E731
+    hover(view, screen_point(driver, driver.nodes()[int(np.argmax(driver.nodes()[:, 2]))]))
+    numbers = lambda: [text for text in view_texts(driver) if "node" in text]  # noqa: E731
     driver.wait(lambda: bool(numbers()))
     assert view.size() == size
     np.testing.assert_array_equal(picture_of(view, 640, 400), before)
     assert numbers()
     driver.window.tools.use_tool("probe")
     driver.click(view, view.rect().center())
-    assert np.any(picture_of(view, 640, 400) != before)  # what was asked for by a click stays
+    assert np.any(picture_of(view, 640, 400) != before)  # the marks of a click are kept
 
 
-def test_the_turntable_texts_and_tabs_of_the_tools(drive):
+def test_turntable_and_layout_of_the_tools_panel(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     start = np.array(camera.position)
@@ -257,7 +265,7 @@ def test_the_turntable_texts_and_tabs_of_the_tools(drive):
     height = camera.position[2]
     assert height == pytest.approx(start[2], abs=1e-6) and not tools.turntable.turning
     stopped = tuple(camera.position)
-    driver.settle()
+    driver.wait_until_shown()
     assert tuple(camera.position) == stopped
     # no text is clipped
     tools.use_tool("probe")

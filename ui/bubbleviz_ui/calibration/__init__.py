@@ -1,1 +1,1 @@
-"""The calibration panel, step by step, with its session and its answers."""
+"""Calibration panel: session, pages of the steps, results."""

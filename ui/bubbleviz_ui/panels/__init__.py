@@ -1,1 +1,1 @@
-"""The dock panels, one a file."""
+"""Dock panels, one module each."""

@@ -1,1 +1,1 @@
-"""The sensor in use: what its file says, a copy with other values, changes on disk."""
+"""Sensor panel: values of the sensor file, editing of a copy, changes on disk."""

@@ -1,1 +1,1 @@
-"""What the colour camera tells: texture, traction, slip; its layers, panel and session."""
+"""Shear panel, and reference images of the optical flow."""
