@@ -43,7 +43,7 @@ def test_warning_if_gas_pressure_at_rest_contradicts_the_sensor_file(open_bench)
     for gauge_pa, warned in ((5585.5, False), (10585.5, True)):
         live.learn_zero(103_910.0)
         with_gauge(live, gauge_pa)
-        with live.bot.waitSignal(live.live_controller.looked):
+        with live.bot.waitSignal(live.live_controller.updated):
             pass
         assert live.window.message.isVisible() == warned
         assert (

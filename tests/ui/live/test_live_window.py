@@ -54,7 +54,7 @@ def test_badge_is_connecting_until_the_first_picture(open_bench):
     live = open_bench()
     bar, seen, opened = live.window.live, list[str](), list[str]()
     note = lambda *_: seen.append(bar.state.text() + live.window.windowTitle())  # noqa: E731
-    told = live.live_controller.changed, live.live_controller.looked
+    told = live.live_controller.changed, live.live_controller.updated
     noted = [changed.connect(note) for changed in told]
     live.window.controller.opened.connect(lambda _: opened.append("opened"))
     live.window.view.rendering.connect(lambda: seen.append("drawn") if opened else None)

@@ -122,7 +122,7 @@ def test_fit_once_shows_object_and_quality_and_copies_the_pose(bench):
     pose = bench.panel.session.pose
     assert abs(pose.T_B_O[2, 3] - TRUE[2]) < 1e-3
     assert "mm" in bench.text("fit") and "%" in bench.text("first")
-    assert bench.text("open") == "shift along 2 and turn about 1 axis"
+    assert bench.text("open") == "translation along 2 directions and rotation about 1 axis"
     fit = bench.window.scene.layers["fit"]
     assert isinstance(fit, FitLayer) and fit.points.visibility and fit.arrows.visibility
     assert pose.stage_one is not None
