@@ -68,7 +68,7 @@ def test_every_command_has_the_short_option_for_help():
         assert said[0] == said[1] and "-h, --help" in said[0]
 
 
-def test_it_runs_as_a_module():
+def test_runs_as_a_module():
     words = [sys.executable, "-m", "bubbleviz"]
     done = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("bubbleviz, version ")
@@ -89,7 +89,7 @@ def test_presets_are_listed_by_the_names_that_options_take():
     assert "  cylinder        24 × 24 × 40 mm\n" in text
 
 
-def test_the_doctor_tells_what_a_bug_report_needs(tmp_path, monkeypatch):
+def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
     """Also where a driver crashes, which must not end the command, or is not installed."""
     (tmp_path / "pyvista.py").write_text("import os; os.abort()")
     (tmp_path / "pyrealsense2.py").write_text("import nothing_of_that_name")
@@ -252,20 +252,20 @@ def windows(monkeypatch):
     return asked
 
 
-def test_without_a_command_the_synthetic_sensor(windows):
+def test_without_a_command_the_window_opens_with_the_synthetic_sensor(windows):
     assert CliRunner().invoke(main, []).exit_code == 0
     assert CliRunner().invoke(main, ["--fresh"]).exit_code == 0
     name = "soft-bubble pico flexx"
     assert windows == [("window", (name,)), ("window", (name, "fresh"))]
 
 
-def test_the_windows_exit_code_is_the_commands(windows, monkeypatch, pico_recording):
+def test_exit_code_of_the_window_is_that_of_the_command(windows, monkeypatch, pico_recording):
     monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
     assert CliRunner().invoke(main, []).exit_code == 3
     assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
 
 
-def test_open_takes_a_delay_of_colour_for_a_recording_and_a_live_source(
+def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
     windows, monkeypatch, pico_recording
 ):
     opened: list[Sensor] = []
@@ -285,7 +285,7 @@ def test_open_takes_a_delay_of_colour_for_a_recording_and_a_live_source(
     assert refused.exit_code == 2 and "session file" in refused.output
 
 
-def test_open_chooses_the_preset_that_fits_and_says_so(windows, pico_recording):
+def test_open_selects_and_reports_the_matching_preset(windows, pico_recording):
     done = CliRunner().invoke(main, ["open", str(pico_recording)])
     assert done.exit_code == 0
     assert "pico_flexx_75mm" in done.stdout
@@ -307,7 +307,7 @@ def test_open_at_a_frame_and_screenshot(windows, pico_recording, tmp_path):
     ]
 
 
-def test_open_hands_scene_and_truth_to_the_window_and_the_picture(
+def test_open_passes_scene_and_ground_truth_to_window_and_screenshot(
     windows, pico_recording, tmp_path
 ):
     from bubbleviz_ui.model.scene_presets import load_scene

@@ -113,7 +113,7 @@ def test_a_contact_free_frame_solves_no_qp(pipeline, source, monkeypatch):
     assert calls  # else the test looks at the wrong solver
 
 
-def test_the_dent_is_found_where_it_is(pipeline, source):
+def test_dent_is_found_at_its_place(pipeline, source):
     patch = pipeline.process(source[PRESSED], frozenset({"pixel_mask"})).patch
     assert np.hypot(*(patch.center_of_pressure_m[:2] - [0.02, 0.0])) < 5e-3
     assert patch.force_n[2] < 0.0  # into the sensor
@@ -132,7 +132,7 @@ def test_an_empty_frame_between_presses(pipeline, source):
     np.testing.assert_allclose(again.patch.force_n, first.patch.force_n, rtol=0.02, atol=0.02)
 
 
-def test_a_frame_estimated_aside_leaves_the_next_one_alone(pipeline, source):
+def test_separate_estimate_does_not_change_the_next_frame(pipeline, source):
     wanted: frozenset[Product] = frozenset({"estimate"})
 
     def solved(index):
@@ -151,7 +151,7 @@ def test_a_frame_estimated_aside_leaves_the_next_one_alone(pipeline, source):
     assert np.any(solved(PRESSED).displacement_m != then.displacement_m)  # else it is not warm
 
 
-def test_a_pipeline_settles_whatever_it_did_before(source):
+def test_cold_solve_is_independent_of_earlier_frames(source):
     wanted, areas = frozenset[Product]({"patch"}), []
     for before in ((), (FREE,), range(PRESSED - 4, PRESSED)):
         pipeline = Pipeline.of(small_sensor())
@@ -170,7 +170,7 @@ def test_another_image_size_is_refused(pipeline):
     assert not pipeline.counts
 
 
-def test_flow_is_found_while_the_estimate_is(pipeline, source, monkeypatch):
+def test_flow_is_computed_in_parallel_with_the_estimate(pipeline, source, monkeypatch):
     begun, measure = threading.Event(), RangeObserver.measure
     found = FlowField(np.zeros(1, int), np.zeros((1, 2)), np.ones(1), (2, 2))
 
@@ -190,7 +190,7 @@ def test_flow_is_found_while_the_estimate_is(pipeline, source, monkeypatch):
     assert set(result.times_ms) == wanted | {"total"}
 
 
-def test_what_goes_wrong_in_flow_is_told(pipeline, source):
+def test_errors_of_the_flow_are_raised(pipeline, source):
     def flow_of(_):
         raise InputError("colour image: cannot be decoded")
 

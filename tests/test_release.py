@@ -30,7 +30,7 @@ def wheel(tmp_path_factory):
     return path
 
 
-def test_the_wheel_has_the_product_and_nothing_else(wheel):
+def test_wheel_contains_only_the_product(wheel):
     with zipfile.ZipFile(wheel) as archive:
         tops = {name.partition("/")[0] for name in archive.namelist()}
     info = f"bubbleviz-{bubbleviz.__version__}.dist-info"

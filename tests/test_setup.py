@@ -58,7 +58,7 @@ def test_packages_that_were_renamed_and_no_others_have_the_new_name(
     assert {"libgl1", "libidn2-0", "xvfb"} <= set(names)
 
 
-def test_an_interpreter_that_will_not_do_is_named(tmp_path):
+def test_unsuitable_interpreter_is_named(tmp_path):
     environment = machine(tmp_path, "all") | {"PYTHON": "/bin/false"}
     done = setup(tmp_path, environment=environment)
     assert done.returncode == 1

@@ -45,7 +45,7 @@ def assert_same(found, run):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
 
 
-def test_arrays_and_frames_give_what_the_recording_gives(frames, sensor, estimator):
+def test_arrays_and_frames_give_the_same_result_as_the_recording(frames, sensor, estimator):
     run = bv.estimate(frames, sensor, zero_gas=False)
     assert {"ok", "no_contact"} == set(run.status)
     assert_same([estimator.update(each.depth_m, **given_as(each)) for each in frames], run)
@@ -53,7 +53,7 @@ def test_arrays_and_frames_give_what_the_recording_gives(frames, sensor, estimat
     assert_same([estimator.update(frame) for frame in frames], run)
 
 
-def test_frames_of_the_real_press_give_what_the_recording_gives(punyo_press):
+def test_frames_of_the_real_press_give_the_same_result_as_the_recording(punyo_press):
     """Its camera info is not quite the sensor file's."""
     press = bv.open(punyo_press)[72:80]
     run = bv.estimate(press, zero_gas=False)
@@ -75,7 +75,7 @@ def test_millimetres_and_missing_returns(frames, sensor, estimator):
     assert expected.status == "ok"
 
 
-def test_a_result_knows_when_its_image_was_taken(frames, estimator):
+def test_result_has_the_time_of_its_image(frames, estimator):
     """Times since 1970 are this computer's, small ones some other clock's."""
     began_s = time.time() - 2.0
     for k in range(2):
@@ -91,12 +91,12 @@ def test_a_result_knows_when_its_image_was_taken(frames, estimator):
     assert np.isnan(bv.estimate(frames[0], estimator.solver.pipeline.model.sensor).age_s)
 
 
-def test_a_covered_camera_is_a_status_and_no_number(estimator):
+def test_covered_camera_gives_a_status_and_no_numbers(estimator):
     found = estimator.update(np.zeros(SHAPE))
     assert found.status == "no_data" and np.isnan(found.force_n).all()
 
 
-def test_the_gas_pressure_is_zeroed_on_images_without_contact(frames, sensor):
+def test_gas_pressure_is_zeroed_on_contact_free_images(frames, sensor):
     """Another day's weather, 800 Pa less, is neither contact nor force."""
     estimator, free, pressed = bv.Estimator(sensor), frames[0], frames[2]
     for _ in range(15):
@@ -107,7 +107,7 @@ def test_the_gas_pressure_is_zeroed_on_images_without_contact(frames, sensor):
     np.testing.assert_allclose(found.force_n, expected.force_n, atol=0.02)
 
 
-def test_an_object_is_followed(frames, sensor):
+def test_object_is_tracked(frames, sensor):
     estimator = bv.Estimator(sensor, object="cylinder", init="0.005 0 0.044 0 0 0 1")
     heights = [estimator.update(frame).T_B_O[2, 3] for frame in frames[:4]]
     np.testing.assert_allclose(heights[2:], HEIGHTS[2:4], atol=1e-3)
@@ -129,25 +129,25 @@ def test_an_object_is_followed(frames, sensor):
         ([["far"]], "depth: expected an array"),
     ],
 )
-def test_depth_of_another_shape_type_or_unit_is_one_sentence(depth, says, estimator):
+def test_depth_of_wrong_shape_type_or_unit_gives_one_sentence(depth, says, estimator):
     with pytest.raises(bv.InputError, match=says) as error:
         estimator.update(depth)
     assert "\n" not in str(error.value)
 
 
-def test_a_damaged_image_of_a_unit_that_is_known_is_a_status(frames, estimator):
+def test_damaged_image_of_a_known_unit_gives_a_status(frames, estimator):
     """One such image must not end a robot's loop."""
     assert estimator.update(frames[0].depth_m).status == "no_contact"
     assert estimator.update(np.full(SHAPE, 140.0)).status not in ("ok", "no_contact")
 
 
 @pytest.mark.parametrize("pressure", [2585.0, 103.9, 0.0, np.float32(-1.0)])
-def test_a_gas_pressure_that_is_not_absolute_or_not_in_pascals(pressure, frames, estimator):
-    with pytest.raises(bv.InputError, match=r"expected the absolute pressure in Pa, near 1039"):
+def test_gas_pressure_not_absolute_or_not_in_pascals_is_refused(pressure, frames, estimator):
+    with pytest.raises(bv.InputError, match=r"the absolute pressure in Pa is expected, near 1039"):
         estimator.update(frames[0].depth_m, gas_pressure_pa=pressure)
 
 
-def test_other_arguments_that_do_not_fit(frames, estimator):
+def test_other_invalid_arguments(frames, estimator):
     for given in ({"gas_pressure_pa": float("nan")}, {"gas_pressure_pa": "1e5"}, {"time_s": "now"}):
         with pytest.raises(bv.InputError, match=f"{next(iter(given))}: expected a number or None"):
             estimator.update(frames[0].depth_m, **given)
@@ -163,7 +163,7 @@ def test_other_arguments_that_do_not_fit(frames, estimator):
         bv.Estimator("pico_flexx_75mm", solver="magic")
 
 
-def test_a_path_does_for_a_recording(sensor, tmp_path):
+def test_path_in_place_of_a_recording(sensor, tmp_path):
     path = write_press(tmp_path / "press.mcap", sensor, HEIGHTS[:3])
     opened, by_path = bv.estimate(bv.open(path), sensor), bv.estimate(str(path), sensor)
     assert_same(by_path, opened)
@@ -175,7 +175,7 @@ def test_a_path_does_for_a_recording(sensor, tmp_path):
         bv.estimate(np.zeros(SHAPE), sensor)
 
 
-def test_colour_arrays_give_the_traction_that_frames_with_colour_give():
+def test_colour_arrays_give_the_same_traction_as_frames_with_colour():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     given = bv.load_sensor("pico_flexx_75mm")
     membrane = given.membrane.model_copy(update={"nodes": 200, "prestretch": 1.2})

@@ -61,7 +61,7 @@ def python(code):
 HEAVY = "('numpy', 'scipy', 'PySide6', 'vtkmodules', 'pyvista', 'open3d', 'matplotlib', 'pandas')"
 
 
-def test_importing_it_loads_nothing_heavy():
+def test_import_loads_nothing_heavy():
     told = python(f"import bubbleviz, sys; print([m for m in {HEAVY} if m in sys.modules])")
     assert told == "[]"
 
@@ -98,7 +98,7 @@ def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     assert followed.warning == run.warning
 
 
-def test_a_recording_is_like_a_list(recording):
+def test_recording_behaves_like_a_list(recording):
     with bv.open(recording) as frames:
         assert len(frames) == len(HEIGHTS)
         assert frames[-1].index == len(HEIGHTS) - 1
@@ -111,7 +111,7 @@ def test_a_recording_is_like_a_list(recording):
             frames[5]
 
 
-def test_numbers_are_those_of_the_command(recording, sensor, tmp_path):
+def test_numbers_equal_those_of_the_command(recording, sensor, tmp_path):
     out = tmp_path / "result.npz"
     cli("estimate", recording, "--sensor", sensor, "--frames", "1:4", "--kappa", "2", "--out", out)
     run = bv.estimate(bv.open(recording)[1:4], sensor, kappa=2.0)
@@ -127,7 +127,7 @@ def test_numbers_are_those_of_the_command(recording, sensor, tmp_path):
         np.testing.assert_array_equal(found.pixel_mask, mask)
 
 
-def test_a_run_is_like_a_list_with_arrays(estimated):
+def test_run_behaves_like_a_list_and_has_arrays(estimated):
     run = estimated
     touched = run.status == "ok"
     assert np.flatnonzero(touched).tolist() == TOUCHING
@@ -142,7 +142,7 @@ def test_a_run_is_like_a_list_with_arrays(estimated):
     assert deepest[2] == pytest.approx(-0.008, abs=2e-3)  # 50 mm of dome under 42 mm
 
 
-def test_what_is_printed_is_one_line_with_units(frames, estimated):
+def test_repr_is_one_line_with_units(frames, estimated):
     pressed, free = estimated[2], estimated[0]
     area, force = 1e6 * pressed.patch_area_m2, np.linalg.norm(pressed.force_n)
     on = f"{force:.3g} N on {area:.0f} mm²"
@@ -167,7 +167,7 @@ def test_what_is_printed_is_one_line_with_units(frames, estimated):
     assert repr(dark.estimate) == "<estimate: no_data>"
 
 
-def test_a_run_travels_without_what_can_be_made_again(estimated):
+def test_pickled_run_omits_what_can_be_recomputed(estimated):
     """As to another process; a picture of the patch has been made, so that views are there."""
     mask = estimated[2].pixel_mask
     sent = pickle.dumps(estimated)
@@ -204,7 +204,7 @@ def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
     assert got.facts()["max_force_n"] == estimated.facts()["max_force_n"]
 
 
-def test_what_is_no_result_is_refused_in_one_sentence(tmp_path):
+def test_invalid_result_file_is_refused_in_one_sentence(tmp_path):
     (tmp_path / "text.npz").write_text("no archive")
     np.savez(tmp_path / "other.npz", force_n=np.zeros((2, 3)))
     for name in ("text", "other", "missing"):
@@ -229,7 +229,7 @@ def test_one_frame_and_a_list_of_frames(frames, sensor):
     assert found.status == "ok" and len(both) == 2
 
 
-def test_the_measured_force_is_beside_the_found_one(frames, sensor):
+def test_measured_force_is_in_the_result(frames, sensor):
     bias, pressed = np.array([0.5, 0.0, 1.0, 0, 0, 0]), np.array([0.0, 3.0, 4.0, 0, 0, 0])
     beside = [
         replace(frame, wrench=bias + (k in TOUCHING) * pressed) for k, frame in enumerate(frames)
@@ -251,7 +251,7 @@ def test_simulated_frames_are_estimated_and_saved(sensor, tmp_path):
         np.testing.assert_array_equal(file["force_n"][1], true)
 
 
-def test_an_object_is_registered_and_followed(frames, sensor, tmp_path):
+def test_object_is_registered_and_tracked(frames, sensor, tmp_path):
     init = "0.005 0 0.044 0 0 0 1"
     run = bv.track(frames, "cylinder", sensor, init=init)
     assert frames.path is not None
@@ -299,7 +299,7 @@ def test_frames_and_poses_of_a_stream(recording, sensor, tmp_path):
     assert heights == pytest.approx({k: held[k] for k in heights}, abs=1e-3)
 
 
-def test_errors_are_the_command_lines(frames, sensor, tmp_path):
+def test_errors_equal_those_of_the_command_line(frames, sensor, tmp_path):
     with pytest.raises(bv.InputError, match="choose the sensor file of this camera"):
         bv.estimate(frames, "punyo_oval_d405")
     with pytest.raises(bv.InputError, match="no frames were given"):
@@ -313,7 +313,7 @@ def test_errors_are_the_command_lines(frames, sensor, tmp_path):
         bv.save_sensor(bv.load_sensor(sensor), tmp_path / "sensor.json")
 
 
-def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path):
+def test_saved_sensor_includes_mesh_and_pixels(tmp_path):
     given = bv.load_sensor("punyo_oval_d405")
     bv.save_sensor(given, tmp_path / "mine.toml")
     saved = bv.load_sensor(tmp_path / "mine.toml")
@@ -329,7 +329,7 @@ def test_a_saved_sensor_takes_its_mesh_and_pixels_along(tmp_path):
     assert not list(tmp_path.glob("third*"))
 
 
-def test_a_saved_sensor_keeps_the_delay_of_colour(tmp_path):
+def test_saved_sensor_keeps_the_colour_delay(tmp_path):
     given = bv.load_sensor("pico_flexx_75mm")
     assert given.camera.colour_delay_s == 0.0  # the file need not have it
     own = with_colour_delay(given, -0.055)
@@ -419,7 +419,7 @@ class ThreadsSeen(SyntheticSource):
 
 
 @pytest.mark.parametrize("call", ["frame", "frame of a slice", "truth", "save", "estimate"])
-def test_blas_has_one_thread_in_a_call_and_its_own_after(call, sensor, tmp_path):
+def test_blas_threads_are_limited_during_a_call_and_restored_after(call, sensor, tmp_path):
     from threadpoolctl import threadpool_limits
 
     source = ThreadsSeen(
@@ -442,7 +442,7 @@ def test_blas_has_one_thread_in_a_call_and_its_own_after(call, sensor, tmp_path)
     assert source.seen == {1} and after == {2}
 
 
-def test_three_lines_to_the_force_of_the_real_press(punyo_press):
+def test_readme_example_gives_the_force_of_the_real_press(punyo_press):
     run = bv.estimate(bv.open(punyo_press)[60:90:2], sensor="auto")
     force = np.linalg.norm(run.force_n, axis=1)
     assert run.status[0] == "no_contact" and run[10].status == "ok"

@@ -87,7 +87,7 @@ def long_recording(long_original, recordings):
 # -- one bad recording among good ones, and once more ------------------------------------------
 
 
-def test_a_file_name_that_is_no_utf8_is_one_like_others(recordings, sensor, tmp_path):
+def test_file_name_that_is_not_utf8(recordings, sensor, tmp_path):
     name = "b\udcff.mcap"
     (recordings / "a.mcap").rename(recordings / name)
     for other in NAMES[1:]:
@@ -124,7 +124,7 @@ def test_good_and_corrupted_recordings(recordings, sensor, tmp_path):
     assert told == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
 
 
-def test_a_recording_that_ends_early_says_so(recordings, sensor, tmp_path):
+def test_truncated_recording_is_reported(recordings, sensor, tmp_path):
     cut = recordings / "cut.mcap"
     record = [*COMMAND[:-1], "record", "--source", f"replay:{recordings / 'a.mcap'}", "--out", cut]
     subprocess.run(record, check=True, capture_output=True)
@@ -136,7 +136,7 @@ def test_a_recording_that_ends_early_says_so(recordings, sensor, tmp_path):
     assert "cut.mcap: cut.mcap ends early" in told
 
 
-def test_numbers_are_those_of_the_command_estimate(recordings, sensor, tmp_path):
+def test_numbers_equal_those_of_the_estimate_command(recordings, sensor, tmp_path):
     job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), str(sensor), {})
     row = run_job(job)
     run = bv.estimate(bv.open(recordings / "a.mcap"), sensor, out=tmp_path / "alone.npz")
@@ -154,7 +154,7 @@ def test_numbers_are_those_of_the_command_estimate(recordings, sensor, tmp_path)
     assert (row.worst_frame, row.worst_residual_rms_m) == (np.argmax(residual), residual.max())
 
 
-def test_the_frame_to_look_at_is_one_not_to_be_trusted():
+def test_frame_to_inspect_is_an_untrusted_one():
     nan = float("nan")
     values = {
         "frame": [10, 20, 30, 40],
@@ -178,7 +178,7 @@ def test_the_frame_to_look_at_is_one_not_to_be_trusted():
 
 
 @pytest.mark.parametrize("change", ["settings", "sensor", "recording", "nothing", "summary"])
-def test_what_is_done_again(change, recordings, sensor, tmp_path):
+def test_which_recordings_are_estimated_again(change, recordings, sensor, tmp_path):
     own = Path(shutil.copy(sensor, tmp_path / "own.toml"))
     job = Job("b", str(recordings / NAMES[1]), str(tmp_path / "b"), str(own), {})
     assert run_job(job).outcome == "done"
@@ -236,7 +236,7 @@ def test_killed_in_the_middle_then_resumed(
     assert table_of(out)[long_recording.name]["frames"] == str(LONG)
 
 
-def test_interrupted_leaves_whole_files(recordings, sensor, long_recording, tmp_path, eventually):
+def test_interrupt_leaves_complete_files(recordings, sensor, long_recording, tmp_path, eventually):
     out = tmp_path / "out"
     running = start(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
     eventually(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
@@ -252,7 +252,7 @@ def test_interrupted_leaves_whole_files(recordings, sensor, long_recording, tmp_
 
 
 @pytest.mark.long
-def test_two_batches_do_not_write_into_one_folder(
+def test_second_batch_in_the_same_folder_is_refused(
     recordings, sensor, long_recording, tmp_path, eventually
 ):
     out = tmp_path / "out"
@@ -268,7 +268,7 @@ def test_two_batches_do_not_write_into_one_folder(
 
 
 @pytest.mark.long
-def test_a_process_that_dies_costs_its_own_recording_only(
+def test_crashed_process_loses_only_its_own_recording(
     recordings, sensor, long_recording, tmp_path, eventually
 ):
     jobs = [
@@ -315,7 +315,7 @@ def test_blas_has_one_thread_in_a_worker(tmp_path):
 # -- finding, and refusals ---------------------------------------------------------------------
 
 
-def test_what_is_a_recording(tmp_path):
+def test_recordings_found_in_a_folder(tmp_path):
     for name in ("bag/metadata.yaml", "bag/bag_0.mcap", "deep/er/x.bag", "y.db3", "notes.txt",
                  ".z.0a1b2c3d.mcap", ".hidden/w.mcap"):  # fmt: skip
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -328,7 +328,7 @@ def test_what_is_a_recording(tmp_path):
         find_recordings(tmp_path / "empty")
 
 
-def test_a_recording_itself(recordings):
+def test_single_recording_as_input(recordings):
     (recordings / "metadata.yaml").touch()
     assert find_recordings(recordings) == [recordings]
 
@@ -347,7 +347,7 @@ def test_a_recording_itself(recordings):
         ),
     ],
 )
-def test_wrong_words(folder, more, words, recordings, sensor, tmp_path):
+def test_invalid_arguments(folder, more, words, recordings, sensor, tmp_path):
     (tmp_path / "there").mkdir()
     given = ["--sensor", str(sensor), "--out", str(tmp_path / "out"), *more]
     given = [str(tmp_path / word) if word == "there" else word for word in given]
@@ -358,7 +358,7 @@ def test_wrong_words(folder, more, words, recordings, sensor, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_auto_names_what_fits_no_preset(recordings, tmp_path):
+def test_auto_reports_recordings_that_match_no_preset(recordings, tmp_path):
     job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), "auto", {})
     row = run_job(job)
     assert row.outcome == "bad_input"

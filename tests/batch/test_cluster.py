@@ -27,7 +27,7 @@ def address():
 
 
 @pytest.mark.long
-def test_results_are_those_of_this_process(address, recordings, sensor, tmp_path):
+def test_results_equal_those_of_a_local_run(address, recordings, sensor, tmp_path):
     assert address.startswith("tcp://127.0.0.1:")
     (recordings / "bad.mcap").write_bytes(b"no recording")
     out = tmp_path / "out"
@@ -54,7 +54,7 @@ def _impatient(monkeypatch):
 
 
 @pytest.mark.usefixtures("_impatient")
-def test_no_scheduler_there(recordings, sensor, tmp_path):
+def test_no_scheduler_at_the_address(recordings, sensor, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
@@ -63,7 +63,7 @@ def test_no_scheduler_there(recordings, sensor, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_server_that_is_no_scheduler():
+def test_server_that_is_not_a_scheduler():
     with socket.create_server(("127.0.0.1", 0)) as server:
         threading.Thread(target=_talk, args=(server,), daemon=True).start()
         with pytest.raises(InputError, match="no Dask scheduler answers"):
@@ -71,12 +71,12 @@ def test_a_server_that_is_no_scheduler():
 
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1", "foo://x:1"])
-def test_no_address(address):
+def test_invalid_address(address):
     with pytest.raises(InputError, match=f"--scheduler {address}: no Dask scheduler answers"):
         check_cluster(address)
 
 
-def test_without_the_library(monkeypatch):
+def test_missing_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)  # what a missing module looks like
     with pytest.raises(InputError, match=r"pip install .*\[cluster\]"):
         check_cluster("tcp://127.0.0.1:8786")

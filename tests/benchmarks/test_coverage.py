@@ -49,7 +49,7 @@ def test_errors_of_the_prestretch_are_absolute():
 
 
 @pytest.mark.long
-def test_a_small_run_finds_the_rubber_and_goes_on(tmp_path):
+def test_short_run_identifies_the_rubber_and_resumes(tmp_path):
     parts = tmp_path / "parts"
     found = coverage_study(SMALL, parts).run(tmp_path)
     assert [(row.known, row.quantity) for row in found.rows] == [

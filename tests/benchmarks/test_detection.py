@@ -60,13 +60,13 @@ class Known:
 @pytest.mark.parametrize(
     ("alarms", "level"), [([], 0.0), ([0.3, 0.4], 0.0), ([0.01, 0.02, 0.03], 0.01)]
 )
-def test_the_level_lets_one_contact_free_frame_in_a_thousand_through(alarms, level, ladder):
+def test_detection_level_has_a_false_alarm_rate_of_one_in_a_thousand(alarms, level, ladder):
     (limit,) = limits_of("a", RUBBER, Known(9, alarms), {0.0: ladder})
     assert limit.level_n == level and limit.alarms == len(alarms)
     assert limit.depth_m == pytest.approx(1e-4 * 1.25**9) and limit.found == 1.0
 
 
-def test_a_press_that_is_never_found_has_no_number(ladder):
+def test_undetected_press_has_no_number(ladder):
     (limit,) = limits_of("a", RUBBER, Known(99, []), {0.0: ladder})
     assert np.isnan([limit.depth_m, limit.force_n, limit.found]).all()
     assert isinstance(limit, Limit) and "nan" in report_of([limit]).to_text()

@@ -38,8 +38,8 @@ def bank(sensor):
     return TruthBank(LinearPresses.of(SensorModel.of(sensor), 1_500), 7)
 
 
-def test_the_truth_itself_is_in_its_band(sensor, bank):
-    truth = bank.simulate(Press("sphere", 0.012, False)).truth
+def test_ground_truth_lies_within_its_band(sensor, bank):
+    truth = bank.sighting(Press("sphere", 0.012, False)).truth
     pipeline = Pipeline.of(with_nodes(sensor, 1_500))
     estimate = Estimate(
         "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
@@ -49,8 +49,8 @@ def test_the_truth_itself_is_in_its_band(sensor, bank):
     assert edge_in_band(pipeline, estimate, patch, truth.patch_mask) > 0.75
 
 
-def test_the_oracle_is_the_best_threshold_and_no_better_than_1(bank):
-    sighting = bank.simulate(Press("sphere", 0.012, False))
+def test_oracle_is_the_best_threshold_with_iou_at_most_1(bank):
+    sighting = bank.sighting(Press("sphere", 0.012, False))
     scores = iou_by_threshold(bank, sighting, ONE, 0.0, 0)
     frame = bank.frame(sighting, ONE, 0)
     change = np.abs(np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m))
@@ -62,7 +62,7 @@ def test_the_oracle_is_the_best_threshold_and_no_better_than_1(bank):
 
 
 @pytest.mark.long
-def test_what_is_not_known_makes_the_edge_less_certain(sensor):
+def test_unknown_parameters_widen_the_edge_band(sensor):
     grid = replace(quick_grid(), objects=("sphere",), truth_nodes=700, limit_s=None)
     found = edge_study(with_nodes(sensor, 700), grid).run()
     assert found.omitted == [] and len(found.rows) == 2

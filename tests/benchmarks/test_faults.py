@@ -26,7 +26,7 @@ def test_a_shift_of_the_gas_pressure_of_a_linear_sensor_is_judged_frame_by_frame
     assert 0 < found.told + found.held <= found.frames == 10
 
 
-def test_a_camera_that_froze_is_told_of():
+def test_frozen_camera_is_reported():
     study = faults_study(27, seed=0)
     frozen = next(case for case in study.cases if case.name.endswith("flat pico: frozen"))
     (found,) = frozen.run()

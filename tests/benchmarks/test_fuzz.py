@@ -9,7 +9,7 @@ def test_every_input_is_read_or_refused_in_one_line(tmp_path):
     assert not any(each.fault for each in outcomes), to_text(outcomes)
 
 
-def test_a_fault_is_found(tmp_path, monkeypatch):
+def test_fuzzing_finds_a_planted_fault(tmp_path, monkeypatch):
     """Of a reader that raises what is no InputError, and one that never ends."""
 
     def broken(corpus, folder, rng):

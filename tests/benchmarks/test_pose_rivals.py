@@ -26,8 +26,8 @@ def sensor():
     return load_sensor("pico_flexx_75mm")
 
 
-def test_rivals_find_a_whole_surface_again():
-    model = ObjectSurface(study_object("frustum"))
+def test_rival_methods_register_a_complete_surface():
+    model = ObjectSurface(made("frustum"))
     points, _ = model.sample(2_000, seed=8)
     T = np.eye(4)
     T[:3, 3] = [0.01, 0.0, 0.04]
@@ -39,7 +39,7 @@ def test_rivals_find_a_whole_surface_again():
         assert np.abs(way(there, start) - T).max() < 5e-3
 
 
-def test_every_method_is_tried_from_the_same_start(sensor):
+def test_every_method_has_the_same_initial_pose(sensor):
     study = rivals_study(sensor, GRID).run()
     methods = {trial.method for trial in study.rows}
     assert {WHOLE_CLOUD, "stage one", BOTH, "patch, Open3D"} <= methods
@@ -70,7 +70,7 @@ def screw(sensor):
 
 
 @pytest.mark.long
-def test_the_nut_turns_by_sixty_degrees(screw):
+def test_error_of_the_nut_modulo_sixty_degrees(screw):
     poses = screw_path(0.05, 0.013, 120)
     turned = Rotation.from_matrix(poses[-1][:3, :3] @ poses[0][:3, :3].T)
     assert np.degrees(turned.magnitude()) == pytest.approx(60.0)

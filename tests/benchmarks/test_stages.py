@@ -28,7 +28,7 @@ def test_stages_take_longer_than_their_floor(sensor):
     assert len(lines) == 4 + len(times) and lines[0].startswith("9600 pixels, 200 nodes")
 
 
-def test_the_floor_is_the_slower_of_moving_and_multiplying():
+def test_floor_is_the_slower_of_memory_and_arithmetic():
     machine = Machine(bytes_per_s=1e9, flops_per_s=1e9)
     assert machine.floor_ms(2e6, 1e6) == pytest.approx(2.0)
     assert machine.floor_ms(1e6, 3e6) == pytest.approx(3.0)

@@ -49,7 +49,7 @@ class Plane:
         (Plane(depth_from=6), 6, "depth"),
     ],
 )
-def test_whatever_leaves_rest_first_ends_it(source, end, ended_by):
+def test_contact_free_range_ends_at_the_first_change(source, end, ended_by):
     found = find_contact_free(source)
     assert found.frames.start == 0
     assert end - 1 <= found.frames.stop <= end  # a frame that noise makes the beginning of it
@@ -77,7 +77,7 @@ def test_the_depth_of_a_tile_is_the_mean_of_its_middle_half():
     assert np.isfinite(found[0]) and np.isnan(found[4])
 
 
-def test_a_press_is_held_where_the_gas_pressure_is_near_its_highest():
+def test_held_press_is_found_near_the_highest_gas_pressure():
     """The twin's press grows over eight frames: seven eighths of it are not yet nine tenths."""
     twin = make_twin()
     samples = collect(twin, nominal_sensor(), range(FREE))

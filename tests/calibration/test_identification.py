@@ -31,7 +31,7 @@ def test_contact_free_frames_are_found(pressure):
     assert (result.pressure_score is not None) == pressure
 
 
-def test_surface_explains_frames_it_has_not_seen(twin, found):
+def test_surface_predicts_held_out_frames(twin, found):
     frames = [twin[k] for k in range(20, FREE)]
     residual, bias = residuals_and_bias(found, frames)
     size = np.abs(residual)
@@ -41,7 +41,7 @@ def test_surface_explains_frames_it_has_not_seen(twin, found):
     assert np.abs(np.nanmedian(residual - bias, axis=1)).max() < 2e-5
 
 
-def test_surface_is_the_true_one_and_better_than_the_ellipsoid(twin, found):
+def test_surface_equals_ground_truth_and_beats_the_ellipsoid(twin, found):
     """Against the twin's dome without noise, holes or bias, seen and unseen alike."""
     sideways = found.model.camera.T_B_C[:2, 3] - twin.camera.T_B_C[:2, 3]
     assert np.abs(sideways).max() < 5e-4
@@ -53,7 +53,7 @@ def test_surface_is_the_true_one_and_better_than_the_ellipsoid(twin, found):
     assert rms < 0.5 * found.surfaces.left_out_rms_m["ellipsoid"]
 
 
-def test_pixels_that_lie_are_out(twin, found):
+def test_faulty_pixels_are_excluded(twin, found):
     assert not (found.pixels.mask & twin.false_returns).any()
     assert (found.pixels.mask & twin.rim_biased).sum() < 0.1 * twin.rim_biased.sum()
     assert found.pixels.mask.sum() > 0.5 * np.isfinite(twin.depth[0]).sum()
@@ -77,7 +77,7 @@ def test_tension_and_noise(twin, found):
     assert found.statistics.noise_m[found.pixels.mask].mean() == pytest.approx(6e-5, rel=0.4)
 
 
-def test_tension_carries_what_is_not_known_of_the_gauge_pressure(twin, tmp_path):
+def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path):
     """The sensor file's atmosphere is off by the weather: γ0 with it, and its interval says so."""
     truth, sensor = balance_tension(twin.truth, GAUGE), nominal_sensor()
     air = {"atmospheric_pressure_pa": ATMOSPHERE - 1500.0}
@@ -95,7 +95,7 @@ def test_tension_carries_what_is_not_known_of_the_gauge_pressure(twin, tmp_path)
     assert 0.99 < (whole**2 - by_gauge**2) / (2.0 * by_shape.half_width) ** 2 < 2.01
 
 
-def test_balance_is_exact_for_a_sphere_and_calm_on_bumps():
+def test_force_balance_is_exact_for_a_sphere_and_stable_on_bumps():
     mesh = mesh_cap(spherical_cap(0.075, 0.05), 1500)
     radius = (0.075**2 + 0.05**2) / 0.1
     assert balance_tension(mesh, 2585.5) == pytest.approx(2585.5 * radius / 2.0, rel=0.01)

@@ -47,7 +47,7 @@ def made(tmp_path_factory):
     return folder, json.loads(result.stdout)
 
 
-def test_sensor_file_says_what_made_it(made):
+def test_sensor_file_has_its_provenance(made):
     folder, numbers = made
     sensor = load_sensor(folder / "mine.toml")
     assert sensor.camera.colour_delay_s == -0.055
@@ -65,7 +65,7 @@ def test_sensor_file_says_what_made_it(made):
     assert not (folder / "mine.ply").exists()  # a cap needs no mesh file
 
 
-def test_pipeline_finds_nothing_on_frames_of_the_untouched_sensor(made):
+def test_no_contact_on_contact_free_frames_after_identification(made):
     folder, _ = made
     sensor = load_sensor(folder / "mine.toml")
     pipeline = Pipeline.of(sensor)
@@ -77,7 +77,7 @@ def test_pipeline_finds_nothing_on_frames_of_the_untouched_sensor(made):
     assert max(forces) < 0.2  # 1 % noise: 1.4 mm
 
 
-def test_report_holds_everything_in_itself(made):
+def test_report_is_self_contained(made):
     folder, numbers = made
     text = (folder / "report" / "report.html").read_text()
     assert json.loads((folder / "report" / "report.json").read_text()) == numbers
@@ -90,12 +90,14 @@ def test_report_holds_everything_in_itself(made):
     assert {"bubbleviz", "numpy", "python"} <= set(numbers["versions"])
 
 
-def test_verdict_speaks(made):
+def test_verdict_is_printed(made):
     advice = " ".join(made[1]["verdict"]["advice"])
     assert "spherical" in advice and "no gas pressure" in advice
 
 
-def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path, monkeypatch):
+def test_oval_sensor_with_gas_pressure_finds_contact_free_frames_with_a_reason(
+    tmp_path, monkeypatch
+):
     twin = make_twin(2)
     recording, given = recorded(twin, nominal_sensor(), tmp_path)
     out, read = tmp_path / "oval.toml", Counter()
@@ -122,7 +124,7 @@ def test_oval_twin_with_pressure_finds_its_frames_and_says_why(tmp_path, monkeyp
         (("--out", "mine.txt"), "ends in .toml"),
     ],
 )
-def test_refusals_leave_nothing_behind(tmp_path, extra, match):
+def test_refused_calibration_leaves_no_files(tmp_path, extra, match):
     dome = sphere(1, frames=6)
     recording, given = recorded(dome, dome.sensor, tmp_path)
     extra = [tmp_path / e if e.endswith((".toml", ".txt")) else e for e in extra]

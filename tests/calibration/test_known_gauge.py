@@ -92,7 +92,7 @@ def identified(dome):
     return of
 
 
-def test_a_gauge_pressure_known_to_two_percent_stays(identified):
+def test_precise_gauge_pressure_is_kept(identified):
     found = identified(gauge_sigma_pa=0.01 * GAUGE_PA)
     assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE_PA, rel=0.02)
     gauge = found.rubber.gauge
@@ -200,7 +200,7 @@ def rest_samples():
     return collect(shown(dome, dome["rest_m"], GAUGE_PA, 1), dome_sensor(SMALL), range(FRAMES))
 
 
-def test_gauge_pressure_at_rest_and_how_well_it_is_known(rest_samples):
+def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
     """The file's σ holds for its own inflation and weather; another one leaves the difference."""
     weather = told(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
     assert rest_gauge(rest_samples, weather)[0] == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
@@ -223,7 +223,7 @@ def test_gauge_pressure_at_rest_and_how_well_it_is_known(rest_samples):
         rest_gauge(gauge_only, known)
 
 
-def test_open_chamber_takes_the_place_of_what_the_file_knew():
+def test_open_chamber_replaces_the_gauge_pressure_of_the_file():
     vented = Vented("vented", ATMOSPHERE_PA, 1.0).set_in(told(gauge_sigma_pa=50.0))
     assert vented.pneumatics.gauge_sigma_pa is None
     assert vented.pneumatics.atmospheric_pressure_pa == ATMOSPHERE_PA

@@ -61,7 +61,7 @@ def with_levels(dome, *levels, nodes=500):
     return Workbench(dome, dome.sensor).work(settings).found
 
 
-def test_levels_bring_the_stretch_out(found):
+def test_levels_determine_the_prestretch(found):
     """Against the stretch that was put in."""
     plain, rectified = found
     line, mask = rectified.pixels.line, rectified.pixels.mask
@@ -71,7 +71,7 @@ def test_levels_bring_the_stretch_out(found):
     assert mask.mean() > 0.4
 
 
-def test_rest_stays_at_rest(found):
+def test_frames_at_rest_stay_without_contact(found):
     plain, rectified = found
     mask, line = rectified.pixels.mask, rectified.pixels.line
     rest = np.where(mask, rectified.statistics.range_m, np.nan)
@@ -81,7 +81,7 @@ def test_rest_stays_at_rest(found):
     assert sum(removed.values()) + mask.sum() == mask.size
 
 
-def test_no_line_is_extrapolated():
+def test_rectification_is_not_extrapolated():
     one = np.ones((2, 2))
     line = RangeLine(0.98 * one, 0.15 * one, 0.14 * one, 0.16 * one, 3)
     at_end = line.straighten(0.14 * one) - 0.14
@@ -89,7 +89,7 @@ def test_no_line_is_extrapolated():
     assert abs(at_end[0, 0]) == pytest.approx(0.02 * 0.01)
 
 
-def test_the_pixels_file_holds_the_line_and_the_pipeline_uses_it(found, tmp_path):
+def test_rectification_is_stored_in_the_pixels_file_and_used(found, tmp_path):
     plain, rectified = found
     dome = stretched(0.05)
     frame = dome[0]
@@ -185,7 +185,7 @@ def test_command_takes_further_levels(tmp_path):
     assert PixelModel.load(out.with_suffix(".npz")).line.levels == 2
 
 
-def test_pressed_frames_outside_are_refused_and_leave_nothing(press, tmp_path):
+def test_invalid_pressed_frames_are_refused_and_leave_no_files(press, tmp_path):
     recording = recorded(press, tmp_path / "press.mcap")
     (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
     before = sorted(tmp_path.iterdir())

@@ -20,8 +20,8 @@ def frame(pressure):
     return Frame(0, 0.0, np.zeros((2, 2), np.float32), gas_pressure_pa=pressure)
 
 
-def test_the_median_of_a_rest_is_taken_from_every_pressure():
-    pressures = REFERENCE + 250.0 + np.arange(ZERO_FRAMES) ** 2
+def test_median_at_rest_is_subtracted_from_every_pressure():
+    pressures = REFERENCE + 250.0 + np.arange(ENOUGH) ** 2
     assert learned(pressures[:-1]).applied(frame(REFERENCE)).gas_pressure_pa == REFERENCE
     zero = learned(pressures)
     assert not zero.waiting
@@ -62,7 +62,7 @@ def test_another_sensor_file_keeps_the_measured_rest_and_waits_again():
     assert fresh.rest_pa is None and fresh.offset_pa is None
 
 
-def test_a_zero_is_given_back():
+def test_zero_can_be_restored():
     zero = PressureZero(REFERENCE)
     zero.restore(REFERENCE - 40.0, waiting=False)
     assert zero.offset_pa == -40.0 and zero.rest_pa == REFERENCE - 40.0 and not zero.waiting

@@ -70,7 +70,7 @@ def test_no_force_on_frames_not_used(press, found, tmp_path):
 
 @needs_press
 @pytest.mark.long  # in short: of simulated rubber, in test_rubber_press.py
-def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
+def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, found):
     """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean.
 
     The sensor file's sea level contradicts that, and weather does not explain it.
@@ -92,14 +92,14 @@ def test_press_tells_the_gauge_pressure_as_each_part_of_it_does(press, found):
 
 @needs_press
 @pytest.mark.long  # in short: of the twin, in test_refusals.py
-def test_contact_all_along_is_refused(press):
+def test_recording_with_permanent_contact_is_refused(press):
     with pytest.raises(InputError, match="pressed in by") as error:
         identify(press, load_sensor("punyo_oval_d405"), range(73, 90))
     column, row = (int(x) for x in str(error.value).split("(")[1].split(")")[0].split(", "))
     assert abs(column - 259) < 15 and abs(row - 289) < 15
 
 
-def test_preset_says_what_made_it():
+def test_preset_has_its_provenance():
     sensor = load_sensor("punyo_oval_d405")
     assert sensor.calibration.recording == "punyo_press_a"
     if PRESS.exists():
@@ -108,7 +108,7 @@ def test_preset_says_what_made_it():
     assert low < sensor.pneumatics.tension_n_per_m < high
 
 
-def test_preset_is_whole_and_small():
+def test_preset_is_complete_and_small():
     sensor = load_sensor("punyo_oval_d405")
     mesh = build_mesh(sensor)
     assert np.degrees(mesh.angles.min()) > 25.0

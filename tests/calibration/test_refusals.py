@@ -51,7 +51,7 @@ def test_a_steep_dent(twin, width):
     refused(replace(twin, depth=depth), "pressed in by [34]")
 
 
-def test_a_false_return_is_no_dent(twin):
+def test_false_return_is_not_a_dent(twin):
     """A spot that the camera sees 20 mm nearer, as by a reflection, is left out."""
     rows, columns = np.indices(twin.depth.shape[1:])
     depth = twin.depth.copy()
@@ -84,7 +84,7 @@ def test_flat_membrane(twin):
     refused(replace(twin, depth=(plane + noise).astype(np.float32)), "flat|not reach the rim")
 
 
-def test_half_of_the_dome_unseen(twin):
+def test_half_of_the_dome_invisible(twin):
     depth = twin.depth.copy()
     depth[:, :, :88] = np.nan
     assert "cannot be determined" in refused(replace(twin, depth=depth), "% of the dome is visible")

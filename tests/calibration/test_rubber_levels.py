@@ -40,7 +40,7 @@ def recorded(level, path):
 
 
 @pytest.mark.parametrize("level", [0.85, 1.15])
-def test_inflation_is_that_of_the_meridian(level):
+def test_inflation_equals_the_meridian_solution(level):
     truth = AxialRubber(0.045, 110.0, 1.15, G)
     rest = swept_mesh(truth.rest, 1000)
     inflated = Inflation(prestressed(rest, G, 110.0)).at(level * G)
@@ -173,7 +173,7 @@ def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found,
     assert not exact.low < SHEET.prestretch < exact.high
 
 
-def test_a_cable_before_the_camera_at_one_level_changes_little(found, vented):
+def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented):
     """A tenth of the pixels is 3 mm too close at one level: outliers count for nothing."""
     low, high = level(found, 0.85), level(found, 1.15)
     ranges = low.statistics.range_m.copy()
@@ -186,7 +186,7 @@ def test_a_cable_before_the_camera_at_one_level_changes_little(found, vented):
     assert crossed.low < SHEET.prestretch < crossed.high
 
 
-def test_standard_error_of_the_open_chamber_is_that_of_its_pressure():
+def test_standard_error_of_the_open_chamber_equals_that_of_its_pressure():
     shown = ATMOSPHERE_PA + np.random.default_rng(1).normal(0.0, 5.0, (1000, 60))
     found = [Vented.measure(Chamber(list(each))) for each in shown]
     off = np.array([(each.pressure_pa - ATMOSPHERE_PA) / each.sigma_pa for each in found])

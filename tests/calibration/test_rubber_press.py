@@ -114,7 +114,7 @@ def told(pressed):
     return with_rubber(found, [], press=held)
 
 
-def test_press_tells_gauge_pressure_and_rubber(truth, told):
+def test_press_determines_gauge_pressure_and_prestretch(truth, told):
     """The sensor file's atmosphere is 0.9 kPa too much."""
     rubber, stretch = told.rubber, truth[3]
     assert rubber.prestretch_source == "the press in press"
@@ -129,14 +129,14 @@ def test_press_tells_gauge_pressure_and_rubber(truth, told):
     assert air + rubber.gauge.value == pytest.approx(ATMOSPHERE_PA + G, abs=5.0)
 
 
-def test_report_says_what_was_pressed(told):
+def test_report_names_the_pressed_object(told):
     numbers = summary(told, {})
     assert numbers["rubber"]["from"] == "press"
     assert numbers["gauge_pressure_measured"] is True
     assert numbers["rubber"]["levels"]["rises_pa"] == told.rubber.rises_pa
 
 
-def test_parts_of_the_recording_tell_the_same_gauge_pressure(pressed, told):
+def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, told):
     """By each half of the press's frames alone, within the interval of all."""
     found, held = pressed
     for part in np.array_split(np.arange(len(held.frames)), 2):
@@ -155,7 +155,7 @@ def test_parts_of_the_recording_tell_the_same_gauge_pressure(pressed, told):
 
 
 @pytest.mark.long
-def test_open_chamber_is_believed_and_leaves_the_prestretch_to_the_press(truth):
+def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(truth):
     vented = Vented("vented", ATMOSPHERE_PA, 2.0)
     found, held = identified(truth, seed=7, vented=vented)
     rubber = with_rubber(found, [], vented, held).rubber
@@ -186,7 +186,7 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, told):
         assert crossed.value == pytest.approx(clean.value, abs=0.5 * clean.half_width)
 
 
-def test_press_that_says_nothing(pressed):
+def test_press_without_information(pressed):
     found, held = pressed
     silent = replace(held, gas_pressure_pa=None)
     kept = with_rubber(found, [], press=silent)

@@ -58,7 +58,7 @@ def test_the_same_sensor_raises_no_alarm(sensor):
         assert abs(found.bias_m) < 2e-5
 
 
-def test_weather_is_no_drift(sensor, rest):
+def test_weather_is_not_drift(sensor, rest):
     frames = [replace(f, gas_pressure_pa=f.gas_pressure_pa + 1e3) for f in rest]
     found = bv.check(frames, sensor)
     assert found.verdict == "fits"
@@ -85,7 +85,7 @@ def test_a_scale_of_depth(sensor, rest):
     assert [row.quantity for row in found.rows if row.todo] == ["depth scale"]
 
 
-def test_more_gas(sensor, twin, rest):
+def test_more_gas_is_detected(sensor, twin, rest):
     """Inflated by 1 kPa, a fifth, on the truth's own mesh."""
     tension = SensorModel.of(sensor, twin.intrinsics).tension_n_per_m
     rubber = build_rubber(sensor, twin.truth, tension)
@@ -101,7 +101,7 @@ def test_more_gas(sensor, twin, rest):
     assert size_of(found, "gas pressure from the shape") == pytest.approx(1e3, rel=0.1)
 
 
-def test_another_membrane(sensor, twin, rest):
+def test_another_membrane_is_detected(sensor, twin, rest):
     x, y, z = twin.truth.nodes.T
     bumps = 1e-3 * np.cos(x / 0.008) * np.cos(y / 0.009) * z / z.max()
     other = MembraneMesh(twin.truth.deformed(bumps), twin.truth.triangles, twin.truth.rim)
@@ -115,7 +115,7 @@ def test_another_membrane(sensor, twin, rest):
     )
 
 
-def test_another_camera(sensor, rest):
+def test_another_camera_is_detected(sensor, rest):
     wider = [replace(f, intrinsics=replace(f.intrinsics, fx=1.02 * f.intrinsics.fx)) for f in rest]
     found = bv.check(wider, sensor)
     assert found.verdict == "another" and "fx 109.5" in found.reason and "107.4" in found.reason

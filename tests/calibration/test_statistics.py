@@ -58,7 +58,7 @@ def test_the_error_of_the_mean_of_a_correlated_series():
     assert error_of_mean(series) == pytest.approx(5e-5 * np.sqrt(4.0 / 20_000), rel=0.2)
 
 
-def test_correlated_frames_count_for_fewer():
+def test_correlated_frames_reduce_the_effective_number():
     found = measure_depth(noisy(frames=60, rho=0.6), np.ones((40, 50), np.float32))
     assert found.effective_frames == pytest.approx(60 / 4.0, rel=0.25)
 
@@ -70,7 +70,7 @@ def test_white_noise_has_no_spatial_correlation():
     assert mean_inflation(found.temporal_correlation) < 1.2
 
 
-def test_a_filter_of_the_camera_gives_the_correlation_and_its_length():
+def test_spatial_correlation_and_length_of_a_camera_filter():
     """White noise blurred with σ = 2 px: exp(−d²/4σ²), which is 1/e at 4 px."""
     rng = np.random.default_rng(0)
     blurred = gaussian_filter(rng.standard_normal((40, 80, 100)), (0.0, 2.0, 2.0), mode="wrap")
@@ -84,7 +84,7 @@ def test_a_filter_of_the_camera_gives_the_correlation_and_its_length():
 
 
 @pytest.mark.parametrize("sigma", [1.5, 2.0, 4.0])
-def test_samples_of_a_blurred_plane_worth_one_are_the_volume_under_their_correlation(sigma):
+def test_correlated_pixels_per_sample_is_the_volume_under_the_correlation(sigma):
     """Of exp(−d²/4σ²) over the plane: 4 π σ²."""
     rho = np.exp(-(np.arange(33.0) ** 2) / (4.0 * sigma**2))
     assert correlated_samples(rho) == pytest.approx(4.0 * np.pi * sigma**2, rel=0.03)
@@ -104,7 +104,7 @@ def test_correlation_does_not_depend_on_the_unit_of_the_spread():
     ("frames", "usual", "limit"),
     [(100, 0.9, 0.72), (4, 0.9, 0.45), (100, 1.0, 0.9), (100, 0.2, 0.9)],
 )
-def test_a_pixel_is_regular_by_what_is_usual_and_by_chance(frames, usual, limit):
+def test_regular_pixels_by_robust_spread_and_chance(frames, usual, limit):
     """Nine tenths of the usual share less 3 √(p (1 − p) / F), at least half of it."""
     validity = np.where(np.arange(100) < 45, 0.1, usual).reshape(10, 10)
     flat, rho = np.zeros((10, 10)), np.ones(1)
@@ -112,7 +112,7 @@ def test_a_pixel_is_regular_by_what_is_usual_and_by_chance(frames, usual, limit)
     assert found.regular_validity == pytest.approx(limit)
 
 
-def test_a_pixel_seen_once_has_that_value():
+def test_pixel_with_one_return_has_that_value():
     depth = noisy(rho=0.0)
     depth[1:, 7, 7] = np.nan
     depth[2:, 8, 8] = np.nan
@@ -182,7 +182,7 @@ def test_the_fence_of_skewed_values_is_their_quantile_in_any_unit(unit):
     assert upper_fence(np.zeros(5), 2.0) == np.inf
 
 
-def test_rim_is_the_height_that_edges_share():
+def test_rim_height_from_common_edge_heights():
     rng = np.random.default_rng(0)
     edge = np.concatenate([rng.uniform(0.0, 0.02, 300), rng.normal(0.001, 3e-4, 300)])
     height, sigma = rim_height(edge)
@@ -214,7 +214,7 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
 
 
 @pytest.mark.parametrize("levels", [0, 3])
-def test_some_pixels_are_corrected_as_in_the_whole_image(levels):
+def test_correction_of_some_pixels_equals_that_of_the_image(levels):
     rng = np.random.default_rng(0)
     mask, rest = rng.random((12, 16)) > 0.3, rng.uniform(0.08, 0.1, (12, 16))
     line = RangeLine(rng.uniform(0.9, 1.1, (12, 16)), rest, rest - 4e-3, rest + 6e-3, levels)

@@ -32,21 +32,21 @@ def spheres():
     return found
 
 
-def test_interval_covers_the_truth(spheres):
+def test_interval_covers_the_true_tension(spheres):
     inside = [f.tension.tension.low <= TRUTH <= f.tension.tension.high for f in spheres]
     assert np.mean(inside) >= 0.9
     assert all(f.surfaces.chosen == "sphere" for f in spheres)
 
 
 @pytest.mark.long  # in short: of made-up errors, below
-def test_what_the_noise_alone_gives_the_interval_is_right(spheres):
+def test_interval_from_noise_alone_is_calibrated(spheres):
     """Errors over what the covariance says of them: of unit spread, not twice or half of it."""
     own = [np.hypot(f.tension.parts["pixels"], f.tension.parts["frames"]) for f in spheres]
     scores = (np.array([f.tension_n_per_m for f in spheres]) - TRUTH) / own
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5
 
 
-def test_numbers_of_the_sphere(spheres):
+def test_tension_and_radius_of_a_sphere(spheres):
     for found in spheres:
         sizes = found.tension.dimensions
         assert found.tension_n_per_m == pytest.approx(TRUTH, rel=0.01)
@@ -86,7 +86,7 @@ def rim_of(dome):
     return tuple(float(a) * np.sqrt(1.0 - sunk**2) for a in dome.semi_axes[:2])
 
 
-def test_gauge_pressure_error_goes_straight_into_the_tension(spheres):
+def test_tension_is_proportional_to_gauge_pressure(spheres):
     found = spheres[0].tension
     dome = sphere(0)
     pneumatics = dome.sensor.pneumatics.model_copy(update={"gauge_pressure_pa": GAUGE + 100.0})
@@ -130,7 +130,7 @@ def test_gradient_of_the_balance():
 @pytest.mark.parametrize(
     ("fixed", "drift", "noise"), [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1, 1, 1)]
 )
-def test_covariance_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
+def test_covariance_includes_fixed_pattern_drift_and_noise(fixed, drift, noise):
     """Spread of the sum of made-up errors, on average over many recordings."""
     rng = np.random.default_rng(0)
     frames, tiles, said, was = 40, 60, [], []
@@ -148,7 +148,7 @@ def test_covariance_sees_fixed_pattern_drift_and_noise(fixed, drift, noise):
     assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
 
 
-def test_intervals_cover_where_many_numbers_are_fitted_to_few_tiles():
+def test_intervals_cover_with_many_parameters_and_few_tiles():
     """Least squares of eight numbers from sixteen tiles of one pixel: one of them, 300 times."""
     rng = np.random.default_rng(0)
     tiles, fitted, still = 16, 8, np.zeros((1, 16, 1))
@@ -163,7 +163,7 @@ def test_intervals_cover_where_many_numbers_are_fitted_to_few_tiles():
     assert 0.88 < np.mean(covered) < 0.98
 
 
-def test_intervals_cover_a_drift_that_three_frames_show():
+def test_intervals_cover_a_drift_over_three_frames():
     rng = np.random.default_rng(0)
     frames, tiles, covered = 3, 40, []
     for _ in range(400):

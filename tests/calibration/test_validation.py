@@ -38,7 +38,7 @@ def press(sensor):
     return SyntheticSource(sensor, obj, poses, DepthNoise(absolute_m=1e-4), nodes=1000)
 
 
-def test_prediction_meets_the_cloud(model, press):
+def test_prediction_matches_the_cloud(model, press):
     found = validate(model, [press[11]], press.obj, press.poses[11])
     assert found.rms_m < 0.3e-3
     assert found.rms_m < 0.1 * found.untouched_rms_m
@@ -50,7 +50,7 @@ def test_prediction_meets_the_cloud(model, press):
     assert len(found.points_m) == len(found.distance_m) == len(found.pixels)
 
 
-def test_a_wrong_pose_shows(model, press):
+def test_wrong_pose_is_detected(model, press):
     shifted = press.poses[11].copy()
     shifted[:3, 3] += (0.006, 0.0, 0.002)
     right = validate(model, [press[11]], press.obj, press.poses[11])
@@ -66,7 +66,7 @@ def test_several_frames_average_their_noise(model, press):
         validate(model, [], press.obj, press.poses[11])
 
 
-def test_the_mean_of_frames_leaves_out_what_most_did_not_see():
+def test_mean_of_frames_omits_pixels_missing_in_most():
     depth = np.array([[[1.0, 2.0, np.nan, np.nan]], [[3.0, np.nan, np.nan, np.nan]],
                       [[5.0, 4.0, 7.0, np.nan]]], np.float32)  # fmt: skip
     frames = [Frame(k, 0.0, image, gas_pressure_pa=1e5 + k) for k, image in enumerate(depth)]

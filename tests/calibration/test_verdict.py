@@ -18,7 +18,7 @@ def verdict_on(dome):
     return found.tension, judge(found)
 
 
-def test_balance_and_least_squares_that_disagree_are_a_reason_against_good():
+def test_disagreement_of_balance_and_least_squares_prevents_grade_good():
     """On a tall spheroid no constant tension is in balance with the gas pressure everywhere."""
     tension, verdict = verdict_on(Dome((0.07, 0.07, 0.09), 0.05, NOISE, 0, frames=20, scale=0.35))
     (reason,) = (sentence for sentence in verdict.advice if "apart" in sentence)
@@ -27,7 +27,7 @@ def test_balance_and_least_squares_that_disagree_are_a_reason_against_good():
     assert verdict.grade != "good"
 
 
-def test_on_a_sphere_they_agree():
+def test_balance_and_least_squares_agree_on_a_sphere():
     _, verdict = verdict_on(sphere(0, NOISE, frames=20, scale=0.35))
     assert not any("apart" in sentence for sentence in verdict.advice)
 
@@ -106,14 +106,14 @@ def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relat
         (lambda found: rim_at(found, -2e-3, 5e-4), "The edge of the cloud lies -2.0 mm from"),
     ],
 )
-def test_a_warning_comes_where_its_limit_is_passed(ball, change, said):
+def test_warning_appears_beyond_its_limit(ball, change, said):
     verdict = judge(in_frames(change(ball), 30))
     assert verdict.grade == ("usable" if said else "good")
     if said:
         assert said in verdict.advice[1]
 
 
-def test_parameters_say_what_tells_them_and_what_would_narrow_them(ball):
+def test_parameters_list_their_origin_and_how_to_improve_them(ball):
     tension, gauge, stretch = judge(ball).parameters
     assert "error unknown" in gauge.value and "(--vented)" in gauge.narrower
     assert stretch.value == "not determined" and "(--level)" in stretch.narrower
@@ -125,7 +125,7 @@ def test_parameters_say_what_tells_them_and_what_would_narrow_them(ball):
 
 
 @pytest.mark.parametrize(("relative", "apart"), [(0.01, 0.021), (0.03, 0.025)])
-def test_least_squares_count_as_apart_beyond_the_interval_and_two_percent(ball, relative, apart):
+def test_least_squares_disagree_beyond_the_interval_and_two_percent(ball, relative, apart):
     value = ball.tension.tension.value
     for sign in (-1.0, 1.0):
         far = with_tension(ball, relative, least_squares_n_per_m=(1.0 + sign * apart) * value)
@@ -134,7 +134,7 @@ def test_least_squares_count_as_apart_beyond_the_interval_and_two_percent(ball, 
 
 
 @pytest.mark.parametrize(("left", "check"), [(1.9e-3, False), (2.1e-3, True)])
-def test_a_known_press_that_is_less_than_half_predicted_is_to_be_checked(left, check):
+def test_poorly_predicted_known_press_needs_a_check(left, check):
     nothing, none = np.zeros(0), np.zeros((2, 2), bool)
     force = np.zeros(3)
     press = Validation(nothing, nothing, nothing, left, left, 4e-3, none, none, 1.0, force, force)

@@ -54,7 +54,7 @@ def test_contact_free_frames_set_the_zero(twin, shift_pa):
 
 
 @pytest.mark.parametrize("shift_pa", SHIFTS)
-def test_without_a_rest_the_interval_holds_the_force(twin, shift_pa):
+def test_interval_covers_the_force_without_contact_free_frames(twin, shift_pa):
     sensor, frames, force = twin
     pipeline = Pipeline.of(sensor)
     usual = bv.estimate(frames, sensor)[REST:]
@@ -69,13 +69,13 @@ def test_without_a_rest_the_interval_holds_the_force(twin, shift_pa):
         assert size == pytest.approx(np.linalg.norm(force), rel=0.05)
 
 
-def test_the_switch_believes_what_was_recorded(twin):
+def test_option_to_use_the_recorded_gas_pressure(twin):
     sensor, frames, _ = twin
     with pytest.raises(InputError, match="no frame looks like the membrane"):
         bv.estimate(shifted(frames, 1000.0), sensor, zero_gas=False)
 
 
-def test_a_resting_contact_is_not_taken_for_contact_free(twin):
+def test_constant_contact_is_not_contact_free(twin):
     """The ball lies on the dome from the first frame to the last, and its pressure never moves."""
     sensor, frames, _ = twin
     held = [replace(frames[REST + k % HELD], index=k) for k in range(20)]

@@ -66,7 +66,7 @@ def full(**more):
     return Settings(Step.TENSION, nodes=NODES, **more)
 
 
-def test_steps_give_what_identify_gives(bench, found):
+def test_steps_give_the_same_result_as_identify(bench, found):
     draft = bench.work(full())
     assert draft.found.tension.tension == found.tension.tension
     np.testing.assert_array_equal(draft.found.pixels.mask, found.pixels.mask)
@@ -82,13 +82,13 @@ def test_steps_give_what_identify_gives(bench, found):
         (Step.SURFACE, ["contact_free", "samples", "pixels", "surfaces"]),
     ],
 )
-def test_no_step_beyond_the_reached_one_is_computed(bench, step, known):
+def test_only_requested_steps_are_computed(bench, step, known):
     draft = bench.work(Settings(step, nodes=NODES))
     names = ("contact_free", "samples", "pixels", "surfaces", "found")
     assert [name for name in names if getattr(draft, name) is not None] == known
 
 
-def test_a_sample_out_and_in_again(bench):
+def test_removing_and_restoring_frames_gives_the_same_result(bench):
     whole = bench.work(full(ranges=((0, 20),)))
     less = bench.work(full(ranges=((0, 8), (12, 20))))
     assert less.samples.frames == (*range(8), *range(12, 20))
@@ -98,14 +98,14 @@ def test_a_sample_out_and_in_again(bench):
     assert again.found.tension is whole.found.tension and bench.source.reads == reads
 
 
-def test_a_threshold_touches_only_the_pixels(bench):
+def test_threshold_recomputes_only_the_pixel_step(bench):
     before = bench.work(full())
     after = bench.work(full(deviations=1.0))
     assert after.surfaces is before.surfaces and after.found.tension is before.found.tension
     assert after.pixels.mask.sum() < before.pixels.mask.sum()
 
 
-def test_cancelled_anywhere_it_can_be_done_after_all(bench, dome):
+def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
     calls, shares = 0, []
 
     def count(step, done):
@@ -136,8 +136,8 @@ def test_too_few_frames_are_refused_with_the_source(bench):
         bench.work(full(ranges=((0, 3),)))
 
 
-def test_ranges():
-    assert frame_numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
+def test_frame_ranges():
+    assert numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
     assert as_ranges([0, 1, 2, 7]) == ((0, 3), (7, 8))
     assert as_ranges(range(0)) == ()
 
@@ -152,7 +152,7 @@ def test_a_sensor_does_not_differ_from_itself(found, tmp_path):
         assert row.old == pytest.approx(row.new, rel=2e-3, abs=2e-6), row.name
 
 
-def test_intervals_of_both_sensors_are_beside_their_numbers(found, tmp_path):
+def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
     stretch, gauge = Quantity(1.2, 1.15, 1.27), Quantity(2585.5, 2500.0, 2671.0)
     rubber = RubberEstimate(stretch, gauge, "vented", vented="open.mcap")
     membrane = found.sensor.membrane.model_copy(update={"prestretch": 1.2})
@@ -168,7 +168,7 @@ def test_intervals_of_both_sensors_are_beside_their_numbers(found, tmp_path):
     assert (rows["λ"].old, rows["λ"].new) == (1.2, 1.2)
 
 
-def test_another_height_is_seen_in_table_and_picture(found):
+def test_another_height_appears_in_table_and_image(found):
     higher = found.sensor.membrane.model_copy(update={"height_m": 0.052})
     table = compare(found.sensor.model_copy(update={"membrane": higher}), found)
     height = next(row for row in table.rows if row.name == "height")

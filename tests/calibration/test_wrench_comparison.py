@@ -98,7 +98,7 @@ def test_hysteresis_is_distinguished_from_gain():
     assert found.gain.value == pytest.approx(GAIN, abs=0.03)
 
 
-def test_one_direction_does_not_tell_the_rotation_about_it():
+def test_single_force_direction_leaves_one_rotation_undetermined():
     found = compare_with_wrench(*pressed(5, one_way=True))
     direction = ROTATION.inv().apply([0.0, 0.0, -1.0])
     turned = Rotation.from_rotvec(found.rotation_rad.value).apply(direction)

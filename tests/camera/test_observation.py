@@ -41,7 +41,7 @@ def cast(displacement):
     return caster.cast(MESH.deformed(displacement), MESH.normals)
 
 
-def test_rays_meet_the_sphere_where_geometry_says():
+def test_rays_hit_the_sphere_at_the_analytic_points():
     radius = (0.075**2 + 0.05**2) / (2 * 0.05)
     hits = cast(np.zeros(len(MESH.nodes)))
     assert len(hits.ray) > 0.99 * 224 * 171
@@ -54,7 +54,7 @@ def test_rays_meet_the_sphere_where_geometry_says():
 
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.004, 0.012])
-def test_walking_finds_the_same_triangles_as_casting(depth_m):
+def test_walking_and_ray_casting_find_the_same_triangles(depth_m):
     """After a motion of a share of an edge, and from one triangle to the next but one."""
     caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
     old = caster.cast(MESH.deformed(smooth_dent(depth_m)), MESH.normals)
@@ -67,7 +67,7 @@ def test_walking_finds_the_same_triangles_as_casting(depth_m):
     assert np.max(np.abs(fresh.range_m[a] - walked.range_m[b])) < 1e-5
 
 
-def test_a_model_by_walking_equals_that_by_casting():
+def test_model_by_walking_equals_model_by_ray_casting():
     observer = RangeObserver(CAMERA, MESH, 0.01, block=3)
     before, after = (MESH.deformed(smooth_dent(each)) for each in (0.008, 0.0085))
     old, fresh = observer.around(before), observer.around(after)
@@ -118,7 +118,7 @@ def test_the_model_around_a_shape_is_exact_to_second_order():
 
 
 @pytest.mark.parametrize("block", [1, 2, 5])
-def test_blocks_measure_a_deformation_despite_noise_holes_and_bias(block):
+def test_block_averages_measure_a_deformation_despite_noise_holes_and_bias(block):
     displacement = smooth_dent(0.008)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
     rng = np.random.default_rng(1)
@@ -136,7 +136,7 @@ def test_blocks_measure_a_deformation_despite_noise_holes_and_bias(block):
     assert np.sqrt(np.mean(error**2)) < 1.5e-4 / block + 2e-5 * block**2
 
 
-def test_outliers_have_little_weight_given_a_model():
+def test_outliers_from_a_model_have_little_weight():
     displacement = smooth_dent(0.008)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
     rng = np.random.default_rng(2)
@@ -218,7 +218,7 @@ def test_expected_noise_is_one_deviation_and_white():
     assert found.clumping == pytest.approx(1.0, abs=0.25)
 
 
-def test_the_noise_factor_is_by_squares_that_are_mostly_visible():
+def test_noise_factor_uses_mostly_visible_blocks():
     """The factor of white noise; what neighbours share counts more, a sparse half not at all."""
     rows, columns = 60, 80
     squares, rng = BlockSquares(np.arange(rows * columns), columns), np.random.default_rng(0)
@@ -248,7 +248,7 @@ def test_the_noise_factor_is_relative_to_the_camera(factor, least, most):
     assert least < found < most
 
 
-def test_correlated_noise_is_clumped():
+def test_correlated_noise_is_detected():
     """Squares of 16 × 16 pixels with one error each: 64 blocks are worth a sample."""
     rng = np.random.default_rng(6)
     squares = np.kron(rng.standard_normal((11, 14)), np.ones((16, 16)))[:171, :224]
@@ -281,7 +281,7 @@ def test_a_field_in_the_image_is_cast_on_the_deformed_membrane(model, distortion
 
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.003, 0.02])
-def test_ranges_are_found_where_rays_that_are_cast_find_them(depth_m):
+def test_ranges_equal_those_of_ray_casting(depth_m):
     """By Open3D's bounding volumes, which know nothing of neighbours."""
     own = replace(CAMERA.intrinsics, cx=CAMERA.intrinsics.cx + 90.0)  # some miss the membrane
     view = MembraneView(DepthCamera(own, CAMERA.T_B_C), MESH)
@@ -295,7 +295,7 @@ def test_ranges_are_found_where_rays_that_are_cast_find_them(depth_m):
     np.testing.assert_allclose(found, expected[pixels], rtol=0, atol=1e-7)
 
 
-def test_a_field_that_reaches_beyond_the_image_is_drawn_up_to_its_border():
+def test_field_beyond_the_image_is_drawn_up_to_the_border():
     """Part of the membrane is outside the image of a camera that looks aside."""
     own = replace(CAMERA.intrinsics, cx=CAMERA.intrinsics.cx + 90.0, cy=20.0)
     view = MembraneView(DepthCamera(own, CAMERA.T_B_C), MESH)

@@ -42,27 +42,27 @@ def test_every_layout_gives_its_colours(encoding):
     assert found.grey().dtype == np.uint8
 
 
-def test_a_grey_image_is_grey_in_all_colours():
+def test_grey_image_has_equal_channels():
     found = image(raw(RGB[..., 0], "mono8", padding=3))
     np.testing.assert_array_equal(found.grey(), RGB[..., 0])
     np.testing.assert_array_equal(found.rgb(), np.repeat(RGB[..., :1], 3, axis=2))
 
 
 @pytest.mark.parametrize("said", ["jpeg", "jpg", "rgb8; jpeg compressed bgr8"])
-def test_a_jpeg_is_nearly_what_was_compressed(said):
+def test_jpeg_is_decoded_approximately(said):
     data = np.frombuffer(encoded(RGB, "jpeg"), np.uint8)
     found = image(SimpleNamespace(format=said, data=data))
     np.testing.assert_allclose(found.rgb(), RGB.astype(float), atol=6.0)
     np.testing.assert_allclose(found.grey(), RGB @ np.array([0.299, 0.587, 0.114]), atol=3.0)
 
 
-def test_a_png_is_what_was_compressed():
+def test_png_is_decoded_exactly():
     data = np.frombuffer(encoded(RGB, "png"), np.uint8)
     found = image(SimpleNamespace(format="bgr8; png compressed bgr8", data=data))
     np.testing.assert_array_equal(found.rgb(), RGB)
 
 
-def test_nothing_is_read_before_it_is_asked_for():
+def test_images_are_read_on_demand():
     def read():
         raise AssertionError("read")
 
@@ -87,12 +87,12 @@ def test_nothing_is_read_before_it_is_asked_for():
         ),
     ],
 )
-def test_what_cannot_be_decoded_says_why(message, why):
+def test_undecodable_image_gives_a_reason(message, why):
     with pytest.raises(InputError, match=why):
         image(SimpleNamespace(**message)).rgb()
 
 
-def test_a_compressed_depth_image_is_no_colour_image():
+def test_compressed_depth_is_not_a_colour_image():
     message = SimpleNamespace(format="16UC1; compressedDepth png", data=np.zeros(4, np.uint8))
     with pytest.raises(ValueError, match="not one of rgb8"):
         EncodedImage.of(message)

@@ -70,7 +70,7 @@ def errors_px(recording, texture, frame, lead):
 
 
 @pytest.mark.parametrize("lead", [0.0, 2.4])
-def test_frames_are_paired_by_stamps_whatever_their_content(lead, led_by_colour, stamped_alike):
+def test_frames_are_paired_by_stamps(lead, led_by_colour, stamped_alike):
     with Recording(led_by_colour if lead else stamped_alike) as recording:
         texture = learned(recording)
         for k in (5, 36, 50):
@@ -81,7 +81,7 @@ def test_frames_are_paired_by_stamps_whatever_their_content(lead, led_by_colour,
             assert colour is not None and colour.stamp_ns == recording.stamps_ns[k]
 
 
-def test_a_delay_that_is_given_pairs_the_frames_of_one_moment(led_by_colour):
+def test_given_delay_pairs_simultaneous_frames(led_by_colour):
     """To half a frame: the images are 2.4 frames ahead."""
     delay_s = -2.4 * PERIOD_S
     with Recording(led_by_colour) as recording:
@@ -103,13 +103,13 @@ class CountedRecording(Recording):
         return super().__getitem__(index)
 
 
-def test_what_flow_is_measured_from_is_learned_in_one_pass(stamped_alike):
+def test_flow_reference_is_learned_in_one_pass(stamped_alike):
     with CountedRecording(stamped_alike) as recording:
         learned(recording)
         assert recording.decoded <= len(recording)
 
 
-def test_colour_that_never_moves_is_no_error(tmp_path):
+def test_static_colour_images_are_valid(tmp_path):
     path = make_recording(tmp_path, 0.0, frames=25)  # ends before the press begins
     with Recording(path) as recording:
         texture = learned(recording)

@@ -25,7 +25,7 @@ def errors_px(field, motion):
 
 @pytest.mark.parametrize("motion", [dragged, twisted])
 @pytest.mark.parametrize(("preset", "rms_px"), [("fast", 0.3), ("balanced", 0.1), ("fine", 0.1)])
-def test_the_motion_is_found_and_its_sigma_true(rest, preset, rms_px, motion):
+def test_motion_and_its_sigma_are_correct(rest, preset, rms_px, motion):
     """The brightness changes by a fifth across the image, as when the membrane tilts."""
     flow = OpticalFlow.of(rest, preset)
     lit = 0.9 + 0.2 * grid()[0] / WIDTH
@@ -49,7 +49,7 @@ def test_a_membrane_at_rest_does_not_move(rest):
     np.testing.assert_array_equal(field.pixel, np.sort(field.pixel))
 
 
-def test_noisier_images_tell_less():
+def test_noisier_images_have_larger_sigma():
     clean = clean_image()
     rng = np.random.default_rng(1)
     noisy = [camera(clean + rng.normal(0.0, 8.0, clean.shape), k) for k in range(12)]
@@ -59,7 +59,7 @@ def test_noisier_images_tell_less():
     assert 2.5 < np.median(ratio) < 6.0  # σ is 8.2 in place of 2 grey levels
 
 
-def test_what_has_no_texture_or_is_washed_out_is_left_out():
+def test_pixels_without_texture_or_saturated_are_excluded():
     clean = clean_image()
     clean[:, :100] = 90.0
     clean[:100, 220:] += 160.0
@@ -70,7 +70,7 @@ def test_what_has_no_texture_or_is_washed_out_is_left_out():
     assert np.mean((y > 110) & (x > 110)) > 0.5
 
 
-def test_what_is_covered_or_glares_is_left_out(rest):
+def test_covered_or_glaring_pixels_are_excluded(rest):
     """Something else is seen there than at rest."""
     flow = OpticalFlow.of(rest)
     image = clean_image()
@@ -84,14 +84,14 @@ def test_what_is_covered_or_glares_is_left_out(rest):
     assert not np.any((y > 155) & (y < 215) & (x > 205) & (x < 275))
 
 
-def test_pixels_outside_the_mask_are_left_out(rest):
+def test_pixels_outside_the_mask_are_excluded(rest):
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[40:200, 60:260] = True
     assert mask.ravel()[OpticalFlow.of(rest, mask=mask).pixel].all()
 
 
 @pytest.mark.parametrize(("level", "why"), [(100.0, "no texture"), (400.0, "over-exposed")])
-def test_images_of_no_use_say_why(level, why):
+def test_useless_images_give_a_reason(level, why):
     blank = np.full((HEIGHT, WIDTH), level)
     flow = OpticalFlow.of([camera(blank, k) for k in range(6)])
     assert why in flow.problem
@@ -99,12 +99,12 @@ def test_images_of_no_use_say_why(level, why):
     assert (len(field.pixel), field.problem) == (0, flow.problem)
 
 
-def test_another_scene_says_so(rest):
+def test_another_scene_is_reported(rest):
     field = OpticalFlow.of(rest).measure(camera(clean_image()[::-1, ::-1], 3))
     assert "could not be matched" in field.problem
 
 
-def test_bad_input_is_said_in_one_sentence(rest, monkeypatch):
+def test_bad_input_gives_one_sentence(rest, monkeypatch):
     with pytest.raises(InputError, match="give at least 5"):
         OpticalFlow.of(rest[:4])
     with pytest.raises(InputError, match="sizes differ"):

@@ -51,7 +51,7 @@ def test_a_frame_has_the_nearest_image_within_half_a_period_or_none(tmp_path):
             np.testing.assert_array_equal(found[k].rgb(), picture(k // 2))
 
 
-def test_another_moment_has_another_image(tmp_path):
+def test_each_time_has_its_own_image(tmp_path):
     bag = fill(BagMaker("mcap file"))
     for k in range(6):
         add_colour(bag, START + k * PERIOD, k)
@@ -88,7 +88,7 @@ def test_the_colour_camera_is_that_of_the_sensor(tmp_path, depth, ours, others):
         assert recording.colour.topic.name == ours
 
 
-def test_a_topic_may_be_named(tmp_path):
+def test_topic_can_be_chosen(tmp_path):
     bag = fill(BagMaker("mcap file"))
     add_colour(bag, START, 2, "/elsewhere")
     path = bag.write(tmp_path)
@@ -122,7 +122,7 @@ def test_the_camera_has_its_own_intrinsics_and_its_pose_in_the_depth_camera(tmp_
     np.testing.assert_allclose(camera.T_D_C[:3, 3], expected, atol=1e-12)
 
 
-def test_what_is_not_known_of_the_camera_is_said(tmp_path):
+def test_missing_camera_info_is_reported(tmp_path):
     bag = BagMaker("bag none")
     bag.image(START, depth_image(0))
     header = bag.header(START)
@@ -136,7 +136,7 @@ def test_what_is_not_known_of_the_camera_is_said(tmp_path):
     np.testing.assert_array_equal(camera.T_D_C, np.eye(4))
 
 
-def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_path):
+def test_pose_in_a_realsense_bag_equals_that_of_the_library(tmp_path):
     rs = pytest.importorskip("pyrealsense2")
     turns = Rotation.from_euler("xyz", [[10, 20, 30], [3, -5, 2]], degrees=True).as_quat()
     poses = {"Color_0": ((0.015, -0.01, 0.02), turns[0]), "Depth_0": ((1e-3, 2e-3, 3e-3), turns[1])}
@@ -153,7 +153,7 @@ def test_the_pose_in_a_bag_of_the_realsense_library_is_as_the_library_says(tmp_p
     assert "assuming the depth camera's pose" not in camera.remark
 
 
-def test_depth_alone_reads_nothing_of_the_colour_images(tmp_path, monkeypatch):
+def test_depth_alone_reads_no_colour_images(tmp_path, monkeypatch):
     bag = fill(BagMaker("mcap file"))
     for k in range(6):
         add_colour(bag, START + k * PERIOD, k)
@@ -174,7 +174,7 @@ def test_depth_alone_reads_nothing_of_the_colour_images(tmp_path, monkeypatch):
         assert read.count(COLOUR) > before
 
 
-def test_info_tells_the_colour_images(tmp_path):
+def test_info_lists_the_colour_images(tmp_path):
     bag = fill(BagMaker("mcap file"))
     for k in range(3):
         add_colour(bag, START + 2 * k * PERIOD, k)

@@ -25,7 +25,7 @@ def colour_image(lag_s=0.0, rgb=RGB, camera=None, data=None):
     return ColourImage(lambda: encoded, camera=camera or ColourCamera(DEPTH))
 
 
-def test_a_point_has_the_place_of_the_pixel_whose_ray_it_is_on():
+def test_point_projects_to_the_pixel_of_its_ray():
     camera = DepthCamera(DEPTH, T_B_C)
     pixels = np.array([0, 70, 1500, 3071])
     points = camera.points(np.full((48, 64), 0.09, np.float32), pixels)
@@ -36,7 +36,7 @@ def test_a_point_has_the_place_of_the_pixel_whose_ray_it_is_on():
     assert texture.seen.all() and not texture.reason
 
 
-def test_another_camera_sees_it_from_where_that_is():
+def test_second_camera_projects_from_its_own_pose():
     """Beside the depth camera by 15 mm and turned by 90° about its axis, a pinhole."""
     own = Intrinsics(80, 60, 70.0, 70.0, 40.0, 30.0)
     T_D_C = np.array([[0.0, -1, 0, 0.015], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -60,7 +60,7 @@ def test_another_camera_sees_it_from_where_that_is():
         (partial(colour_image, camera=ColourCamera()), "no camera info for the colour image"),
     ],
 )
-def test_what_is_missing_is_said(find, words):
+def test_missing_data_are_reported(find, words):
     frame = default_press(load_sensor(SYNTHETIC_SENSOR))[0]
     seen = SeenColour.of(replace(frame, find_colour=find))
     texture = Texture.of(seen, np.zeros((3, 3)), DepthCamera(DEPTH, T_B_C))

@@ -166,7 +166,7 @@ def test_bad_sensor_file(bench, solving, old, new, words):
 
 
 @pytest.mark.parametrize("value", [1e-30, 1e30, -1.0, 0.0])
-def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench, value):
+def test_invalid_numbers_in_a_sensor_file_give_no_traceback(bench, value):
     """It is solved or refused, whichever number is absurd."""
     record(bench, GOOD)
     good = tomllib.loads(toml())
@@ -188,7 +188,7 @@ def test_no_number_of_a_sensor_file_ends_in_a_traceback(bench, value):
 
 @pytest.mark.parametrize("zeroed", [(), ("--zero-gas",)])
 @pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-4e3, False), (6e3, True)])
-def test_a_gas_pressure_that_is_not_the_sensors_is_warned_of(tmp_path, off_pa, warned, zeroed):
+def test_warning_if_the_gas_pressure_does_not_match_the_sensor(tmp_path, off_pa, warned, zeroed):
     sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
     source = small_source(tmp_path / "small.toml", heights=15 * (0.06,))
     with RecordingWriter(tmp_path / "rec.mcap") as writer:
@@ -308,7 +308,7 @@ def test_the_same_name_for_both_outputs(bench):
         ("3:", "outside its 3 frames"),
     ],
 )
-def test_frames_that_are_not_there(bench, frames, words):
+def test_frames_out_of_range(bench, frames, words):
     record(bench, GOOD)
     done = bench.run(*COMMANDS["estimate"], "--frames", frames)
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -329,7 +329,7 @@ def test_bad_options(bench, option, value, words):
     assert not list(bench.folder.glob("*result*"))
 
 
-def test_scene_that_is_not_shipped(bench):
+def test_unknown_scene(bench):
     record(bench, GOOD)
     done = bench.run(*COMMANDS["screenshot"], "--scene", "nope")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
@@ -344,7 +344,7 @@ def test_no_preset_fits(bench):
     assert "punyo_oval_d405 (640×480)" in done.stderr
 
 
-def test_a_frame_that_is_damaged_leaves_nothing_behind(bench, monkeypatch):
+def test_damaged_frame_leaves_no_output(bench, monkeypatch):
     """The failure comes when files are open already."""
     with RecordingWriter(bench.folder / "rec.mcap") as writer:
         for k, depth in enumerate(GOOD):

@@ -50,7 +50,7 @@ def folder_of(path, kind, names):
 
 
 @pytest.mark.parametrize("kind", [".npy", ".png", ".tif"])
-def test_a_folder_with_what_was_measured(kind, tmp_path):
+def test_folder_of_images_with_other_measurements(kind, tmp_path):
     images = folder_of(tmp_path / "images", kind, ["d1", "d2", "d10"])
     (images / "intrinsics.json").write_text(json.dumps(CAMERA))
     (tmp_path / "gas.csv").write_text("time_s,pa\n0,100000\n0.1,101000\n")
@@ -89,7 +89,7 @@ def test_a_folder_of_points(ordered, tmp_path):
             np.testing.assert_allclose(frame.depth_m, expected, rtol=1e-6)
 
 
-def test_names_that_are_times(tmp_path):
+def test_file_names_that_are_times(tmp_path):
     names = [f"depth_{1_700_000_000_000_000_000 + k * 33_000_000}" for k in range(3)]
     out = tmp_path / "out.mcap"
     converted(folder_of(tmp_path / "images", ".png", names), out)
@@ -98,7 +98,7 @@ def test_names_that_are_times(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["db3 folder", "bag lz4"])
-def test_other_bags_say_the_same(kind, tmp_path):
+def test_other_bag_formats_give_the_same_recording(kind, tmp_path):
     path = fill(BagMaker(kind)).write(tmp_path)
     out = tmp_path / "out.mcap"
     found = json.loads(converted(path, out, "--json"))
@@ -135,7 +135,7 @@ def test_a_bag_of_the_realsense_viewer(unit_m, option, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "rgb8"])
-def test_colour_is_kept_as_it_was_recorded(kind, tmp_path):
+def test_colour_is_copied_unchanged(kind, tmp_path):
     """The same bytes, camera and moments; every second frame has an image."""
     bag = fill(BagMaker("bag lz4"))
     turned = Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_quat()
@@ -165,7 +165,7 @@ def test_colour_is_kept_as_it_was_recorded(kind, tmp_path):
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_colour_images_in_a_folder_are_those_of_the_same_numbers(told, tmp_path):
+def test_colour_images_in_a_folder_are_matched_by_number(told, tmp_path):
     """Byte for byte; the second depth image has none. What is not known of the camera is said."""
     images = folder_of(tmp_path / "images", ".png", ["d1", "d2", "d10"])
     (images / "rgb").mkdir()
@@ -204,7 +204,7 @@ def test_colour_images_that_do_not_fit_are_refused(names, says, tmp_path):
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_path):
+def test_assumed_colour_camera_is_written_to_the_copy(tmp_path):
     """Neither its pose nor its intrinsics were recorded."""
     bag = fill(BagMaker("mcap file"))
     header = bag.header(START)
@@ -218,7 +218,7 @@ def test_what_is_taken_for_granted_of_the_colour_camera_is_so_in_the_copy(tmp_pa
         assert after.colour.camera.remark == before.colour.camera.remark
 
 
-def test_the_force_is_that_of_the_original(tmp_path):
+def test_force_equals_that_of_the_original(tmp_path):
     sensor = write_small_sensor(tmp_path / "small.toml")
     Simulation(small_source(sensor, HEIGHTS[1:2])).save(tmp_path / "press.mcap")
     (tmp_path / "images").mkdir()
@@ -246,7 +246,7 @@ def test_the_force_is_that_of_the_original(tmp_path):
         (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(spoil, words, tmp_path):
+def test_invalid_input_gives_one_sentence(spoil, words, tmp_path):
     images = folder_of(tmp_path / "images", ".npy", ["1", "2", "3"])
     spoil(images)
     rate = () if "time" in words else ("--rate", 30)

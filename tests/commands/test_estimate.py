@@ -67,13 +67,13 @@ def truth(folder):
     return arrays(folder / "truth.npz")
 
 
-def test_auto_is_the_preset_with_a_camera_of_the_image_size(folder, tmp_path):
+def test_auto_selects_the_preset_with_the_image_size(folder, tmp_path):
     out = tmp_path / "auto.npz"
     run("estimate", folder / "rec.mcap", "--sensor", "auto", "--frames", "1:2", "--out", out)
     assert tomllib.loads(str(arrays(out)["sensor_toml"]))["name"] == load_sensor(PRESET).name
 
 
-def test_every_key_of_the_contract(result):
+def test_result_has_every_documented_key(result):
     frames, (height, width) = len(HEIGHTS), (171, 224)
     nodes, triangles = len(result["nodes_m"]), len(result["triangles"])
     shapes = {
@@ -101,12 +101,12 @@ def test_every_key_of_the_contract(result):
     assert {key for key, kind in kinds.items() if kind == "f"} == set(kinds) - texts - flags - whole
 
 
-def test_it_says_what_made_it(result):
+def test_result_has_its_provenance(result):
     assert tomllib.loads(str(result["sensor_toml"]))["name"] == load_sensor(PRESET).name
     assert str(result["version"]) == bubbleviz.__version__
 
 
-def test_contact_is_found_where_it_is(result, truth):
+def test_contact_is_found_at_its_place(result, truth):
     assert result["status"].tolist() == truth["status"].tolist() == ["no_contact", *["ok"] * 3]
     np.testing.assert_allclose(result["time_s"], truth["time_s"], atol=1e-6)
 
@@ -120,7 +120,7 @@ def test_force_and_centre_are_those_of_the_simulation(result, truth):
     assert np.all(away[1:] < 2e-3)
 
 
-def test_no_contact_is_no_force_and_no_patch(result):
+def test_without_contact_there_is_no_force_and_no_patch(result):
     assert not result["force_n"][0].any()
     assert not result["contact_pressure_pa"][0].any()
     assert not result["patch_mask"][0].any()
@@ -128,7 +128,7 @@ def test_no_contact_is_no_force_and_no_patch(result):
     assert np.isnan(result["center_of_pressure_m"][0]).all()
 
 
-def test_patch_covers_the_true_one(result, truth):
+def test_patch_covers_the_true_contact(result, truth):
     for found, true in zip(result["patch_mask"][1:], truth["patch_mask"][1:], strict=True):
         assert true.sum() > 100
         assert (found & true).sum() / (found | true).sum() > 0.45
@@ -165,7 +165,7 @@ def test_csv_has_the_same_numbers(folder, result):
     assert {(row["kappa"], row["sensor"]) for row in rows} == {("", name)}  # automatic
 
 
-def test_json_leaves_the_first_frame_out_of_the_times(folder, result):
+def test_json_times_exclude_the_first_frame(folder, result):
     told = json.loads((folder / "told.json").read_text())
     assert told["frames"] == len(HEIGHTS)
     assert told["status"] == {"no_contact": 1, "ok": 3}
@@ -177,7 +177,7 @@ def test_json_leaves_the_first_frame_out_of_the_times(folder, result):
     assert np.all(result["solve_ms"] <= result["total_ms"])
 
 
-def test_kappa_moves_the_patch_and_nothing_else(folder, tmp_path, result):
+def test_kappa_changes_only_the_patch(folder, tmp_path, result):
     words = ("estimate", folder / "rec.mcap", "--sensor", PRESET, "--out")
     run(*words, tmp_path / "low.npz", "--kappa", "1")
     run(*words, tmp_path / "high.npz", "--kappa", "20")
@@ -216,7 +216,7 @@ def test_a_frame_without_data_in_the_middle(folder, tmp_path, result):
     np.testing.assert_allclose(found["force_n"][3], result["force_n"][3], rtol=0.02, atol=0.05)
 
 
-def test_the_recordings_camera_info_wins(folder, tmp_path, result):
+def test_camera_info_of_the_recording_has_priority(folder, tmp_path, result):
     sensor = load_sensor(PRESET)
     camera = sensor.camera.model_copy(update={"fx": 1.2 * sensor.camera.fx})
     wrong = tmp_path / "wrong.toml"
@@ -225,7 +225,7 @@ def test_the_recordings_camera_info_wins(folder, tmp_path, result):
     np.testing.assert_allclose(arrays(tmp_path / "r.npz")["force_n"], result["force_n"])
 
 
-def test_nothing_of_a_window_is_imported(folder, tmp_path):
+def test_window_is_not_imported(folder, tmp_path):
     code = (
         "import sys; from bubbleviz.cli.command_line import main\n"
         "main(sys.argv[1:], standalone_mode=False); "
@@ -286,7 +286,7 @@ def test_masks_of_a_long_recording_are_streamed(small, tmp_path):
     np.testing.assert_array_equal(displacement[:, 5], -1e-3 * rows)
 
 
-def test_a_result_that_is_not_what_was_announced(small, tmp_path):
+def test_result_with_an_unexpected_number_of_frames(small, tmp_path):
     mesh, shape = build_mesh(small), (4, 5)
     one, two = fake_results(2, len(mesh.nodes), shape)
     with ResultWriter(tmp_path / "a.npz", mesh, 1, shape) as writer:
@@ -342,7 +342,7 @@ def test_real_contact_free_frames_have_no_patch_and_no_force(press):
     assert not press["patch_area_m2"][free].any()
 
 
-def test_real_press_is_found_where_the_poker_is(press):
+def test_real_press_is_found_at_the_poker(press):
     held = press["frame"] >= 72
     assert held.sum() == 18 // EVERY
     assert set(press["status"][held]) == {"ok"}
@@ -354,6 +354,6 @@ def test_real_press_is_found_where_the_poker_is(press):
     assert press["patch_mask"][held].any(axis=(1, 2)).all()
 
 
-def test_real_press_has_the_force_of_the_physics(press):
+def test_real_press_has_a_physically_consistent_force(press):
     force = np.linalg.norm(press["force_n"][press["frame"] >= 72], axis=1)
     assert np.all((force >= 2.5) & (force <= 5.0)), f"{force.min():.2f} … {force.max():.2f} N"

@@ -42,7 +42,7 @@ def command(name):
         ("convert", "a b", "--pressure p", "--gas-pressure p"),
     ],
 )
-def test_a_former_name_does_the_same_and_is_not_shown(name, needed, former, present):
+def test_former_option_names_work_and_are_hidden(name, needed, former, present):
     def params(option):
         parent = click.Context(main, **main.context_settings)
         words = [*needed.split(), *option.split()]
@@ -54,7 +54,7 @@ def test_a_former_name_does_the_same_and_is_not_shown(name, needed, former, pres
     assert present.split()[0] in shown and f"{former.split()[0]} " not in shown
 
 
-def test_the_command_pose_has_the_name_of_the_function_too():
+def test_pose_command_has_the_name_of_the_api_function_as_alias():
     assert command("track") is command("pose")
 
 
@@ -90,7 +90,7 @@ def test_millimetres_and_degrees_are_taken_as_before(sensor, tmp_path):
         ("batch FOLDER --sensor S --jobs 1", "results"),
     ],
 )
-def test_what_exists_is_replaced_only_when_that_is_asked_for(words, out, press, sensor, tmp_path):
+def test_existing_output_is_replaced_only_on_request(words, out, press, sensor, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.mcap").write_bytes(press.read_bytes())
     given = {"REC": press, "S": sensor, "CSV": tmp_path / "more.csv", "FOLDER": tmp_path / "in"}
@@ -106,7 +106,7 @@ def test_what_exists_is_replaced_only_when_that_is_asked_for(words, out, press, 
     assert sorted(path.name for path in tmp_path.rglob("*")) == names
 
 
-def test_a_failure_leaves_what_would_have_been_replaced(sensor, tmp_path):
+def test_failure_keeps_the_existing_output(sensor, tmp_path):
     for name in ("rec.mcap", "new.npz", "mine.toml"):
         (tmp_path / name).write_text("precious")
     for words in (
@@ -118,7 +118,7 @@ def test_a_failure_leaves_what_would_have_been_replaced(sensor, tmp_path):
     assert {path.read_text() for path in tmp_path.iterdir()} == {"precious"}
 
 
-def test_a_folder_with_the_files_of_others_is_not_replaced(press, sensor, tmp_path):
+def test_folder_with_foreign_files_is_not_replaced(press, sensor, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     done = run("export", press, "--sensor", sensor, "--what", "ply", "--out", tmp_path,
                "--overwrite")  # fmt: skip
@@ -126,7 +126,7 @@ def test_a_folder_with_the_files_of_others_is_not_replaced(press, sensor, tmp_pa
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_python_writes_over_what_is_there_too(press, sensor, tmp_path):
+def test_api_replaces_existing_output_on_request(press, sensor, tmp_path):
     rest = bv.simulate(sensor, "cylinder", "0 0 0.08 0 0 0 1", frames=20, noise_relative=0.002)
     out, report = tmp_path / "mine.toml", tmp_path / "report"
     how = {"nodes": 200, "contact_free": "0:20", "report": report}
@@ -148,7 +148,7 @@ def test_python_writes_over_what_is_there_too(press, sensor, tmp_path):
         np.testing.assert_array_equal(file["force_n"], run_of.force_n)
 
 
-def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path):
+def test_run_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path):
     run_of = bv.estimate(bv.open(press), sensor, out=tmp_path / "r.npz")
     kept = bv.estimate(bv.open(press), sensor)
     np.testing.assert_array_equal(run_of.force_n, kept.force_n)
@@ -157,7 +157,7 @@ def test_a_run_that_was_written_to_a_file_has_numbers_but_no_frames(press, senso
         run_of[0]
 
 
-def test_files_that_would_not_be_written_are_refused(press, sensor, tmp_path):
+def test_unused_output_options_are_refused(press, sensor, tmp_path):
     with pytest.raises(bv.InputError, match=r"r\.csv: .* give out as well"):
         bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
     with bv.connect(f"replay:{press}", sensor) as stream:

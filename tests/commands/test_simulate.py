@@ -31,7 +31,7 @@ def run(sensor_file, folder, *arguments):
     return CliRunner().invoke(main, [*base, *map(str, arguments)])
 
 
-def test_path_of_poses_gives_frames_and_their_truth(sensor_file, tmp_path):
+def test_path_of_poses_gives_frames_and_ground_truth(sensor_file, tmp_path):
     poses = tmp_path / "poses.csv"
     poses.write_text(
         "frame,time_s,x_m,y_m,z_m,qx,qy,qz,qw\n"
@@ -62,7 +62,7 @@ def test_path_of_poses_gives_frames_and_their_truth(sensor_file, tmp_path):
     recording.close()
 
 
-def test_noise_is_reproduced_by_its_seed(sensor_file, tmp_path):
+def test_noise_is_reproducible_by_seed(sensor_file, tmp_path):
     images = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         (tmp_path / name).mkdir()

@@ -11,7 +11,7 @@ from bubbleviz.sensor import load_sensor
 
 
 @pytest.mark.parametrize("drift_pa", [0.0, 5.0])
-def test_gas_law_without_contact_is_no_change(tmp_path, drift_pa):
+def test_gas_law_gives_no_change_without_contact(tmp_path, drift_pa):
     """Boyle: nothing displaces gas; a measured drift does not turn up a dozenfold, negative."""
     path = write_small_sensor(tmp_path / "small.toml")
     frame, pipeline = small_source(path, heights=(0.06,))[0], Pipeline.of(load_sensor(path))
@@ -23,7 +23,7 @@ def test_gas_law_without_contact_is_no_change(tmp_path, drift_pa):
     assert numbers.gas_law_pa == 0.0
 
 
-def test_gas_law_in_a_press_is_what_the_gas_does(tmp_path):
+def test_gas_law_gives_the_pressure_of_a_press(tmp_path):
     path = write_small_sensor(tmp_path / "small.toml")
     source, pipeline = small_source(path, heights=(0.06, 0.042)), Pipeline.of(load_sensor(path))
     for index in range(2):

@@ -38,7 +38,7 @@ def nodes_of(pipeline, result):
 
 
 @pytest.mark.parametrize("pixel", PIXELS)
-def test_a_pixel_is_its_point_and_the_node_nearest_to_it(pipeline, result, pixel):
+def test_pixel_gives_its_point_and_the_nearest_node(pipeline, result, pixel):
     found = Probe(pipeline.camera, pipeline.mesh).at_pixel(pixel, result)
     assert found is not None and found.pixel == pixel
     depth = float(result.frame.depth_m[pixel])
@@ -55,7 +55,7 @@ def test_a_pixel_is_its_point_and_the_node_nearest_to_it(pipeline, result, pixel
 
 
 @pytest.mark.parametrize("pixel", PIXELS)
-def test_a_pixel_without_a_return_is_the_node_nearest_to_its_ray(pipeline, result, pixel):
+def test_pixel_without_a_return_gives_the_node_nearest_to_its_ray(pipeline, result, pixel):
     depth = result.frame.depth_m.copy()
     depth[pixel] = np.nan
     blind = replace(result, frame=replace(result.frame, depth_m=depth))
@@ -66,7 +66,7 @@ def test_a_pixel_without_a_return_is_the_node_nearest_to_its_ray(pipeline, resul
     assert found.node == from_ray.argmin()
 
 
-def test_a_point_of_the_view_is_the_pixel_that_sees_it(pipeline, result):
+def test_point_of_the_view_gives_its_pixel(pipeline, result):
     probe = Probe(pipeline.camera, pipeline.mesh)
     for pixel in PIXELS:
         point = np.array(SENSOR.camera.position_m) + 0.13 * ray_of(pixel)
@@ -87,7 +87,7 @@ def test_without_an_estimate_the_membrane_is_at_rest(pipeline, result):
     assert np.isnan([found.displacement_m, found.pressure_pa]).all()
 
 
-def test_the_residual_is_that_of_the_pixel_or_of_one_close_by(pipeline):
+def test_residual_of_the_pixel_or_of_a_close_one(pipeline):
     """Else there is none: in a thinned cloud the next point can be anywhere."""
     products = frozenset({"estimate", "cloud", "residual"})
     whole = pipeline.process(DentSource(SENSOR)[FRAMES - 1], products)

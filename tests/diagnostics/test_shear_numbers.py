@@ -31,7 +31,7 @@ def traction(status="ok", across=(0.6, 0.8, 0.0), sigma=0.05):
     )  # fmt: skip
 
 
-def test_force_and_direction_are_those_put_in():
+def test_force_and_direction_of_a_known_traction():
     found = ShearNumbers.of(traction())
     assert found.force_n == pytest.approx((math.sqrt(10.0), HALF))
     assert found.normal_n == pytest.approx((3.0, HALF))
@@ -77,7 +77,7 @@ def test_the_parts_of_a_traction_add_up_to_it():
     np.testing.assert_allclose(along[:3], np.tile([2000.0, 8000.0 / 3.0, 0.0], (3, 1)))
 
 
-def test_the_ellipse_holds_95_percent_of_the_tangential_forces():
+def test_ellipse_contains_95_percent_of_the_tangential_forces():
     root = np.array([[0.05, 0.02, 0.0], [0.0, 0.1, 0.03], [0.01, 0.0, 0.3]])
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = root @ root.T

@@ -55,7 +55,7 @@ def test_the_robot_stops_at_the_force_and_before_the_end(recording, sensor):
     assert "move" in robot.told
 
 
-def test_the_robot_stops_when_there_is_no_number_to_trust(sensor, tmp_path):
+def test_robot_stops_at_an_untrusted_result(sensor, tmp_path):
     press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
     with RecordingWriter(tmp_path / "dark.mcap") as writer:
         dark = np.full_like(press[0].depth_m, np.nan)
@@ -107,7 +107,7 @@ class UntilArrived:
             self.stream.close()
 
 
-def test_the_force_goes_out_as_a_ros_2_message(recording, sensor):
+def test_force_is_published_as_a_ros_2_message(recording, sensor):
     """Another session, as `ros2 topic echo` has, gets the wrench."""
     place = f"tcp/127.0.0.1:{free_port()}"
     arrived: list[str] = []

@@ -48,7 +48,7 @@ def bubbleviz(lab, *words):
     )
 
 
-def test_a_format_and_a_solver_of_a_package(lab):
+def test_plugin_with_a_format_and_a_solver(lab):
     done = bubbleviz(lab, *["estimate", "press.npy", "--sensor", "small.toml", "--out", "own.npz"])
     assert done.returncode == 0, done.stderr
     own = bv.load_run(lab / "own.npz")
@@ -64,7 +64,7 @@ def test_a_format_and_a_solver_of_a_package(lab):
     assert np.abs(sharp.force_n - own.force_n).max() > 1e-4
 
 
-def test_a_source_of_a_package(lab):
+def test_plugin_with_a_live_source(lab):
     words = "watch --source lab:press.npy?rate=10 --sensor small.toml --duration 20"
     done = bubbleviz(lab, *words.split())
     assert done.returncode == 0, done.stderr
@@ -91,7 +91,7 @@ def test_errors_are_one_sentence(lab):
         assert done.stderr.count("\n") == 1 and says in done.stderr, done.stderr
 
 
-def test_the_window_opens_a_format_of_a_package(lab):
+def test_window_opens_a_plugin_format(lab):
     if sys.platform != "linux":
         pytest.skip("starts an X server of its own")
     picture = lab / "press.png"

@@ -54,7 +54,7 @@ def columns_of(rows, *names):
 # -- tables ------------------------------------------------------------------------------------
 
 
-def test_csv_says_what_the_estimate_says(folder, estimated):
+def test_csv_has_the_numbers_of_the_estimate(folder, estimated):
     rows = rows_of(folder / "all.of it.csv")
     assert [row["status"] for row in rows] == estimated["status"].tolist()
     assert "ok" in estimated["status"].tolist()
@@ -68,7 +68,7 @@ def test_csv_says_what_the_estimate_says(folder, estimated):
     assert {row["kappa"] for row in rows} == {""} and len({row["sensor"] for row in rows}) == 1
 
 
-def test_measured_force_is_beside_the_estimate(tmp_path, press, sensor):
+def test_measured_force_is_exported_with_the_estimate(tmp_path, press, sensor):
     """A wrench in other axes, with a bias, as a robot has it."""
     recording, bias = tmp_path / "wrench.mcap", np.array([-0.4, -0.6, -0.5, 0, 0, 0])
     pushes = [0.0, 5.0, 6.0, 6.0, 0.0]
@@ -170,7 +170,7 @@ def test_paraview_series(folder, estimated):
         assert mesh.field_data["TimeValue"][0] == estimated["time_s"][k]
 
 
-def test_the_other_index_names_the_same_files(folder):
+def test_both_series_indexes_name_the_same_files(folder):
     listed = json.loads((folder / "all.of it.vtp.series").read_text())["files"]
     root = ElementTree.parse(folder / "all.of it.pvd").getroot()
     assert [each["name"] for each in listed] == [each.get("file") for each in root.iter("DataSet")]
@@ -242,7 +242,7 @@ def test_every_frame_has_its_files(folder):
         ("depth,table", {"estimate", "fine_contact", "patch"}),
     ],
 )
-def test_only_the_stages_needed_run(what, stages, tmp_path, press, sensor):
+def test_only_required_stages_run(what, stages, tmp_path, press, sensor):
     words = ["--out", tmp_path / "x", "--what", what, "--frames", "2:4", "--json"]
     done = export(press, "--sensor", sensor, *words)
     ran = json.loads(done.stdout)["stages"]
@@ -265,7 +265,7 @@ def test_depth_pictures_load_no_solver(tmp_path, press, sensor):
 # -- whole or not at all -----------------------------------------------------------------------
 
 
-def test_nothing_is_left_of_a_cancelled_export(tmp_path, press, sensor):
+def test_cancelled_export_leaves_no_files(tmp_path, press, sensor):
     def stop(step, done):
         if done > 0.5:
             assert list(tmp_path.iterdir())  # there was something to leave
@@ -276,7 +276,7 @@ def test_nothing_is_left_of_a_cancelled_export(tmp_path, press, sensor):
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_is_left_when_a_frame_cannot_be_read(tmp_path, sensor, press):
+def test_unreadable_frame_leaves_no_files(tmp_path, sensor, press):
     cut = tmp_path / "cut.mcap"
     raw = bytearray(press.read_bytes())
     middle = len(raw) // 2
@@ -306,7 +306,7 @@ def test_nothing_is_left_when_a_frame_cannot_be_read(tmp_path, sensor, press):
         ("no/x.csv", [], "does not exist"),
     ],
 )
-def test_wrong_words_are_one_line_and_exit_code_2(out, more, words, tmp_path, press, sensor):
+def test_invalid_arguments_give_one_line_and_exit_code_2(out, more, words, tmp_path, press, sensor):
     (tmp_path / "there").mkdir()
     done = export(press, "--sensor", sensor, "--out", tmp_path / out, *more)
     assert done.exit_code == 2, done.output
@@ -315,13 +315,13 @@ def test_wrong_words_are_one_line_and_exit_code_2(out, more, words, tmp_path, pr
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
-def test_parquet_without_its_library(tmp_path, monkeypatch):
+def test_parquet_without_its_library_is_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)  # what a missing module looks like
     with pytest.raises(InputError, match=r"pip install .*\[parquet\]"):
         ExportPlan.of(tmp_path / "x.parquet")
 
 
-def test_what_is_missing_of_a_recording_is_said_by_every_command(press, sensor, tmp_path):
+def test_every_command_reports_a_truncated_recording(press, sensor, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(press.read_bytes()[:-40])
     given = (str(cut), "--sensor", str(sensor), "--frames", "2:3", "--json")

@@ -9,7 +9,7 @@ bound = st.none() | st.integers(0, 40)
 
 
 @given(bound, bound, st.none() | st.integers(0, 9), st.integers(1, 30), st.booleans())
-def test_as_a_slice_or_one_sentence(start, stop, step, count, spaced):
+def test_range_like_a_slice_or_one_sentence_of_error(start, stop, step, count, spaced):
     space = " " if spaced else ""
     parts = ["" if part is None else str(part) for part in (start, stop)]
     parts += [] if step is None else [str(step)]
@@ -27,7 +27,7 @@ def test_as_a_slice_or_one_sentence(start, stop, step, count, spaced):
 
 
 @given(st.text(max_size=12), st.integers(1, 30))
-def test_any_text_is_frames_of_the_recording_or_one_sentence(text, count):
+def test_any_text_gives_frames_or_one_sentence_of_error(text, count):
     try:
         chosen = parse_frames(text, count, "rec")
     except InputError:

@@ -30,7 +30,7 @@ def dataset(tmp_path_factory, press, sensor):
     return out
 
 
-def test_columns_are_those_that_the_description_names(dataset):
+def test_columns_match_the_description(dataset):
     info = json.loads((dataset / "meta/info.json").read_text())
     assert info["codebase_version"] == "v3.0" and info["splits"] == {"train": "0:1"}
     assert info["features"].items() >= DEFAULT_FEATURES.items()
@@ -45,7 +45,7 @@ def test_columns_are_those_that_the_description_names(dataset):
         assert "/" not in name
 
 
-def test_numbers_are_those_of_the_estimate(dataset, estimated):
+def test_numbers_equal_those_of_the_estimate(dataset, estimated):
     table = pyarrow.parquet.read_table(dataset / "data" / FIRST).to_pydict()
     wrench = np.array(table["observation.wrench"])
     np.testing.assert_allclose(wrench[:, :3], estimated["force_n"], rtol=1e-6)
@@ -78,7 +78,7 @@ def test_episode_task_and_statistics(dataset):
         np.testing.assert_allclose(episode[f"stats/observation.wrench/{name}"], found, rtol=1e-5)
 
 
-def test_a_dataset_is_replaced_only_when_asked(dataset, press, sensor):
+def test_dataset_is_replaced_only_on_request(dataset, press, sensor):
     before = (dataset / "meta/info.json").read_bytes()
     with pytest.raises(InputError, match="exists"):
         bv.export(press, dataset, sensor, what="lerobot")

@@ -27,7 +27,7 @@ def write(path, pictures, fps):
 
 
 @pytest.mark.parametrize("size", [(64, 96), (65, 97)])
-def test_frames_come_back(size, tmp_path):
+def test_video_frames_are_read_back(size, tmp_path):
     path = tmp_path / "view.mp4"
     write(path, pictures(8, *size), fps=12.5)
     reader = imageio_ffmpeg.read_frames(str(path))
@@ -70,7 +70,7 @@ def test_refusals_before_the_work(tmp_path):
     assert there.read_text() == "mine"
 
 
-def test_what_the_encoder_refuses_is_told_in_its_words(tmp_path):
+def test_errors_of_the_encoder_are_quoted(tmp_path):
     said = r"cannot write it \(invalid width x height \(20000x2\)\); choose"
     with pytest.raises(InputError, match=said):
         write(tmp_path / "a.mp4", [np.zeros((2, 20_000, 3), np.uint8)] * 30, 30.0)

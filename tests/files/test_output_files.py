@@ -12,7 +12,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import whole_file, write_rows
 
 
-def test_it_appears_when_the_block_ends(tmp_path):
+def test_file_appears_at_the_end_of_the_block(tmp_path):
     path = tmp_path / "result.npz"
     with whole_file(path) as temporary:
         assert temporary.suffix == ".npz"  # numpy appends it otherwise
@@ -22,14 +22,14 @@ def test_it_appears_when_the_block_ends(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_its_permissions_are_the_usual(tmp_path):
+def test_file_has_default_permissions(tmp_path):
     (tmp_path / "plain").write_text("")
     with whole_file(tmp_path / "whole") as temporary:
         temporary.write_text("")
     assert (tmp_path / "whole").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
-def test_a_folder_appears_when_the_block_ends(tmp_path):
+def test_folder_appears_at_the_end_of_the_block(tmp_path):
     with whole_file(tmp_path / "report") as temporary:
         temporary.mkdir()
         (temporary / "a.csv").write_text("1")
@@ -39,7 +39,7 @@ def test_a_folder_appears_when_the_block_ends(tmp_path):
 
 @pytest.mark.parametrize("folder", [False, True])
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_nothing_remains_of_a_failure(tmp_path, error, folder):
+def test_failure_leaves_no_file(tmp_path, error, folder):
     with pytest.raises(error), whole_file(tmp_path / "out") as temporary:
         if folder:
             temporary.mkdir()
@@ -58,7 +58,7 @@ def test_an_existing_file_is_refused_before_any_work(tmp_path):
     assert path.read_text() == "precious"
 
 
-def test_a_file_that_appears_meanwhile_is_kept(tmp_path):
+def test_file_created_meanwhile_is_kept(tmp_path):
     path = tmp_path / "out"
     with pytest.raises(InputError, match="exists already"), whole_file(path) as temporary:
         temporary.write_text("new")
@@ -85,26 +85,26 @@ def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_name_as_long_as_the_disk_takes(tmp_path):
+def test_longest_possible_file_name(tmp_path):
     path = tmp_path / f"{'a' * 251}.csv"
     with whole_file(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
 
 
-def test_a_folder_that_takes_no_file_is_an_input_error(tmp_path):
+def test_unwritable_folder_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot be written"), whole_file(tmp_path / "out") as new:
         tmp_path.rmdir()  # as a share that is gone
         new.write_text("new")
 
 
-def test_a_missing_input_is_not_taken_for_the_output(tmp_path):
+def test_missing_input_is_not_reported_as_output(tmp_path):
     with pytest.raises(FileNotFoundError), whole_file(tmp_path / "out"):
         (tmp_path / "input").read_text()
 
 
 @pytest.mark.parametrize("name", ["a.csv", "b.mcap", "folder"])
-def test_what_a_killed_process_left_in_a_folder_goes_with_the_next_run(tmp_path, name):
+def test_leftovers_of_a_killed_process_are_removed_by_the_next_run(tmp_path, name):
     """But not what others write at this moment, nor files that only look alike."""
     script = (
         "import os, sys; from bubbleviz.files import whole_file\n"
@@ -124,7 +124,7 @@ def test_what_a_killed_process_left_in_a_folder_goes_with_the_next_run(tmp_path,
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_content_is_on_the_disk_before_the_name_is(tmp_path, monkeypatch, folder):
+def test_content_is_synced_before_the_rename(tmp_path, monkeypatch, folder):
     synced = []
     monkeypatch.setattr(
         "bubbleviz.files.output_files.sync",
@@ -139,6 +139,6 @@ def test_content_is_on_the_disk_before_the_name_is(tmp_path, monkeypatch, folder
     assert ("a" in [name for name, _ in synced]) == folder
 
 
-def test_no_cell_of_a_table_is_a_formula(tmp_path):
+def test_table_cells_are_never_formulas(tmp_path):
     write_rows(tmp_path / "a.csv", [{"name": "=1+1", "x": -1.5}, {"name": "\udcff", "x": 2}])
     assert (tmp_path / "a.csv").read_text().split() == ["name,x", "'=1+1,-1.5", r"\udcff,2"]

@@ -7,7 +7,7 @@ from bubbleviz.files import angles_of_pose, pose_of_angles
 QUARTER = np.pi / 2
 
 
-def test_angles_turn_about_fixed_x_then_y_then_z():
+def test_angles_rotate_about_fixed_x_then_y_then_z():
     T = pose_of_angles(np.array([0.1, 0.2, 0.3]), np.array([QUARTER, 0.0, QUARTER]))
     # y turns to z about x, and z stays where it is about z
     np.testing.assert_allclose(T @ [0.0, 1.0, 0.0, 1.0], [0.1, 0.2, 1.3, 1.0], atol=1e-12)
@@ -15,6 +15,6 @@ def test_angles_turn_about_fixed_x_then_y_then_z():
     np.testing.assert_allclose(T @ [1.0, 0.0, 0.0, 1.0], [0.1, 1.2, 0.3, 1.0], atol=1e-12)
 
 
-def test_angles_of_a_pose_are_those_it_was_made_of():
+def test_angles_of_a_pose_round_trip():
     angles = np.array([0.3, -0.7, 2.9])
     np.testing.assert_allclose(angles_of_pose(pose_of_angles(np.zeros(3), angles)), angles)

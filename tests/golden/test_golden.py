@@ -25,11 +25,11 @@ def compare(rows, golden, rtol=1e-3, force_atol=1e-5):
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_a_simulated_press(name):
+def test_simulated_press_equals_stored_results(name):
     compare(simulated(name), GOLDEN[name])
 
 
-def test_the_real_press():
+def test_real_press_equals_stored_results():
     if not PRESS.is_dir():
         pytest.skip("punyo_press_a is not on this machine")
     # at the onset, contacts of two or three nodes hang on the last digits

@@ -52,7 +52,7 @@ def test_a_single_part_is_always_contact():
 
 
 @pytest.mark.parametrize("frame", [64, 65, 66, 67])
-def test_the_real_press_is_one_contact_in_each_frame_by_itself(punyo_press, frame):
+def test_real_press_is_one_contact_in_every_frame(punyo_press, frame):
     """While it is loaded; its gas pressure needs no zero."""
     source = Recording(punyo_press)
     pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), source.intrinsics)

@@ -80,7 +80,7 @@ def two_balls():
     return mesh, contact.displacement_3d_m, truth
 
 
-def test_small_contacts_on_a_coarse_mesh_are_as_large_as_by_the_equations_of_the_meridian():
+def test_area_of_small_contacts_on_a_coarse_mesh_equals_the_meridian_solution():
     errors = {}
     for solver in (None, "rubber-base"):
         pipe = pipeline(400, solver=solver)
@@ -131,14 +131,14 @@ def test_contacts_of_the_linear_membrane_are_refined_too():
 
 
 @pytest.mark.parametrize("solver", ["paper", "fast", "linear-base", "rubber-base"])
-def test_some_solvers_take_the_mesh_of_the_sensor(solver):
+def test_some_solvers_use_the_mesh_of_the_sensor(solver):
     _, surface = on_axis(0.007)
     pipe = pipeline(solver=solver)
     pipe.process(frame_of(surface, np.zeros_like(surface.nodes)), PRODUCTS)
     assert "fine_contact" not in pipe.counts
 
 
-def test_force_and_pressure_of_the_estimate_stay():
+def test_refinement_keeps_force_and_pressure_of_the_estimate():
     _, surface = on_axis(0.005)
     image = frame_of(surface, np.zeros_like(surface.nodes))
     fine, coarse = (pipeline(solver=s).process(image, PRODUCTS) for s in (None, "rubber-base"))
@@ -152,7 +152,7 @@ def test_force_and_pressure_of_the_estimate_stay():
     assert load == pytest.approx(whole, rel=0.03)
 
 
-def test_the_parts_of_a_fine_patch_add_up_and_small_ones_can_be_left_out():
+def test_parts_of_a_refined_patch_add_up_and_small_ones_can_be_removed():
     mesh, motion, _ = two_balls()
     pipe = pipeline(400)
     result = pipe.process(frame_of(mesh, motion), PRODUCTS)
@@ -175,7 +175,7 @@ def test_the_parts_of_a_fine_patch_add_up_and_small_ones_can_be_left_out():
     assert not (one.node_mask & ~result.patch.node_mask).any()
 
 
-def test_where_the_rule_of_the_paper_is_chosen_nothing_is_refined_for_it():
+def test_no_refinement_for_the_threshold_of_the_paper():
     _, surface = on_axis(0.007)
     pipe = pipeline(800)
     pipe.process(frame_of(surface, np.zeros_like(surface.nodes)), PRODUCTS, patch_options(2.0))
@@ -183,7 +183,7 @@ def test_where_the_rule_of_the_paper_is_chosen_nothing_is_refined_for_it():
 
 
 @pytest.mark.parametrize(("relative", "kappa"), [(0.02, None), (NOISE_M / 0.065, 2.0)])
-def test_a_noisy_camera_and_the_rule_of_the_paper_take_the_mesh_of_the_sensor(relative, kappa):
+def test_noisy_camera_and_threshold_of_the_paper_use_the_mesh_of_the_sensor(relative, kappa):
     _, surface = on_axis(0.007)
     pipe = pipeline(800, relative)
     image = frame_of(surface, np.zeros_like(surface.nodes), relative * 0.065)
@@ -196,7 +196,7 @@ def test_a_noisy_camera_and_the_rule_of_the_paper_take_the_mesh_of_the_sensor(re
 
 @pytest.mark.parametrize("name", preset_names("sensors"))
 @pytest.mark.parametrize("solver", [None, "linear"])
-def test_shipped_sensors_are_as_fast_as_without(name, solver):
+def test_shipped_sensors_have_no_refinement_cost(name, solver):
     pipe = Pipeline.of(load_sensor(name), options=EstimatorOptions.named(solver))
     assert not mesh_limits(pipe.estimator)
 
@@ -228,7 +228,7 @@ def test_the_same_rubber_on_finer_triangles_has_the_same_energy_and_forces():
     assert np.sum(same.force(fine_x) * finer.values(moved)) == pytest.approx(work, rel=1e-9)
 
 
-def test_a_part_of_a_mesh_ends_in_held_nodes_and_covers_its_triangles():
+def test_submesh_ends_in_fixed_nodes_and_covers_its_triangles():
     mesh = mesh_cap(spherical_cap(A, H), 300)
     inside = np.hypot(*mesh.nodes[mesh.triangles].mean(axis=1)[:, :2].T) < 0.6 * A
     chosen = np.hypot(*mesh.nodes[mesh.triangles].mean(axis=1)[:, :2].T) < 0.3 * A

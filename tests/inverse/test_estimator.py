@@ -120,7 +120,7 @@ def test_seeking_and_playing_have_the_same_solution():
         assert np.max(np.abs(a.displacement_m - other.displacement_m)) < 1e-5
 
 
-def test_an_unfinished_solution_is_reported(sphere, monkeypatch):
+def test_solution_that_did_not_converge_is_reported(sphere, monkeypatch):
     monkeypatch.setattr("bubbleviz.inverse.paper.MOST_ITERATIONS", 10)
     estimate = first(estimator(200, "paper"), sphere.depth(0.002))
     assert estimate.status == "not_converged" and np.isnan(estimate.force_n).all()
@@ -183,7 +183,7 @@ def test_an_unknown_solver_is_refused_by_name():
 @pytest.mark.parametrize(
     ("name", "instead"), [("osqp", "use paper"), ("osqp-cold", "use"), ("clarabel", "use linear")]
 )
-def test_a_dropped_solver_says_since_when_and_what_to_use(name, instead):
+def test_removed_solver_names_its_version_and_replacement(name, instead):
     with pytest.raises(InputError, match=rf"{name}: .* in 0\.3.*{instead}"):
         EstimatorOptions.named(name)
 

@@ -24,7 +24,7 @@ def on(x, y, radius=0.008):
     return np.where(away < radius, 3000.0, 0.0)
 
 
-def test_two_slides_and_a_spin_of_each_contact_lie_in_the_membrane():
+def test_friction_modes_are_two_translations_and_a_rotation_per_contact():
     one, other = on(0.0, 0.0), on(0.03, 0.01, 0.006)
     loads = loads_of(one + other)
     assert loads.shape == (len(DOME.nodes), 3, 6)
@@ -41,7 +41,7 @@ def test_two_slides_and_a_spin_of_each_contact_lie_in_the_membrane():
     assert np.hypot(*torque[:2]) < 0.05 * abs(torque[2])
 
 
-def test_a_contact_of_one_node_slides_and_does_not_spin():
+def test_contact_of_one_node_has_no_rotation_mode():
     pressure = np.zeros(len(DOME.nodes))
     pressure[np.argmin(np.hypot(DOME.nodes[:, 0], DOME.nodes[:, 1]))] = 1e4
     loads = loads_of(pressure)
@@ -67,7 +67,7 @@ def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist)
     assert np.linalg.norm(without.force_n - truth.force_n) > 0.08 * size or not without.trusted
 
 
-def test_a_long_drag_is_followed_by_depth_alone():
+def test_long_drag_is_tracked_by_depth_alone():
     eyes, path = Eyes(1000), press("puck", 0.004)[0]
     for truth in path.along([Motion(np.array([1.0, 0.4, 0.0]) * k * 1e-3) for k in range(5)]):
         estimate = eyes.pipeline.process(eyes.see(truth), PRODUCTS).estimate

@@ -59,7 +59,7 @@ FULL = [
     [SHORT, *(pytest.param(*case, marks=pytest.mark.long) for case in FULL)],
     ids=lambda value: noise_name(value) if isinstance(value, DepthNoise) else str(value),
 )
-def test_on_simulated_rubber(name, obj, share, noise):
+def test_invariance_on_simulated_rubber(name, obj, share, noise):
     short = (name, obj, share, noise) == SHORT
     make = membranes.specimen if "sheet" in name else specimen
     grid = Grid(truth_nodes=900 if short else 2_600)
@@ -83,7 +83,7 @@ def test_on_simulated_rubber(name, obj, share, noise):
 
 
 @pytest.mark.long  # in short: on simulated rubber, above
-def test_on_the_real_press(punyo_press):
+def test_invariance_on_the_real_press(punyo_press):
     sensor = load_sensor("punyo_oval_d405")
     with Recording(punyo_press) as recording:
         frames = [recording[k] for k in range(62, 90, 4)]

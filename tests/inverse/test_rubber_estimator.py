@@ -98,7 +98,7 @@ def error(estimate, force):
     ("depth", "ball"),
     [pytest.param(0.003, BALL, marks=pytest.mark.long), (0.009, BALL), (0.006, np.inf)],
 )
-def test_against_the_equations_of_the_meridian(depth, ball):
+def test_force_and_pressure_equal_the_meridian_solution(depth, ball):
     """Force, gas pressure, pressure under a plate and shape, on two meshes."""
     exact, surface = oracle(depth, ball)
     image = seen(surface, np.zeros(len(surface.nodes)), NOISE_M)
@@ -331,7 +331,7 @@ def test_the_patch_overlaps_the_true_contact_and_its_band_holds_the_edge(name, l
     np.testing.assert_array_equal(patch.force_n, estimate.force_n)
 
 
-def test_the_patch_is_as_large_as_by_the_equations_of_the_meridian():
+def test_patch_area_equals_the_meridian_solution():
     """Without bias on a mesh as coarse as the contacts are small, at little and at much noise."""
     R = (A**2 + H**2) / (2 * H)
     for noise_m in (0.5 * NOISE_M, 5.0 * NOISE_M):

@@ -61,7 +61,7 @@ def both(k, shift=0):
 
 
 @pytest.mark.parametrize("shift", [0, PERIOD // 4, -PERIOD // 4])
-def test_a_frame_has_the_colour_of_its_time_and_before_once_it_is_asked_for(shift):
+def test_frame_has_the_colour_of_its_time_once_subscribed(shift):
     assembler = FrameAssembler()
     assembler.follow_colour()
     found = frames_of(assembler, *(m for k in range(8) for m in both(k, shift)))
@@ -105,7 +105,7 @@ def test_a_newer_frame_ends_the_wait_for_colour():
 
 
 @pytest.mark.parametrize("ahead", [0, 2, 14])
-def test_a_delay_of_the_sensor_pairs_the_frames_of_one_moment(ahead, small_sensor):
+def test_colour_delay_pairs_simultaneous_frames(ahead, small_sensor):
     """Colour shows the moment `ahead` frames later; up to half a second of images are kept."""
     delay_s = -1e-9 * ahead * PERIOD
     pipeline = Pipeline.of(with_colour_delay(small_sensor, delay_s))
@@ -132,7 +132,7 @@ def test_a_frame_waits_for_a_colour_image_that_is_late():
     assert level(frame, delay_s) == 12
 
 
-def test_the_camera_is_told_and_a_named_topic_counts():
+def test_colour_camera_is_known_and_a_topic_can_be_chosen():
     info = arrived("/cam/depth/camera_info", INFO, camera_info(NOW), NOW)
     assembler = FrameAssembler()
     assembler.follow_colour()
@@ -146,7 +146,7 @@ def test_the_camera_is_told_and_a_named_topic_counts():
     assert level(found[-1]) == 200
 
 
-def test_garbage_is_said_when_it_is_asked_for():
+def test_undecodable_colour_is_reported_on_demand():
     assembler = FrameAssembler()
     assembler.follow_colour()
     messages = [*both(0), depth(NOW + PERIOD, 1, topic="/cam/depth/image")]
@@ -158,7 +158,7 @@ def test_garbage_is_said_when_it_is_asked_for():
 
 
 @pytest.mark.parametrize("before", [True, False])
-def test_what_is_recorded_has_colour(tmp_path, small_sensor, before):
+def test_recording_includes_colour(tmp_path, small_sensor, before):
     path = recorded(tmp_path / "rec.mcap", [m for k in range(5) for m in both(k)])
     recorder, copy = Recorder(), tmp_path / "copy.mcap"
     stream = open_stream(f"replay:{path}?speed=1000", small_sensor, any_size=True)
@@ -219,7 +219,7 @@ def test_a_robot_sends_colour_only_to_subscribers(small_sensor):
         assert tokens
 
 
-def test_why_a_frame_has_no_colour_is_said(tmp_path, small_sensor):
+def test_reason_for_missing_colour(tmp_path, small_sensor):
     """Not asked for, awaited, or not there: three words."""
     said = []
     for colours, asked in ((1, False), (1, True), (0, True)):
@@ -291,7 +291,7 @@ POSE = np.array(
         ("elsewhere", np.eye(4), True),
     ],
 )
-def test_the_pose_of_the_colour_camera_is_that_of_tf_static(frame_id, pose, remark):
+def test_pose_of_the_colour_camera_from_tf_static(frame_id, pose, remark):
     """Sent once, before anybody asks for colour; what nothing places is said."""
     assembler = FrameAssembler()
     assembler.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
@@ -367,7 +367,7 @@ def realsense_file(tmp_path_factory):
     return record_realsense(path, RECORDED, POSE)
 
 
-def test_colour_of_a_realsense_camera_asked_for_later(realsense_file, small_sensor):
+def test_colour_of_a_realsense_camera_subscribed_later(realsense_file, small_sensor):
     """After a few images the file begins again, with colour; let go of, that comes no more."""
     stream = open_stream(f"realsense:{realsense_file}?loop=1", small_sensor)
     heard: list[Message] = []
@@ -398,7 +398,7 @@ def test_colour_of_a_realsense_camera_asked_for_later(realsense_file, small_sens
         assert stream.counters.undecodable == 0
 
 
-def test_poses_told_without_end_are_kept_within_bounds():
+def test_repeated_static_poses_use_bounded_memory():
     """A publisher may invent frames of reference for ever; the one that was told last counts."""
     poses = StaticPoses()
     for k in range(30):

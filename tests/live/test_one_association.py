@@ -67,7 +67,7 @@ def beside(frame):
     ],
     ids=["another clock", "jitter", "near the last", "far from it", "colour"],
 )
-def test_a_recording_and_its_stream_have_the_same_values_for_each_frame(tmp_path, messages, has):
+def test_recording_and_stream_have_the_same_values_for_each_frame(tmp_path, messages, has):
     messages = sorted(messages, key=lambda message: message.arrival_ns)
     assembler = FrameAssembler()
     assembler.follow_colour()

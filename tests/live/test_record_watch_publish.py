@@ -63,7 +63,7 @@ def has_frames(path):
         return False
 
 
-def test_record_for_a_while(tmp_path, small_sensor_file):
+def test_record_for_a_duration(tmp_path, small_sensor_file):
     out = tmp_path / "rec.mcap"
     source, sensor = "synthetic:?rate=100&frames=4", str(small_sensor_file)
     words = ("--sensor", sensor, "--out", str(out), "--duration", "0.6", "--json")
@@ -80,7 +80,7 @@ def test_record_for_a_while(tmp_path, small_sensor_file):
     assert (again / "metadata.yaml").exists()
 
 
-def test_stopping_record_leaves_a_whole_file(tmp_path, small_sensor_file, eventually):
+def test_stopping_record_leaves_a_complete_file(tmp_path, small_sensor_file, eventually):
     out = tmp_path / "rec.mcap"
     source = "synthetic:?rate=100&frames=4"
     process = start(
@@ -130,7 +130,7 @@ def test_images_of_another_camera_are_refused_in_one_line(tmp_path):
     assert "no preset has a camera of 64×48 pixels" in done.stderr
 
 
-def test_nothing_arrived_is_said_and_leaves_no_file(tmp_path, monkeypatch):
+def test_recording_without_messages_is_reported_and_leaves_no_file(tmp_path, monkeypatch):
     monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
     record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
@@ -148,9 +148,7 @@ def test_nothing_arrived_is_said_and_leaves_no_file(tmp_path, monkeypatch):
     assert not out.exists()
 
 
-def test_a_source_is_published_watched_and_recorded_with_its_results(
-    tmp_path, small_sensor_file, eventually
-):
+def test_publish_watch_and_record_a_source_with_results(tmp_path, small_sensor_file, eventually):
     """Simulation → Zenoh → watch → recording, in processes of their own."""
     sensor, port = str(small_sensor_file), free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
@@ -230,7 +228,7 @@ def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_f
 
 @pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-6e3, True)])
 @pytest.mark.parametrize("zero", ["--zero", "--no-zero"])
-def test_a_gas_pressure_beyond_weather_is_warned_of(
+def test_warning_for_a_gas_pressure_beyond_weather(
     tmp_path, small_sensor_file, off_pa, warned, zero
 ):
     path, sensor = tmp_path / "rec.mcap", str(small_sensor_file)
@@ -354,7 +352,7 @@ def test_publishing_is_refused_in_one_line():
 
 
 @pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", 0), ("0.0.0.0", 1)])
-def test_an_endpoint_open_to_other_computers_is_warned_of(small_sensor_file, host, warned):
+def test_warning_for_an_endpoint_open_to_other_computers(small_sensor_file, host, warned):
     done = run(
         *("publish", "--source", "synthetic:", "--sensor", str(small_sensor_file)),
         *("--duration", "0.1", "--listen", f"tcp/{host}:{free_port()}"),
@@ -364,7 +362,7 @@ def test_an_endpoint_open_to_other_computers_is_warned_of(small_sensor_file, hos
     assert done.stderr.count("NOT ENCRYPTED") == warned
 
 
-def test_the_soak_in_small(small_sensor_file, tmp_path):
+def test_short_soak(small_sensor_file, tmp_path):
     """Every image in the file, by the publisher's count; `benchmarks.window live` takes longer."""
     out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5
     report = soak(str(small_sensor_file), seconds, 60.0, out)
@@ -377,7 +375,7 @@ def test_the_soak_in_small(small_sensor_file, tmp_path):
     assert "0 missing" in report.to_text()
 
 
-def test_the_soak_sees_what_is_missing_and_a_soak_without_a_solved_frame_says_so(tmp_path):
+def test_soak_reports_missing_messages_and_missing_results(tmp_path):
     """The count that decides is not blind: a file with a hole has a hole."""
     messages = [depth(NOW + k * PERIOD, k)._replace(sequence=k) for k in (5, 6, 8, 8, 9)]
     path = recorded(tmp_path / "rec.mcap", messages)
@@ -391,7 +389,7 @@ def test_the_soak_sees_what_is_missing_and_a_soak_without_a_solved_frame_says_so
         report_of(nothing, path, 0.0, 60.0)
 
 
-def test_plain_commands_load_nothing_of_this():
+def test_other_commands_do_not_import_live_libraries():
     code = (
         "import sys, bubbleviz.cli.command_line, bubbleviz.pipeline\n"
         "import bubbleviz.recordings.recording\n"

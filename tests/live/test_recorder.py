@@ -89,7 +89,7 @@ def test_markers_and_notes_are_kept_with_their_time(tmp_path):
     assert all(before <= at <= after for _, at in found)
 
 
-def test_the_seconds_before_are_recorded_too(tmp_path):
+def test_pre_roll_is_recorded(tmp_path):
     recorder = Recorder(pre_roll_s=1.0)
     for k in range(90):
         recorder.push(depth(NOW + k * PERIOD, k))

@@ -54,7 +54,7 @@ def decoded(messages):
     return {m.topic: STORE.deserialize_cdr(m.payload, m.type) for m in messages}
 
 
-def test_patch_and_force_are_what_was_estimated(pipeline, pressed):
+def test_messages_have_patch_and_force_of_the_estimate(pipeline, pressed):
     found = decoded(ResultMessages(pipeline.mesh, "/bubbleviz/left").of(pressed))
     assert sorted(found) == ["/bubbleviz/left/contact_patch", "/bubbleviz/left/contact_wrench"]
     cloud, stamped = found["/bubbleviz/left/contact_patch"], found["/bubbleviz/left/contact_wrench"]
@@ -92,7 +92,7 @@ def test_without_contact_the_force_is_zero_and_the_patch_empty(small_sensor, pip
     assert [wrench.force.z, wrench.torque.x] == [0.0, 0.0]
 
 
-def test_a_pose_is_published_where_there_is_one(pipeline, pressed):
+def test_pose_is_published_if_known(pipeline, pressed):
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     T[:3, 3] = [0.01, -0.02, 0.05]
@@ -111,7 +111,7 @@ def test_a_pose_is_published_where_there_is_one(pipeline, pressed):
     assert POSE == "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
-def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(pipeline, pressed):
+def test_untrusted_estimate_is_not_published(pipeline, pressed):
     doubtful = replace(pressed.estimate, status="implausible", reason="another sensor")
     result = replace(pressed, estimate=doubtful)
     messages = ResultMessages(pipeline.mesh)
@@ -124,7 +124,7 @@ def test_nothing_is_published_of_an_estimate_that_is_not_to_be_trusted(pipeline,
     )
 
 
-def test_diagnostics_tell_state_and_counts(pipeline, pressed):
+def test_diagnostics_have_state_and_counters(pipeline, pressed):
     messages = ResultMessages(pipeline.mesh)
     counters = Counters(received=7, undecodable=2, problem="/cam: garbage")
     implausible = replace(pressed, estimate=replace(pressed.estimate, status="implausible"))
@@ -149,7 +149,7 @@ def test_diagnostics_tell_state_and_counts(pipeline, pressed):
     }
 
 
-def test_results_arrive_over_zenoh_and_only_where_asked_for(pipeline, pressed, eventually):
+def test_results_arrive_over_zenoh_only_at_the_endpoint(pipeline, pressed, eventually):
     messages = list(ResultMessages(pipeline.mesh).of(pressed))
     hashes = {kind: STORE.hash_rihs01(kind) for kind in (CLOUD, WRENCH)}
     patch = f"3/bubble/contact_patch/sensor_msgs::msg::dds_::PointCloud2_/{hashes[CLOUD]}"
@@ -163,7 +163,7 @@ def test_results_arrive_over_zenoh_and_only_where_asked_for(pipeline, pressed, e
 # -- the zero of the gas pressure ---------------------------------------------------------------
 
 
-def test_a_zero_is_learned_in_one_rest_and_only_then():
+def test_zero_is_learned_in_one_contact_free_run():
     zero = PressureZero(103_900.0)
     frame = Frame(0, 0.0, np.zeros((2, 2)), gas_pressure_pa=102_400.0)
     unknown = zero.applied(frame)
@@ -214,7 +214,7 @@ class Weather(LiveSource):
         self.sent += 1
 
 
-def test_weather_is_not_contact(small_sensor):
+def test_weather_does_not_appear_as_contact(small_sensor):
     """Solved live on another day, with the zero and without."""
     worst = {}
     for zeroed in (False, True):
@@ -237,7 +237,7 @@ def test_weather_is_not_contact(small_sensor):
     assert worst[False].get("implausible", 0) > 20
 
 
-def test_a_recording_is_zeroed_unless_told_not_to(small_sensor, small_sensor_file, tmp_path):
+def test_recording_is_zeroed_by_default(small_sensor, small_sensor_file, tmp_path):
     """A recording of a day with 800 Pa less: `--no-zero-gas` believes it."""
     path, source = tmp_path / "rec.mcap", press(small_sensor, 200)
     with RecordingWriter(path) as writer:
@@ -255,7 +255,7 @@ def test_a_recording_is_zeroed_unless_told_not_to(small_sensor, small_sensor_fil
         assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
 
 
-def test_what_is_said_where_there_is_no_zero(small_sensor_file, small_sensor, tmp_path):
+def test_message_without_a_zero(small_sensor_file, small_sensor, tmp_path):
     """Without a gas pressure there is none to take; without a rest it is the weather's."""
     source = press(small_sensor, 200)
     for name, frames, measured, says in (
@@ -295,7 +295,7 @@ def test_a_source_that_stopped_is_stale_within_a_second(link, silent, state):
     assert status_of(link, silent).state == state
 
 
-def test_a_zero_that_is_waited_for_asks_about_few_frames_of_a_contact():
+def test_pending_zero_checks_few_frames_during_contact():
     zero, asked = PressureZero(1e5), 0
     for _ in range(60):
         if zero.wants_next():

@@ -6,7 +6,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.live import open_stream, parse_uri
 
 
-def test_a_source_is_taken_apart():
+def test_uri_is_parsed():
     uri = parse_uri("zenoh:tcp/10.0.0.7:7447?depth=/cam/depth&lag=-0.01&info=%3F")
     assert (uri.scheme, uri.place) == ("zenoh", "tcp/10.0.0.7:7447")
     options = uri.options
@@ -15,7 +15,7 @@ def test_a_source_is_taken_apart():
 
 
 @pytest.mark.parametrize("place", ["/a/b#1.mcap", "//host/a.mcap", "C:/a%20b.mcap"])
-def test_a_place_is_as_it_was_given(place):
+def test_path_of_a_uri_is_kept(place):
     assert parse_uri(f"replay:{place}?loop=1").place == place.replace("%20", " ")
 
 
@@ -43,7 +43,7 @@ def test_a_place_is_as_it_was_given(place):
         ("realsense:0123456789", "RealSense"),
     ],
 )
-def test_refusals_are_one_line_that_names_the_source(source, says, small_sensor, tmp_path):
+def test_errors_are_one_line_with_the_source(source, says, small_sensor, tmp_path):
     with pytest.raises(InputError, match=says.replace("(", r"\(")) as caught:
         open_stream(source, small_sensor)
     assert "\n" not in str(caught.value)

@@ -51,7 +51,7 @@ def recording(tmp_path):
     return recorded(tmp_path / "rec.mcap", messages)
 
 
-def test_the_simulation_streams_stamped_with_the_present(small_sensor):
+def test_simulation_streams_with_current_time_stamps(small_sensor):
     with open_stream("synthetic:?rate=100&frames=4&noise=0", small_sensor) as stream:
         first = stream.take(60.0)
         assert abs(time.time_ns() - first.stamp_ns) < 30 * SECOND
@@ -64,7 +64,7 @@ def test_the_simulation_streams_stamped_with_the_present(small_sensor):
     assert stream.counters.bad_stamps == 0
 
 
-def test_every_round_repeats_the_frames_with_new_stamps(small_sensor, eventually):
+def test_every_loop_repeats_the_frames_with_new_stamps(small_sensor, eventually):
     seen: list[Message] = []
     stream = open_stream("synthetic:?rate=100&frames=3&encoding=16UC1", small_sensor)
     stream.listen(seen.append)
@@ -82,7 +82,7 @@ def test_every_round_repeats_the_frames_with_new_stamps(small_sensor, eventually
     assert beside >= set(stamps)
 
 
-def test_on_the_fly_is_the_same_simulation(small_sensor):
+def test_simulation_on_the_fly_equals_the_precomputed_one(small_sensor):
     depths = []
     for ahead in (0, 1):
         source = f"synthetic:sphere?rate=200&frames=3&seed=4&ahead={ahead}&prefix=/left"
@@ -95,7 +95,7 @@ def test_on_the_fly_is_the_same_simulation(small_sensor):
     np.testing.assert_array_equal(depths[0], depths[1])
 
 
-def test_newest_wins_and_what_is_passed_by_is_counted(small_sensor, eventually):
+def test_only_the_newest_frame_is_delivered_and_skipped_ones_counted(small_sensor, eventually):
     seen: list[Message] = []
     stream = open_stream("synthetic:?rate=200&frames=3", small_sensor)
     stream.listen(seen.append)
@@ -143,7 +143,7 @@ def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(recording, event
     assert source.problem == ""
 
 
-def test_a_looped_replay_goes_on(recording, small_sensor):
+def test_looped_replay_continues(recording, small_sensor):
     stream = open_stream(f"replay:{recording}?loop=1&speed=20", small_sensor, any_size=True)
     with stream:
         for _ in range(1000):
@@ -154,7 +154,7 @@ def test_a_looped_replay_goes_on(recording, small_sensor):
     assert (counters.bad_stamps, counters.out_of_order, counters.duplicate) == (0, 0, 0)
 
 
-def test_another_camera_s_recording_is_counted_not_solved(recording, eventually):
+def test_recording_of_another_camera_is_counted_not_solved(recording, eventually):
     stream = open_stream(f"replay:{recording}?speed=50", load_sensor("pico_flexx_75mm"))
     with stream:
         eventually(lambda: stream.status().state == "ended")
@@ -185,7 +185,7 @@ def test_point_clouds_are_recorded_and_read_again(tmp_path, rows):
 # -- two fingers --------------------------------------------------------------------------------
 
 
-def test_the_nut_is_in_one_place_for_both_fingers():
+def test_nut_has_the_same_world_pose_for_both_fingers():
     """T_W_O through either finger is the same while they are closed, by the preset's own poses."""
     session = load_session("dual_nut")
     left, right = session.sensors
@@ -224,7 +224,7 @@ def sent_pressures(path, topic):
     return [STORE.deserialize_cdr(m.data, PRESSURE).fluid_pressure for _, _, m in messages]
 
 
-def test_two_sensors_are_recorded_into_one_file_and_told_apart(
+def test_two_sensors_are_recorded_into_one_file_with_separate_topics(
     small_sensor_file, tmp_path, eventually
 ):
     places = [
@@ -285,7 +285,7 @@ def realsense_file(tmp_path_factory):
     return record_realsense(tmp_path_factory.mktemp("realsense") / "camera.db3", 12)
 
 
-def test_a_file_of_the_realsense_sdk_is_played_and_looped(realsense_file, small_sensor):
+def test_realsense_sdk_file_is_replayed_and_looped(realsense_file, small_sensor):
     messages: list[Message] = []
     stream = open_stream(f"realsense:{realsense_file}", small_sensor)
     stream.listen(messages.append)
@@ -315,7 +315,7 @@ def test_without_the_package_one_line_says_what_to_install(small_sensor, monkeyp
         open_stream("realsense:", small_sensor)
 
 
-def test_without_a_camera_one_line_says_so(small_sensor):
+def test_missing_camera_gives_one_line(small_sensor):
     rs = pytest.importorskip("pyrealsense2")
     if len(rs.context().query_devices()):
         pytest.skip("a RealSense camera is plugged in")

@@ -67,7 +67,7 @@ def watched(*frames):
 
 
 @pytest.mark.long
-def test_force_torque_and_slip_are_those_of_the_puck():
+def test_force_torque_and_slip_of_a_known_puck():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     summary, truth, said = ShearSummary(), stuck("puck", 0.004, 0.001, 8.0), []
     free = range(COLLECTED + 1)  # at the first the source is not known to have colour
@@ -90,7 +90,7 @@ def test_force_torque_and_slip_are_those_of_the_puck():
     assert "± " in text and "its direction has not been verified" in text
 
 
-def test_images_before_a_contact_are_left_out_as_colour_shows_it_first():
+def test_images_just_before_contact_are_not_used_as_reference():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     free = LAG + 5
     frames = [frame_of(k) for k in (*range(free), HELD, HELD + 1)]
@@ -103,7 +103,7 @@ def test_images_before_a_contact_are_left_out_as_colour_shows_it_first():
     ]
 
 
-def test_without_colour_it_is_depth_alone_and_says_so():
+def test_without_colour_depth_alone_is_reported():
     eyes, summary, truth = Eyes(), ShearSummary(), stuck("puck", 0.004, 0.001, 8.0)
     seen = [eyes.rest(), eyes.see(truth), eyes.see(truth, 1)]
     lens = eyes.pipeline.camera.intrinsics
@@ -126,7 +126,7 @@ def test_without_colour_it_is_depth_alone_and_says_so():
         (["--shear"], "shear requires the exact membrane; choose --solver rubber"),
     ],
 )
-def test_what_is_asked_in_vain_is_said(tmp_path, options, said):
+def test_impossible_options_are_reported(tmp_path, options, said):
     own = write_small_sensor(tmp_path / "small.toml")
     press = write_press(tmp_path / "press.mcap", own)
     found = CliRunner().invoke(

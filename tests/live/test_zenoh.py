@@ -46,7 +46,7 @@ def first_frame(stream, send):
 
 
 @pytest.mark.parametrize("layout", ["rmw", "dds"])
-def test_topics_are_found_and_frames_made(layout, small_sensor):
+def test_topics_are_discovered_and_frames_assembled(layout, small_sensor):
     port = free_port()
     with robot(port, layout=layout), stream_of(port, small_sensor) as stream:
         found = [stream.take(30.0) for _ in range(10)]
@@ -100,7 +100,7 @@ def test_hostile_announcements_and_types_do_not_stop_the_source(small_sensor, tm
 
 
 @pytest.mark.parametrize("raw_too", [False, True])
-def test_compressed_depth_is_asked_for_where_there_is_no_other(small_sensor, raw_too):
+def test_compressed_depth_is_used_without_raw_depth(small_sensor, raw_too):
     """Else the robot would have to compress every image for nobody."""
     port, topics = free_port(), set[str]()
     squeezed, raw = "cam/depth/image/compressedDepth", "cam/depth/image"
@@ -124,7 +124,7 @@ def test_compressed_depth_is_asked_for_where_there_is_no_other(small_sensor, raw
     assert topics == {f"/{raw if raw_too else squeezed}"}
 
 
-def test_the_robot_is_killed_and_comes_back(small_sensor, tmp_path, eventually):
+def test_killed_robot_reconnects(small_sensor, tmp_path, eventually):
     """Each time frames come again, and every image that arrived is in the file."""
     port, rng = free_port(), random.Random(5)
     arrived: list[int] = []
@@ -167,7 +167,7 @@ def test_the_robot_is_killed_and_comes_back(small_sensor, tmp_path, eventually):
         np.testing.assert_array_equal(own, np.arange(own[0], own[0] + len(own)))
 
 
-def test_a_robot_that_hangs_is_stale_and_comes_back(small_sensor, eventually):
+def test_hanging_robot_is_stale_and_recovers(small_sensor, eventually):
     port = free_port()
     with robot(port) as process, stream_of(port, small_sensor) as stream:
         assert stream.take(30.0) is not None
@@ -180,7 +180,7 @@ def test_a_robot_that_hangs_is_stale_and_comes_back(small_sensor, eventually):
         assert stream.status().state == "live"
 
 
-def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
+def test_invalid_messages_are_counted(small_sensor, eventually):
     port = free_port()
     with robot(port, 0, "bad"), stream_of(port, small_sensor) as stream:
         eventually(
@@ -206,7 +206,7 @@ def test_what_no_camera_sends_is_counted_and_survived(small_sensor, eventually):
         eventually(lambda: stream.counters.wrong_type == 1)
 
 
-def test_through_a_router_as_rmw_zenoh_has_it(small_sensor, eventually):
+def test_connection_through_an_rmw_zenoh_router(small_sensor, eventually):
     """Nodes are peers that gossip through a router; we are its client, here and on other hosts."""
     port = free_port()
     with open_session(str(port), "router"), open_session(str(port), "node") as node:
@@ -229,7 +229,7 @@ def test_through_a_router_as_rmw_zenoh_has_it(small_sensor, eventually):
             token.undeclare()
 
 
-def test_what_a_publisher_counted_and_never_arrived_is_missed(small_sensor, eventually):
+def test_messages_lost_by_sequence_number_are_counted(small_sensor, eventually):
     port = free_port()
     key = KEYS["rmw"]["/cam/depth"]
     with open_session(str(port)) as node, stream_of(port, small_sensor, "?depth=/cam/depth") as s:
@@ -240,7 +240,7 @@ def test_what_a_publisher_counted_and_never_arrived_is_missed(small_sensor, even
         assert s.counters.missed == 4
 
 
-def test_two_sensors_share_nothing(small_sensor):
+def test_two_sensors_are_independent(small_sensor):
     ports = free_port(), free_port()
     with (
         robot(ports[0]),
@@ -255,7 +255,7 @@ def test_two_sensors_share_nothing(small_sensor):
         assert depths[0] < 20.0 < depths[1]
 
 
-def test_only_this_computer_can_connect(small_sensor, eventually):
+def test_default_endpoint_is_local_only(small_sensor, eventually):
     """Who connects listens nowhere, who listens does so where it is told to."""
     port, other = free_port(), free_port()
     with robot(port), stream_of(port, small_sensor) as stream:
@@ -298,7 +298,7 @@ def test_endpoints_are_refused_in_one_line(small_sensor):
 
 
 @pytest.mark.parametrize("option", ["depth=/cam/*", "colour=/cam//rgb", "pressure=a%20b"])
-def test_a_topic_chosen_that_cannot_exist_is_refused_in_one_line(small_sensor, option):
+def test_invalid_topic_name_is_refused_in_one_line(small_sensor, option):
     with pytest.raises(InputError, match="is not a topic name; give one such as") as caught:
         open_stream(f"zenoh:?listen=tcp/127.0.0.1:{free_port()}&{option}", small_sensor).start()
     assert "\n" not in str(caught.value)
@@ -320,7 +320,7 @@ def told(small_sensor, eventually):
     return ask
 
 
-def test_who_refuses_a_session_is_told_from_who_is_not_there(
+def test_refused_and_unreachable_endpoints_are_distinguished(
     small_sensor, certificates, eventually, told
 ):
     """Zenoh says of either only that it cannot connect."""
@@ -405,7 +405,7 @@ def listener(endpoint, credentials):
     return zenoh_session.open_session(SessionOptions("robot", None, endpoint, credentials))
 
 
-def test_our_keys_are_the_ones_robots_use():
+def test_key_expressions_match_those_of_rmw_zenoh():
     """Ours against those spelled out in robot.py."""
     for layout in ("rmw", "dds"):
         kinds = {}

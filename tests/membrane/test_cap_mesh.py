@@ -43,7 +43,7 @@ def test_shape_and_count(name, nodes):
 
 
 @pytest.mark.parametrize("name", CAPS)
-def test_mesh_is_one_disc_facing_out(name):
+def test_mesh_is_a_disc_with_outward_normals(name):
     mesh = mesh_cap(CAPS[name], 400)
     edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
@@ -54,7 +54,7 @@ def test_mesh_is_one_disc_facing_out(name):
     assert (np.einsum("ij,ij->i", mesh.facet_vectors, middles) > 0.0).all()
 
 
-def test_no_direction_is_preferred():
+def test_mesh_is_isotropic():
     """Edges point everywhere alike: second moments of their azimuths vanish over the dome's top."""
     mesh = mesh_cap(spherical_cap(A, 0.02 * A), 3000)
     edges = mesh.nodes[mesh.triangles[:, [1, 2, 0]]] - mesh.nodes[mesh.triangles]
@@ -70,7 +70,7 @@ def test_ellipsoidal_cap_with_equal_axes_is_the_spherical_cap():
     np.testing.assert_allclose(given.semi_axes, [0.0585, 0.0416, 0.0437], atol=2e-4)
 
 
-def test_same_mesh_every_time():
+def test_mesh_is_deterministic():
     cap = CAPS["paper"]
     first = mesh_cap(cap, 3000)
     np.testing.assert_array_equal(first.nodes, mesh_cap(cap, 3000).nodes)
@@ -98,7 +98,7 @@ def test_refined_mesh_keeps_area_volume_and_rim():
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.0, 0.6))
-def test_refining_some_triangles_keeps_the_surface_whole(seed, share):
+def test_local_refinement_keeps_the_surface_connected(seed, share):
     mesh = mesh_cap(CAPS["oval"], 200)
     chosen = np.random.default_rng(seed).random(len(mesh.triangles)) < share
     fine = refine(mesh, chosen)

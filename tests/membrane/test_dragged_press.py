@@ -19,7 +19,7 @@ def truths(press, frames=FRAMES):
     return mesh, list(dragged_truths(rubber, gas_of, mesh, press, frames))
 
 
-def test_a_sticking_ball_carries_its_contact_along():
+def test_sticking_ball_drags_its_contact():
     mesh, found = truths(DraggedPress("sphere", 0.004, drag_m=0.001, friction=5.0))
     assert len(found) == FRAMES and len(found[-1].mesh.nodes) > len(mesh.nodes)
     assert np.isnan(found[0].slip_share(1e-6)) and np.isnan(found[0].center_m).all()
@@ -34,7 +34,7 @@ def test_a_sticking_ball_carries_its_contact_along():
     assert after.slip_share(5e-5) < 0.25
 
 
-def test_a_twisted_ball_slips_more_and_more_where_friction_is_small():
+def test_twisted_ball_slips_progressively_at_low_friction():
     _, found = truths(DraggedPress("sphere", 0.004, twist_rad=np.radians(20.0), friction=0.3))
     shares = np.array([truth.slip_share(5e-5) for truth in found[-5:]])
     assert (np.diff(shares) > -1e-3).all() and shares[0] < 0.1 < 0.3 < shares[-1]

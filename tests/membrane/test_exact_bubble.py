@@ -45,7 +45,7 @@ def test_the_contact_force_balances_rim_and_gas(ball, depth):
 
 
 @pytest.mark.parametrize("ball", [np.inf, BALL])
-def test_work_of_the_force_goes_into_film_and_gas(ball):
+def test_work_of_the_force_equals_energy_of_film_and_gas(ball):
     """F dδ = γ0 dS − P_gauge dV along the path of equilibria."""
     depth, step = 0.010, 1e-4
     low, middle, high = (pressed(depth + k * step, ball) for k in (-1, 0, 1))
@@ -79,7 +79,7 @@ def linear_press(mesh, depth):
     return force, contact.gas_pressure_change_pa
 
 
-def test_linear_model_is_right_for_small_depth_and_its_error_grows():
+def test_error_of_the_linear_model_grows_with_depth():
     mesh = mesh_cap(spherical_cap(PAPER.rim_radius_m, PAPER.height_m), 9_000)
     depths = (0.002, 0.005, 0.010, 0.020, 0.030) if "TEST_ALL" in os.environ else SOME
     errors = []

@@ -67,7 +67,7 @@ def test_areas_add_up_to_the_sphere():
 
 
 @pytest.mark.parametrize("height", [0.02 * A, H, A, 2 * A])
-def test_cap_volume_is_that_of_the_sphere(height):
+def test_cap_volume_equals_the_analytic_one(height):
     exact = np.pi * height * (3 * A**2 + height**2) / 6
     errors = [
         abs(mesh_cap(spherical_cap(A, height), n).cap_volume() / exact - 1) for n in (800, 3200)
@@ -89,7 +89,7 @@ def test_first_order_volume_change_is_area_times_displacement():
 
 
 @pytest.mark.parametrize("height", [0.2 * A, H, A])
-def test_tension_is_young_laplace(height):
+def test_tension_obeys_young_laplace(height):
     radius = (A**2 + height**2) / (2 * height)
     exact = 2585.5 * radius / 2
     for nodes in (800, 3200):  # curvature at single nodes is rough: 0.1 % stays

@@ -53,7 +53,7 @@ def assert_equilibrium(contact):
 # -- the bound from the object ------------------------------------------------------------------
 
 
-def test_gap_to_a_ball_is_that_of_line_and_sphere(mesh):
+def test_gap_to_a_ball_equals_the_line_sphere_distance(mesh):
     pose = at(0.01, -0.005, H - 0.004)
     gap = GapFinder(mesh).gaps(load_object("sphere"), pose)
     centre = pose[:3, 3] + [0.0, 0.0, 0.015]
@@ -85,7 +85,7 @@ def test_gap_takes_the_lowest_part_of_a_thin_object(mesh):
 
 
 @pytest.mark.parametrize("name", ["hex_nut", "torus"])
-def test_an_object_whose_normals_point_inward_bounds_the_same(mesh, name):
+def test_object_with_inward_normals_gives_the_same_bounds(mesh, name):
     obj, finder = load_object(name), GapFinder(mesh)
     turned = RigidObject(name, obj.vertices, obj.triangles[:, ::-1])
     same = finder.gaps(turned, at(z=H - 0.004))
@@ -117,7 +117,7 @@ def test_bad_pose_is_refused(mesh, kind):
         GapFinder(mesh).gaps(load_object("sphere"), pose)
 
 
-def test_inward_is_a_node_s_own_as_far_as_halfway_through_the_chamber():
+def test_gap_search_reaches_halfway_through_the_chamber():
     """Of a sphere's cap: halfway to the rim's cylinder, or a rim radius behind the rim."""
     radius, height = 0.05, 0.045
     cap = mesh_cap(spherical_cap(radius, height), 800)
@@ -133,7 +133,7 @@ def test_inward_is_a_node_s_own_as_far_as_halfway_through_the_chamber():
     assert (side < down)[inside].any() and (down < side)[inside].any()
 
 
-def test_an_object_that_no_normal_line_meets_bounds_nothing(mesh):
+def test_object_not_hit_by_normals_gives_no_bounds(mesh):
     gap = GapFinder(mesh).gaps(load_object("sphere"), at(0.5, 0.0, -0.3))
     assert np.isinf(gap).all()
 
@@ -217,7 +217,7 @@ def test_force_balance_and_signs(mesh):
     assert contact.gas_pressure_change_pa == pytest.approx(p, rel=1e-9)
 
 
-def test_no_object_no_change(mesh):
+def test_without_an_object_nothing_changes(mesh):
     contact = ForwardModel(mesh, TENSION, gas_of(mesh)).press(load_object("sphere"), at(z=0.06))
     assert_equilibrium(contact)
     assert np.abs(contact.displacement_m).max() < 1e-15
@@ -297,7 +297,7 @@ def test_sliver_meshes_reach_equilibrium(mesh):
 
 
 @pytest.mark.parametrize("seed", [268, 1165, 1244])
-def test_the_last_wrong_node_rule_terminates_where_the_active_set_cycles(seed):
+def test_fallback_rule_terminates_where_the_active_set_cycles(seed):
     """Dense positive definite matrices, no M-matrices, on which exchanging all wrong cycles."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(3, 14))

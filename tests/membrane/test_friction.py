@@ -83,7 +83,7 @@ def shear_modulus(prestretch):
 
 
 @pytest.mark.parametrize("prestretch", [1.1, 1.5])
-def test_a_stuck_disc_twists_a_flat_sheet_as_an_annulus(prestretch):
+def test_twist_of_a_stuck_disc_equals_the_annulus_solution(prestretch):
     """T = 4π μh θ a²b²/(b² − a²).
 
     Circles that turn by θ(r) shear the stretched sheet by γ = r θ′, which leaves det C as it is and
@@ -132,7 +132,7 @@ def annulus_stiffness(prestretch):
 
 
 @pytest.mark.parametrize("prestretch", [1.1, 1.5])
-def test_a_stuck_disc_is_dragged_through_a_flat_sheet_as_through_an_annulus(prestretch):
+def test_drag_of_a_stuck_disc_equals_the_annulus_solution(prestretch):
     way = 1e-5
     pulled, _ = moved_by_a_disc(flat_sheet(48, 16, prestretch), way, 0.0)
     assert pulled[0] == pytest.approx(way * annulus_stiffness(prestretch), rel=0.01)
@@ -177,7 +177,7 @@ def test_without_friction_the_press_does_not_change():
     np.testing.assert_allclose(force(slippery), force(free), atol=1e-3 * -force(free)[2])
 
 
-def test_a_sliding_plate_is_dragged_by_mu_times_its_load():
+def test_sliding_plate_has_tangential_force_mu_times_load():
     """Everything slips: |t| = μ f_n at each node, and the whole drags on against the motion."""
     membrane, gas = dome(300)
     friction = 0.2
@@ -206,7 +206,7 @@ def test_sticking_and_slipping_takes_few_factorisations():
     assert sum(contact.iterations for contact in contacts) < 90
 
 
-def test_a_sticking_object_takes_the_membrane_along():
+def test_sticking_object_moves_the_membrane():
     """Nodes that touched before move as the object does, while |t| ≤ μ f_n at all of them."""
     membrane, gas = dome(300)
     model = RubberForward(membrane, gas)

@@ -11,7 +11,7 @@ RADIUS_M = float(np.linalg.norm(MESH.nodes[MESH.rim][:, :2], axis=1).max())
 
 
 @pytest.mark.parametrize("share", [0.05, 0.4, -0.7])
-def test_a_linear_field_has_its_level_all_along_one_line(share):
+def test_level_line_of_a_linear_field_is_straight(share):
     across = np.array([0.6, 0.8, 0.0])
     pieces = level_line(MESH.nodes, MESH.corners, MESH.nodes @ across, share * RADIUS_M)
     np.testing.assert_allclose(pieces @ across, share * RADIUS_M, atol=1e-12)

@@ -85,7 +85,7 @@ def test_every_format_gives_the_same_membrane(tmp_path, cap, name):
     assert (np.einsum("ij,ij->i", outward, mesh.normals[~mesh.rim]) > 0.95).all()
 
 
-def test_polygons_are_cut(tmp_path):
+def test_polygons_are_triangulated(tmp_path):
     path = tmp_path / "quads.ply"
     path.write_text(
         "ply\nformat ascii 1.0\nelement vertex 7\nproperty float x\nproperty float y\n"
@@ -138,7 +138,7 @@ def test_broken_mesh_is_refused_in_one_line(cap, kind):
     assert "\n" not in str(caught.value)
 
 
-def test_of_hole_and_rim_the_hole_is_named(cap):
+def test_hole_is_distinguished_from_the_rim(cap):
     inner = np.flatnonzero(~cap.rim[cap.triangles].any(axis=1))[0]
     i, j, k = cap.triangles[inner]
     named = "|".join(f"{a}–{b}" for a, b in ((i, j), (j, i), (j, k), (k, j), (k, i), (i, k)))
@@ -150,7 +150,7 @@ def test_of_hole_and_rim_the_hole_is_named(cap):
     (25.0, 0.0, None), (35.0, 0.0, "tilted 35°"),
     (0.0, 0.012, None), (0.0, 0.018, "rim lies at z = 0.018 m"), (0.0, -0.018, "z = -0.018 m"),
 ])  # fmt: skip
-def test_a_drawing_may_be_a_little_off(cap, tilt_deg, lift, words):
+def test_small_deviations_of_the_rim_are_accepted(cap, tilt_deg, lift, words):
     """By 30°, and by a tenth of the rim's width of 150 mm."""
     c, s = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
     nodes = cap.nodes @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + [0.0, 0.0, lift]
@@ -182,7 +182,7 @@ def test_unreadable_files_are_refused(tmp_path, cap, capfd):
     assert capfd.readouterr() == ("", "")  # the readers print nothing of their own
 
 
-def test_a_sliver_is_refused_whichever_way_it_points(cap):
+def test_sliver_triangle_is_refused_in_any_orientation(cap):
     """Sliver of height 1e-7 of its length, along directions whose components cancel or add up."""
     nodes, triangles = cap.nodes.copy(), cap.triangles
     inner = np.flatnonzero(~cap.rim[triangles].any(axis=1))[0]

@@ -27,7 +27,7 @@ def some_nodes(share):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.5, 1.0])
-def test_connected_parts_are_those_of_the_graph(share):
+def test_connected_components_equal_those_of_networkx(share):
     mask = some_nodes(share)
     nodes = np.flatnonzero(mask)
     count, part = connected_parts(MESH.rings, mask)
@@ -36,12 +36,12 @@ def test_connected_parts_are_those_of_the_graph(share):
     assert np.array_equal(part[:, None] == part, label[:, None] == label)
 
 
-def test_a_set_grows_by_the_neighbours_of_its_nodes():
+def test_dilation_adds_the_neighbours():
     mask = some_nodes(0.1)
     assert np.array_equal(grown(MESH.rings, mask), mask | (EDGES @ mask.astype(float) > 0.0))
 
 
-def test_parts_of_sparse_matrices_are_those_that_indexing_gives():
+def test_sparse_submatrices_equal_those_by_indexing():
     nodes = np.flatnonzero(some_nodes(0.3))
     laplacian = cotangent_laplacian(MESH)
     assert np.array_equal(dense_part(laplacian, nodes), laplacian[nodes][:, nodes].toarray())

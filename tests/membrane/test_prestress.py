@@ -93,7 +93,7 @@ def oval(nodes):
     return mesh_cap(EllipsoidalCap.of((0.0557, 0.0396), 0.0305, 0.0437), nodes)
 
 
-def test_oval_is_in_balance_where_no_one_tension_holds_it():
+def test_oval_is_in_equilibrium_with_varying_tension():
     """What is left of the load, averaged over a tenth of the height: an eighth of before."""
     mesh = oval(1500)
     field = prestressed(mesh, 5000.0, 400.0)
@@ -138,7 +138,7 @@ def test_membrane_of_a_sensor():
     assert stretch == pytest.approx(1.2, abs=5e-3)
 
 
-def test_stress_that_rubber_cannot_carry_is_carried_by_more_of_it():
+def test_unphysical_stress_is_carried_by_thicker_rubber():
     mesh = oval(300)
     membrane = prestressed(mesh, 5000.0, 100.0)  # less than the tension
     assert membrane.mu_h.mean() > 105.0 and membrane.mean_tension > 100.0
@@ -151,7 +151,7 @@ def test_flat_membrane_is_refused():
         Prestress.of(flat, GAUGE)
 
 
-def test_map_of_a_sphere_is_the_stereographic_one():
+def test_map_of_a_sphere_is_stereographic():
     """A conformal map, and harmonic ones of a disc to a circle are unique."""
     mesh = mesh_cap(spherical_cap(A, H), 1500)
     disc = disc_map(mesh)
@@ -172,7 +172,7 @@ def test_zernike_polynomials_are_orthonormal_over_the_disc():
     np.testing.assert_allclose(values.T @ (weight[:, None] * values), np.eye(45), atol=1e-12)
 
 
-def test_the_gauge_pressure_is_counted_once_in_what_is_not_known(punyo):
+def test_gauge_pressure_uncertainty_is_counted_once(punyo):
     """γ0's interval holds what the gauge pressure's does: together the variants spread as it."""
     sensor, mesh, tension = punyo
     known = sensor.calibration
@@ -183,7 +183,7 @@ def test_the_gauge_pressure_is_counted_once_in_what_is_not_known(punyo):
     assert np.hypot(*moved) == pytest.approx((high - low) / (2 * 1.96), rel=0.05)
 
 
-def test_gauge_pressure_and_tension_that_are_off_by_the_same_share_leave_the_stretch(punyo):
+def test_proportional_errors_of_gauge_pressure_and_tension_keep_the_stretch(punyo):
     """Young–Laplace: the stress-free shape is that of their ratio."""
     sensor, mesh, tension = punyo
     usual, by_gauge = build_rubber(sensor, mesh, tension), varied_rubber(sensor, mesh, tension)[1]

@@ -126,7 +126,7 @@ def test_reference_surface_has_its_tension_and_holds_its_pressure(prestretch):
     assert pull[2] == pytest.approx(GAUGE * 0.5 * np.sum(x * v - u * y), rel=5e-3)
 
 
-def test_far_stretched_rubber_is_the_linear_membrane():
+def test_highly_stretched_rubber_equals_the_linear_membrane():
     """λ → ∞: ∂W/∂x is γ0 × cotangent Laplacian, the paper's stiffness, at any shape."""
     mesh = mesh_cap(spherical_cap(A, H), 200)
     membrane = RubberMembrane.uniform(mesh, GAUGE, TENSION, 100.0)
@@ -135,7 +135,7 @@ def test_far_stretched_rubber_is_the_linear_membrane():
     np.testing.assert_allclose(membrane.force(x), linear, atol=1e-7 * np.abs(linear).max())
 
 
-def test_sprung_rim_gives_the_slack_under_the_tension():
+def test_elastic_rim_gives_slack_under_tension():
     mesh = mesh_cap(spherical_cap(A, H), 400)
     slack = 2e-4
     membrane = RubberMembrane.uniform(mesh, GAUGE, TENSION, 1.2, slack)

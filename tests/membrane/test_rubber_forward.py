@@ -72,7 +72,7 @@ def test_dome_pressed_by_plate_and_ball(depth, ball):
 
 
 @pytest.mark.parametrize("ball", [np.inf, BALL])
-def test_bulged_sheet_whose_tension_varies(ball):
+def test_bulged_sheet_with_varying_tension(ball):
     truth = AxialRubber(A, 60.0, 1.3, GAUGE)
     along, around = truth.rest.tensions_n_per_m[-1]
     assert around < 0.8 * along
@@ -96,7 +96,7 @@ def test_without_prestretch_it_is_a_film_of_constant_tension():
     assert np.median(contact.contact_pressure_pa[touching]) == pytest.approx(held, rel=0.02)
 
 
-def test_small_press_on_a_flat_one_is_the_linear_model():
+def test_small_press_on_a_flat_sheet_equals_the_linear_model():
     """λ → ∞ and little curvature: the paper's model is the limit."""
     height = 0.02 * A
     mesh = mesh_cap(spherical_cap(A, height), 600)
@@ -141,7 +141,7 @@ def test_contact_rim_and_gas_are_in_balance(slack):
 
 
 @pytest.mark.parametrize("prestretch", [1.05, 1.5])
-def test_work_of_the_object_is_the_energy_stored(prestretch):
+def test_work_of_the_object_equals_the_stored_energy(prestretch):
     """F = dE/dδ of a cylinder's flat end, which touches the same nodes in all three presses."""
     model, step = forward(300, prestretch), 1e-6
     depth = 0.004
@@ -154,7 +154,7 @@ def test_work_of_the_object_is_the_energy_stored(prestretch):
     assert force(middle) == pytest.approx(work, rel=1e-5)
 
 
-def test_a_nut_keeps_the_edges_between_its_sides_and_a_ball_is_smooth():
+def test_nut_keeps_sharp_edges_and_ball_is_smooth():
     """Normals 0.3 mm from an edge of 60° are those of the sides; a ball's point away from it."""
     nut, turn = load_object("hex_nut"), np.radians(60.0 * np.arange(6))
     mid = 0.5 * (nut.vertices[:, 2].min() + nut.vertices[:, 2].max())
@@ -202,7 +202,7 @@ def test_a_sharp_edge_is_rounded_by_the_radius_asked_for():
 
 
 @pytest.mark.parametrize("rounding_m", [0.0, 5e-4])
-def test_an_object_whose_normals_point_inward_is_the_same(rounding_m):
+def test_object_with_inward_normals_gives_the_same_press(rounding_m):
     obj = load_object("hex_nut")
     turned = replace(obj, triangles=obj.triangles[:, ::-1])
     rng = np.random.default_rng(0)
@@ -218,7 +218,7 @@ def test_an_object_whose_normals_point_inward_is_the_same(rounding_m):
     np.testing.assert_allclose(other.gap[clear], one.gap[clear], atol=1e-8)
 
 
-def test_a_sheet_is_met_from_either_side_and_not_beside_its_edge():
+def test_sheet_is_contacted_from_both_sides_within_its_edge():
     """It has no inside: the side of the membrane is outside; its plane ends at its edge."""
     square = plate(half=0.01)
     for order in ([0, 1, 2], [0, 2, 1]):
@@ -230,7 +230,7 @@ def test_a_sheet_is_met_from_either_side_and_not_beside_its_edge():
         np.testing.assert_allclose(found.normal[:2], -out[:2], atol=1e-9)
 
 
-def test_a_point_past_the_middle_of_a_thin_plate_goes_back_the_way_it_came():
+def test_point_beyond_the_middle_of_a_thin_plate_returns_to_its_side():
     """Nearer to the far side: that one's normal looks along the membrane's, not against it."""
     slab = plate(half=0.02, thickness=2e-3)
     points = np.array([[1e-3, 2e-3, 0.4e-3], [3e-3, -2e-3, 1.7e-3]])
@@ -258,7 +258,7 @@ def test_a_press_takes_few_factorisations():
     assert count < 75
 
 
-def test_if_the_linear_model_fails_the_object_moves_in_from_outside():
+def test_without_the_linear_model_the_object_approaches_from_outside():
     """A ring deep in at the side: no Newton from the linear equilibrium gets there."""
     model = forward(200, 1.5)
     assert_equilibrium(model.press(load_object("torus"), pose(0.02, 0.0, H - 0.012)))
@@ -284,7 +284,7 @@ def test_a_press_does_not_depend_on_earlier_poses():
 
 
 @pytest.mark.parametrize(("chamber", "stable"), [(1e-5, True), (10.0, False)])
-def test_film_beyond_the_hemisphere_is_held_by_little_gas_alone(chamber, stable):
+def test_film_beyond_the_hemisphere_is_stable_only_with_little_gas(chamber, stable):
     """A soap bubble of more than half a sphere grows at constant pressure."""
     height = 1.4 * A
     mesh = mesh_cap(spherical_cap(A, height), 400)

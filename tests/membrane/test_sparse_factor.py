@@ -28,7 +28,7 @@ def dense(matrix, data):
     return sparse.csc_array((data, matrix.indices, matrix.indptr), shape=matrix.shape).toarray()
 
 
-def test_solutions_are_those_of_the_dense_matrix(matrix):
+def test_solutions_equal_those_of_the_dense_matrix(matrix):
     K, rng = matrix.toarray(), np.random.default_rng(1)
     factor = Factoriser(matrix).factor(matrix.data)
     one, some = rng.standard_normal(len(K)), rng.standard_normal((len(K), 4))
@@ -45,7 +45,7 @@ def test_solutions_are_those_of_the_dense_matrix(matrix):
 
 
 @pytest.mark.parametrize("negative", [0, 1, 5])
-def test_negative_directions_are_counted(matrix, negative):
+def test_negative_eigenvalues_are_counted(matrix, negative):
     lowered = matrix.toarray()
     values = np.linalg.eigvalsh(lowered)
     level = 0.5 * (values[negative - 1] + values[negative]) if negative else 0.0

@@ -22,7 +22,7 @@ def whole_motion(membrane, gas, forces):
 
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("reach_m", [0.3 * A, 0.6 * A, 3.0 * A])
-def test_small_forces_move_a_part_as_they_move_the_whole(reach_m, held):
+def test_submodel_responds_to_small_forces_like_the_full_model(reach_m, held):
     membrane, gas = dome(300)
     if held:
         gas = HeldPressure(0.0)
@@ -39,7 +39,7 @@ def test_small_forces_move_a_part_as_they_move_the_whole(reach_m, held):
     np.testing.assert_allclose(tangent.moved(missed[None])[0], exact, atol=1e-9 * H)
 
 
-def test_a_finer_part_moves_as_a_coarse_one_and_keeps_its_nodes():
+def test_refined_submodel_moves_like_the_coarse_one():
     membrane, gas = dome(600)
     motions = []
     for finer_m in (0.0, 0.3 * A):
@@ -61,7 +61,7 @@ def test_a_finer_part_moves_as_a_coarse_one_and_keeps_its_nodes():
 
 @pytest.mark.parametrize("give", [0.0, 1e-9, 3e-8])
 @pytest.mark.parametrize("growth", [-4e-5, 0.0, 6e-5])
-def test_gas_that_gives_way_obeys_boyle(growth, give):
+def test_compliant_gas_obeys_boyle(growth, give):
     gas = Gas(103_000.0, 5e-4, np.zeros(1))
     change, stiffness = gas.at(growth, give)
     assert (gas.P0 + change) * (gas.V0 + growth + give * change) == pytest.approx(gas.P0 * gas.V0)
@@ -70,7 +70,7 @@ def test_gas_that_gives_way_obeys_boyle(growth, give):
     assert stiffness == pytest.approx(slope, rel=1e-6)
 
 
-def test_work_on_the_gas_is_what_its_pressure_takes():
+def test_work_on_the_gas_is_the_integral_of_its_pressure():
     for gas in (Gas(103_000.0, 5e-4, np.zeros(1)), HeldPressure(-250.0)):
         way = np.linspace(0.0, -5e-5, 2001)
         work = -np.trapezoid([gas.at(v)[0] for v in way], way)

@@ -26,7 +26,7 @@ def test_velocity_is_learned_and_coasted():
     assert np.all(np.linalg.eigvalsh(later.covariance) > 0.0)
 
 
-def test_what_is_not_measured_stays_as_uncertain_as_it_was():
+def test_unmeasured_directions_keep_their_uncertainty():
     motion = Motion.at_rest(np.eye(4), START_DEVIATION, CENTER)
     seen = np.diag([0.0, 0.0, 1e10, 1e6, 1e6, 0.0])
     after = motion.corrected(motion.T_B_O, seen)
@@ -35,7 +35,7 @@ def test_what_is_not_measured_stays_as_uncertain_as_it_was():
     assert after.covariance[2, 2] < 2e-10
 
 
-def test_another_centre_is_another_name_for_the_same_motion():
+def test_change_of_centre_describes_the_same_motion():
     rotation = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
     T = np.eye(4)
     T[:3, :3] = rotation
@@ -47,7 +47,7 @@ def test_another_centre_is_another_name_for_the_same_motion():
     assert np.allclose(there.about(CENTER).covariance, here.covariance)
 
 
-def test_the_way_of_a_motion_is_the_longest_of_the_places_around():
+def test_motion_length_is_the_longest_displacement_around():
     rng, radius = np.random.default_rng(0), 0.02
     around = rng.standard_normal((2000, 3))
     around *= radius / np.linalg.norm(around, axis=1, keepdims=True)
@@ -63,7 +63,7 @@ def test_coasting_ends():
     assert np.allclose(moving.after(-1.0).T_B_O, np.eye(4))
 
 
-def test_coasting_is_that_of_an_unknown_steady_acceleration():
+def test_coasting_uncertainty_follows_unknown_acceleration():
     """F P Fᵀ and what accelerations drawn at random add: ½ a t² and a t, wholly correlated."""
     rng, dt = np.random.default_rng(0), 0.05
     root = rng.standard_normal((12, 12))
@@ -79,7 +79,7 @@ def test_coasting_is_that_of_an_unknown_steady_acceleration():
     np.testing.assert_allclose(noise / scale, seen / scale, atol=0.02)
 
 
-def test_a_correction_is_kalmans():
+def test_correction_equals_the_kalman_update():
     rng = np.random.default_rng(1)
     root, seen = rng.standard_normal((12, 12)), rng.standard_normal((6, 6))
     P, R = root @ root.T, seen @ seen.T + 0.1 * np.eye(6)
@@ -94,7 +94,7 @@ def test_a_correction_is_kalmans():
     np.testing.assert_allclose(after.information, np.linalg.inv(after.covariance[:6, :6]))
 
 
-def test_small_rotations_are_those_of_scipy():
+def test_small_rotations_equal_scipy():
     rng, still = np.random.default_rng(0), np.zeros(3)
     for angle in (0.0, 1e-10, 1e-5, 0.1, 1.5, 3.0, np.pi - 1e-6):
         axis = rng.standard_normal(3)
@@ -105,7 +105,7 @@ def test_small_rotations_are_those_of_scipy():
         np.testing.assert_allclose(motion_between(np.eye(4), turned, still)[3:], vector, atol=1e-8)
 
 
-def test_a_frame_widens_the_prediction_by_as_much_as_it_contradicts_it():
+def test_contradicting_frame_widens_the_prediction():
     """Frames off by as much as both covariances say leave it, k times as much multiply it by k²."""
     start = Motion.at_rest(np.eye(4), START_DEVIATION, np.zeros(3))
     P = start.covariance[:6, :6]

@@ -19,8 +19,8 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import study_object
 
 
-def test_closest_places_on_a_ball_are_radial():
-    model = ObjectSurface(study_object("sphere"))
+def test_closest_points_on_a_ball_are_radial():
+    model = ObjectSurface(made("sphere"))
     middle = np.array([0.0, 0.0, 0.015])
     away = np.random.default_rng(0).standard_normal((50, 3))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -39,8 +39,8 @@ def test_normals_do_not_smooth_over_an_edge():
     assert np.allclose(found.normal, [[0.0, 0.0, -1.0], side], atol=1e-4)
 
 
-def test_creases_of_a_nut_are_its_edges_and_not_those_of_its_mesh():
-    model = ObjectSurface(study_object("hex_nut"))
+def test_creases_of_a_nut_are_its_geometric_edges():
+    model = ObjectSurface(made("hex_nut"))
     points = np.asarray(model.creases.tree.data)
     radius = np.hypot(points[:, 0], points[:, 1])
     on_end = (points[:, 2] < 1e-6) | (points[:, 2] > 0.01 - 1e-6)
@@ -106,12 +106,12 @@ def prism(sides):
 
 
 @pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
-def test_a_prism_has_the_turns_of_its_polygon_and_as_many_flips(sides):
+def test_prism_has_rotations_and_flips_of_its_polygon(sides):
     assert len(symmetries(ObjectSurface(prism(sides)))) == 2 * sides
 
 
 @pytest.mark.parametrize("sides", [3, 4, 5, 6, 8])
-def test_a_pyramid_has_the_turns_of_its_polygon_alone(sides):
+def test_pyramid_has_only_rotations_of_its_polygon(sides):
     whole = prism(sides)
     base = whole.triangles[2 * sides : 3 * sides - 2]
     k = np.arange(sides)
@@ -141,7 +141,7 @@ def test_distances_are_those_of_a_signed_distance_field(name):
     assert np.median(np.abs(np.abs(found.signed_m) - np.abs(exact))[found.over]) < 1e-6
 
 
-def test_a_brick_lies_on_its_largest_faces_first():
+def test_brick_rests_on_its_largest_faces_first():
     x, y, z = np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij")
     corners = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     faces = ConvexHull(corners).simplices
@@ -153,7 +153,7 @@ def test_a_brick_lies_on_its_largest_faces_first():
 
 
 @pytest.mark.parametrize(("slope_deg", "both"), [(12.0, True), (6.0, False)])
-def test_a_roof_lies_on_both_slopes_unless_registration_turns_one_into_the_other(slope_deg, both):
+def test_roof_rests_on_both_slopes_unless_equivalent(slope_deg, both):
     slope = np.radians(slope_deg)
     gable = np.array([[-0.01, 0.0], [0.01, 0.0], [0.0, 0.01 * np.tan(slope)]])
     corners = np.array([[x, y, z] for y in (-0.02, 0.02) for x, z in gable])

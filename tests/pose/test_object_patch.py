@@ -52,32 +52,32 @@ def outline(model, seen, T):
     return found, lengths @ middles / lengths.sum(), np.linalg.norm(middles - T[:2, 3], axis=1)
 
 
-def test_the_patch_of_a_flat_face_ends_at_the_edge_of_the_face(model, seen):
+def test_patch_of_a_flat_face_ends_at_its_edge(model, seen):
     found, _, radius = outline(model, seen, upright())
     assert radius.mean() == pytest.approx(RADIUS_M, abs=4e-4)
     assert np.abs(radius - RADIUS_M).mean() < 0.15 * model.mesh.edge_length
     assert found.area_m2 == pytest.approx(np.pi * RADIUS_M**2, rel=0.1)
 
 
-def test_a_face_ends_at_its_edge_where_the_sides_lean_outward_too(model, seen):
-    finder = ObjectPatchFinder(model, ObjectSurface(study_object("frustum")))
+def test_patch_ends_at_the_edge_with_outward_leaning_sides(model, seen):
+    finder = ObjectPatchFinder(model, ObjectSurface(made("frustum")))
     found = finder.find(seen.estimate, seen.patch, Pose("ok", upright(z=0.044)))
     assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
 
 
-def test_the_outline_moves_with_the_object_though_the_depth_image_stays(model, seen):
+def test_outline_follows_the_pose_at_a_constant_depth_image(model, seen):
     _, here, _ = outline(model, seen, upright())
     _, there, _ = outline(model, seen, upright(x=0.0045))
     assert there - here == pytest.approx([1.5e-3, 0.0], abs=4e-4)
 
 
 @pytest.mark.parametrize("status", ["lost", "no_contact", "few_points", "no_data"])
-def test_without_a_pose_of_the_frame_there_is_none(model, seen, status):
-    finder = ObjectPatchFinder(model, ObjectSurface(study_object("cylinder")))
+def test_no_object_patch_without_a_pose_of_the_frame(model, seen, status):
+    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
     assert finder.find(seen.estimate, seen.patch, Pose(status, upright())) is None
 
 
-def test_it_is_found_when_asked_for_and_changes_no_pose(model, source):
+def test_object_patch_on_request_changes_no_pose(model, source):
     poses = []
     for products in (frozenset({"pose"}), OBJECT_PRODUCTS):
         pipeline = Pipeline(model)
@@ -89,7 +89,7 @@ def test_it_is_found_when_asked_for_and_changes_no_pose(model, source):
     np.testing.assert_array_equal(*poses)
 
 
-def test_a_lost_frame_has_none_and_the_next_object_its_own(model, source):
+def test_no_object_patch_when_lost_and_a_new_one_for_the_next_object(model, source):
     pipeline = Pipeline(model)
     pipeline.track(source.obj, upright())
     cylinder = pipeline.process(source[0], OBJECT_PRODUCTS)

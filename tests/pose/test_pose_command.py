@@ -48,7 +48,7 @@ def command(folder, out, *more, obj="frustum"):
     return run("pose", folder / "rec.mcap", *words, *more)
 
 
-def test_poses_are_those_of_the_simulation(folder):
+def test_poses_equal_those_of_the_simulation(folder):
     done = command(folder, "poses.csv", "--init", "0.006 0.001 0.037 0 0 0.05 0.99875", "--json")
     assert done.exit_code == 0, done.output
     text = (folder / "poses.csv").read_text()
@@ -68,7 +68,7 @@ def test_poses_are_those_of_the_simulation(folder):
     assert summary["median_fitness"] > 0.8
 
 
-def test_the_area_of_the_patch_by_the_object_is_a_column_when_asked_for(folder):
+def test_area_of_the_object_patch_is_an_optional_column(folder):
     more = ("--init", "0.004 0.002 0.038 0 0 0 1", "--object-patch", "--json")
     done = command(folder, "areas.csv", *more)
     assert done.exit_code == 0, done.output
@@ -109,7 +109,7 @@ def test_bad_input_is_one_line(folder, tmp_path):
     assert sorted(p.name for p in folder.glob("[a-e].csv")) == []
 
 
-def test_unit_of_the_file_may_be_named(folder, tmp_path):
+def test_unit_of_the_mesh_file_option(folder, tmp_path):
     block = tmp_path / "block.obj"
     corners = [f"v {x} {y} {z}" for z in (0, 40) for y in (-12.5, 12.5) for x in (-12.5, 12.5)]
     faces = ["f 1 3 4 2", "f 5 6 8 7", "f 1 2 6 5", "f 3 7 8 4", "f 1 5 7 3", "f 2 4 8 6"]

@@ -59,7 +59,7 @@ def pressed(pipeline, rubber, name, options=PRECISE):
     return PressedMembrane(rubber, gas, ObjectSurface(study_object(name)), options)
 
 
-def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
+def test_press_of_a_ball_equals_the_forward_model(pipeline, rubber, contact):
     found = pressed(pipeline, rubber, "sphere").press(pose(), contact)
     gas = pipeline.estimator.bubble.gas
     expected = RubberForward(rubber, gas).press(study_object("sphere"), pose())
@@ -74,7 +74,7 @@ def test_a_ball_presses_as_in_the_forward_model(pipeline, rubber, contact):
     assert np.linalg.norm(found.force_n - force) < 0.03 * np.linalg.norm(force)
 
 
-def test_slopes_are_what_the_membrane_does_when_the_object_moves(pipeline, rubber, contact):
+def test_jacobian_equals_finite_differences_of_the_membrane(pipeline, rubber, contact):
     membrane = pressed(pipeline, rubber, "cylinder")
     press = membrane.press(pose(), contact)
     normals = press.part.mesh.normals
@@ -94,7 +94,7 @@ def test_slopes_are_what_the_membrane_does_when_the_object_moves(pipeline, rubbe
         assert slope @ change / (change @ change) == pytest.approx(1.0, abs=off)
 
 
-def test_rounder_edges_let_the_membrane_out(pipeline, rubber, contact):
+def test_rounded_edges_release_the_membrane(pipeline, rubber, contact):
     puck = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     mesh = puck.part.mesh
     outward = np.einsum("ij,ij->i", puck.rounding, mesh.normals)
@@ -121,7 +121,7 @@ def test_edges_move_onto_the_rounded_object(pipeline, rubber, contact, radius_m)
     assert np.abs(touching.rounding[~touching.edge]).max() < 1e-12
 
 
-def test_from_pose_to_pose_as_from_the_start(pipeline, rubber, contact):
+def test_warm_start_equals_cold_start(pipeline, rubber, contact):
     membrane, there = pressed(pipeline, rubber, "cylinder"), pose(x=0.005, z=0.0395)
     membrane.press(pose(), contact)
     followed = membrane.press(there, contact)
@@ -131,7 +131,7 @@ def test_from_pose_to_pose_as_from_the_start(pipeline, rubber, contact):
     assert np.abs(followed.nodes - followed.part.mesh.nodes).max() > 8e-3
 
 
-def test_a_moved_object_is_followed_in_few_steps(pipeline, rubber, contact, monkeypatch):
+def test_moved_object_needs_few_steps(pipeline, rubber, contact, monkeypatch):
     """What touches stays in the tangent from pose to pose: 9 here, 15 where it is not kept."""
     membrane, count = pressed(pipeline, rubber, "cylinder", PressOptions()), []
     membrane.press(pose(), contact)
@@ -142,14 +142,14 @@ def test_a_moved_object_is_followed_in_few_steps(pipeline, rubber, contact, monk
     assert len(count) < 12
 
 
-def test_no_contact_and_the_membrane_is_at_rest(pipeline, rubber, contact):
+def test_without_contact_the_membrane_is_at_rest(pipeline, rubber, contact):
     press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), contact)
     assert np.abs(press.nodes - press.part.mesh.nodes).max() < 1e-6
     assert not press.slopes.any()
     assert not press.held.any()
 
 
-def test_a_measured_gas_pressure_holds_where_the_gas_law_does_not(pipeline, rubber, contact):
+def test_measured_gas_pressure_replaces_the_gas_law(pipeline, rubber, contact):
     gas = pipeline.estimator.bubble.gas
     by_law = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     more = pressed(pipeline, rubber, "cylinder").press(pose(), contact, gas.P0 + 1500.0)
@@ -158,7 +158,7 @@ def test_a_measured_gas_pressure_holds_where_the_gas_law_does_not(pipeline, rubb
     assert np.linalg.norm(more.force_n) > 1.2 * np.linalg.norm(by_law.force_n)
 
 
-def test_what_cannot_be_is_none(pipeline, rubber, contact):
+def test_impossible_press_is_none(pipeline, rubber, contact):
     far_in = pressed(pipeline, rubber, "cylinder").press(pose(), contact, float("inf"))
     assert far_in is not None  # not measured
     lost = replace(contact, membrane=np.full_like(contact.membrane, np.nan))
@@ -183,7 +183,7 @@ def image(pipeline, rubber, contact):
     return fit, fit.predicted(pose(), contact)
 
 
-def test_the_image_of_the_press_is_the_change_of_range(pipeline, rubber, contact, image):
+def test_image_of_the_press_equals_the_range_change(pipeline, rubber, contact, image):
     found = image[1]
     press, mesh = pressed(pipeline, rubber, "cylinder").press(pose(), contact), pipeline.mesh
     triangles = press.part.mesh.triangles
@@ -201,7 +201,7 @@ def test_the_image_of_the_press_is_the_change_of_range(pipeline, rubber, contact
         assert np.quantile(error, 0.95) < 0.03 * np.abs(derivative).max() + 3e-4  # single precision
 
 
-def test_a_step_is_least_squares_with_the_noise_that_the_image_has(contact, image):
+def test_step_is_weighted_least_squares_with_image_noise(contact, image):
     """Edges that may lie further back are left out of it."""
     fit, found = image
     options, rng, sigma = ImageOptions(), np.random.default_rng(0), 1e-3
@@ -228,7 +228,7 @@ def test_a_step_is_least_squares_with_the_noise_that_the_image_has(contact, imag
         assert off @ each.information @ off < 4.0  # χ² of 6, of which the image is trusted with 0.3
 
 
-def test_a_linear_model_serves_as_far_as_the_noise_hides_its_error(pipeline, rubber, contact):
+def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, contact):
     """The noisier the image, the less a pose is off by an old model over what it does not know."""
     every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
     observer, served = pipeline.estimator.observer, []
@@ -247,7 +247,7 @@ def test_a_linear_model_serves_as_far_as_the_noise_hides_its_error(pipeline, rub
     assert served[1] > 1.1 * served[0]
 
 
-def test_a_press_that_failed_is_not_tried_again_close_by(pipeline, rubber, contact):
+def test_failed_press_is_not_retried_nearby(pipeline, rubber, contact):
     membrane = pressed(pipeline, rubber, "cylinder")
     fit = ImageFit(pipeline.estimator.observer, membrane, ImageOptions())
     lost = replace(contact, membrane=np.full_like(contact.membrane, np.nan))

@@ -67,7 +67,7 @@ def frustum():
     return ObjectSurface(study_object("frustum"))
 
 
-def test_points_on_the_surface_give_the_pose_back(frustum):
+def test_points_on_the_surface_recover_the_pose(frustum):
     T = pose()
     contact = on_surface(frustum, T)
     start = moved(T, np.array([2e-3, -1e-3, 1e-3, 0.04, -0.05, 0.06]), contact.center)
@@ -81,7 +81,7 @@ def test_points_on_the_surface_give_the_pose_back(frustum):
     assert two.history[0, 0] <= two.history[-1, 0]
 
 
-def test_a_rigid_motion_of_everything_moves_the_answer_along(frustum):
+def test_registration_is_equivariant_to_rigid_motion(frustum):
     T = pose()
     contact = on_surface(frustum, T, keep=lambda p, n: n[:, 2] < -0.9)
     start = moved(T, np.array([1e-3, 1e-3, 2e-3, 0.05, -0.04, 0.02]), contact.center)
@@ -105,7 +105,7 @@ def test_contact_with_the_wrong_side_does_not_count(frustum):
     assert registration.stage_one(wrong, T, Prior(T, WEAK), iterations=1).fitness == 0.0
 
 
-def test_a_face_lies_at_the_mean_of_its_points_weighted_by_their_pressure_first():
+def test_face_is_placed_at_the_pressure_weighted_mean_first():
     """Stage one by force, stage two by area; how much the whole pressure is decides nothing."""
     slab = ObjectSurface(plate(half=0.02))
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-4e-3, 4e-3, 9)] * 2))
@@ -171,7 +171,7 @@ def found_directions(shape):
     return directions(surface_information(*touched(shape), np.zeros(3)), radius_m)
 
 
-def test_a_plane_slides_and_turns():
+def test_plane_has_two_translations_and_one_rotation_undetermined():
     found = found_directions("plane")
     assert found.determined.tolist() == [True] * 3 + [False] * 3
     assert np.allclose(found.open[[2, 3, 4]], 0.0, atol=1e-9)  # neither lifts nor tilts
@@ -182,7 +182,7 @@ def test_a_plane_slides_and_turns():
     assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
 
 
-def test_a_ball_spins_about_its_own_centre():
+def test_ball_has_three_rotations_undetermined():
     found = found_directions("ball")
     assert found.determined.tolist() == [True] * 3 + [False] * 3
     for motion in found.open.T:  # the middle stays where it is
@@ -191,7 +191,7 @@ def test_a_ball_spins_about_its_own_centre():
     assert shifts.shape == (0, 3) and turns.shape == (3, 3)
 
 
-def test_a_rod_slides_and_rolls():
+def test_rod_has_one_translation_and_one_rotation_undetermined():
     found = found_directions("rod")
     assert found.determined.sum() == 4
     assert np.allclose(found.open[[1, 2, 4, 5]], 0.0, atol=1e-9)
@@ -214,7 +214,7 @@ def test_jacobian_of_distances_is_their_derivative(frustum):
         assert np.median(np.abs(change - J[:, k])) < 2e-3 * max(1.0, np.abs(J[:, k]).max())
 
 
-def test_shifts_whose_turns_are_rounding_errors_are_no_turns():
+def test_translations_with_rounding_errors_are_not_rotations():
     motions = np.eye(6)[:, :2].copy()
     motions[3:] = 1e-9 * np.random.default_rng(0).standard_normal((3, 2))
     shifts, turns = open_axes(motions)
@@ -223,7 +223,7 @@ def test_shifts_whose_turns_are_rounding_errors_are_no_turns():
     assert [len(axes) for axes in open_axes(np.zeros((6, 0)))] == [0, 0]
 
 
-def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_is():
+def test_precision_is_the_worse_of_noise_and_model_error():
     """0.4 mm of error of the model over a patch of 3 mm; a pixel of 1 mm on each mm²."""
     noisy, exact = Precision(1e12, 1e-9), Precision(1e30, 3e-3)
     assert noisy.per_area == pytest.approx(1e12, rel=1e-3)
@@ -231,7 +231,7 @@ def test_precision_is_of_noise_where_that_is_worse_and_of_the_model_where_that_i
     assert Precision(exact.per_area, 3e-3).per_area == pytest.approx(0.5 * exact.per_area)
 
 
-def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
+def test_initial_poses_are_independent_of_the_object_origin(frustum):
     shift = np.array([0.03, -0.02, 0.05])
     away = ObjectSurface(replace(frustum.obj, vertices=frustum.obj.vertices + shift))
     tip = on_surface(frustum, pose(), keep=lambda points, normals: points[:, 2] < 1e-6)
@@ -241,7 +241,7 @@ def test_starts_do_not_hang_on_where_the_object_file_has_its_origin(frustum):
     assert differences.min(axis=0).max() < 1e-9  # faces that are alike come in any order
 
 
-def test_starts_turn_the_object_all_the_way_round():
+def test_initial_poses_cover_all_rotations():
     """An oblong slab on its large face: one of them is within half a step of 30° of the truth."""
     slab = plate(half=0.01)
     model = ObjectSurface(replace(slab, vertices=slab.vertices * [1.0, 0.5, 1.0]))
@@ -260,7 +260,7 @@ def test_starts_turn_the_object_all_the_way_round():
         assert np.linalg.norm(starts[near, :3, 3] - T[:3, 3]) < 1e-3
 
 
-def test_motions_undo_each_other():
+def test_opposite_motions_cancel():
     T, center = pose(), np.array([0.01, 0.02, 0.03])
     motion = np.array([1e-3, 2e-3, -3e-3, 0.1, -0.2, 0.3])
     assert np.allclose(motion_between(T, moved(T, motion, center), center), motion)
@@ -272,7 +272,7 @@ def test_motions_undo_each_other():
 
 
 @pytest.mark.parametrize("wrong", [0.0, 2.5e-3])
-def test_a_fit_ends_where_its_misfit_is_least(frustum, wrong):
+def test_fit_ends_at_the_smallest_misfit(frustum, wrong):
     """Moved any way from the end, noisy points fit worse: by steps, no derivative of ours."""
     T = pose()
     clean = on_surface(frustum, T, keep=lambda p, n: (n[:, 2] < -0.9) | (p[:, 2] < 0.02))

@@ -62,7 +62,7 @@ def blank(frame):
     return replace(frame, depth_m=np.full_like(frame.depth_m, np.nan))
 
 
-def test_followed_lost_and_found_again(pipeline, source):
+def test_tracking_loss_and_recovery(pipeline, source):
     off = moved(source.poses[0], np.array([2e-3, -1e-3, 1e-3, 0.05, 0.03, 0.05]), np.zeros(3))
     pipeline.track(source.obj, off)
     frames = [source[k] for k in range(FRAMES)]
@@ -105,7 +105,7 @@ def test_without_a_start_it_is_searched_for(pipeline, source):
     assert pose.T_B_O[2, 2] > np.cos(np.radians(4.0))
 
 
-def test_no_contact_and_no_data_are_said(pipeline, source, sensor):
+def test_status_without_contact_or_data(pipeline, source, sensor):
     far = np.eye(4)
     far[2, 3] = 1.0
     untouched = SyntheticSource(sensor, source.obj, far[None], nodes=4_000)[0]
@@ -126,8 +126,8 @@ def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
     assert pose.status == "few_points"
 
 
-def test_objects_that_cannot_be_are_refused(pipeline):
-    obj = study_object("frustum")
+def test_invalid_objects_are_refused(pipeline):
+    obj = made("frustum")
     with pytest.raises(InputError, match="millimetres"):
         pipeline.track(RigidObject("big", 1e3 * obj.vertices, obj.triangles))
     with pytest.raises(InputError, match="no area"):
@@ -144,7 +144,7 @@ def test_without_requests_nothing_runs(pipeline, source):
     assert pipeline.counts["pose"] == 0
 
 
-def test_without_a_pose_consumer_nothing_of_it_is_imported():
+def test_pose_libraries_are_imported_on_demand():
     program = """
 import sys
 import numpy as np
@@ -161,7 +161,7 @@ print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
     assert done.stdout.strip() == "[]"
 
 
-def test_rectified_ranges_slide_flat_faces_as_true_ones_do(sensor, tmp_path):
+def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):
     """A camera that shows changes of range too large on one side and too small on the other."""
     truth = np.eye(4)
     truth[:3, 3] = [0.003, -0.004, 0.038]

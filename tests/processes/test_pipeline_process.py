@@ -57,7 +57,7 @@ def gone(pid):
     return False
 
 
-def test_frames_have_the_answers_they_have_here(process, sensor_file, frames):
+def test_results_equal_those_of_a_local_pipeline(process, sensor_file, frames):
     here = Pipeline.of(load_sensor(sensor_file))
     here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)
     for frame in frames[1:]:
@@ -80,7 +80,7 @@ def test_frames_have_the_answers_they_have_here(process, sensor_file, frames):
     assert {each.estimate.status for each in (a, b)} == {"no_contact"}
 
 
-def test_they_are_solved_there_and_counted_here(process, pipeline, frames):
+def test_frames_are_solved_in_the_process_and_counted_locally(process, pipeline, frames):
     before = pipeline.counts["estimate"]
     pipeline.restart()
     cold = pipeline.estimate_once(frames[2])
@@ -94,7 +94,7 @@ def test_they_are_solved_there_and_counted_here(process, pipeline, frames):
     ("how", "words"),
     [(signal.SIGKILL, "the process ended with code -9"), (signal.SIGSTOP, "no answer for 1 s")],
 )
-def test_a_process_that_dies_or_hangs_costs_no_frame(process, frames, how, words):
+def test_crashed_or_hanging_process_loses_no_frame(process, frames, how, words):
     pid = process.pid
     assert pid is not None
     os.kill(pid, how)
@@ -105,7 +105,7 @@ def test_a_process_that_dies_or_hangs_costs_no_frame(process, frames, how, words
     assert process.pid is None and gone(pid)
 
 
-def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(process, frames):
+def test_frame_errors_are_raised_locally_and_the_process_continues(process, frames):
     wrong = Frame(7, 0.0, np.ones((3, 4), np.float32))
     with pytest.raises(InputError, match="frame 7: image is 4×3 pixels"):
         process.process(wrong, DEPTH_PRODUCTS)
@@ -113,14 +113,14 @@ def test_what_is_wrong_with_a_frame_is_said_as_here_and_the_process_goes_on(proc
     assert process.pid is not None and process.lost == ""
 
 
-def test_what_depth_alone_does_not_tell_is_made_here(process, frames):
+def test_products_needing_colour_are_computed_locally(process, frames):
     assert process.pid is not None
     os.kill(process.pid, signal.SIGKILL)
     assert process.process(frames[1], frozenset({"estimate", "pose"})).estimate is not None
     assert process.lost == ""  # nobody has noticed
 
 
-def test_closing_ends_it_also_while_it_is_built(pipeline, frames):
+def test_close_ends_the_process_even_during_startup(pipeline, frames):
     first = PipelineProcess(pipeline)
     pid = started(first, frames[0])
     first.close()

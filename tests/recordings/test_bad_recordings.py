@@ -34,7 +34,7 @@ def read_all(path):
             recording[k]
 
 
-def test_missing(tmp_path):
+def test_missing_file(tmp_path):
     assert "no such recording" in refusal(tmp_path / "nope.mcap")
     assert "no such recording" in refusal(tmp_path / ("x" * 5000))
 
@@ -47,7 +47,7 @@ def test_empty_file(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag", ".txt", ""])
-def test_something_else(tmp_path, suffix):
+def test_file_of_another_kind(tmp_path, suffix):
     path = tmp_path / f"rec{suffix}"
     path.write_bytes(b"not a recording at all, but some text\n" * 100)
     refusal(path)
@@ -153,7 +153,7 @@ def test_an_implausible_log_time_changes_no_frame_time(tmp_path, logged):
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 @pytest.mark.parametrize("indexed", [False, True])
-def test_a_file_that_unpacks_to_gigabytes_is_refused_before(tmp_path, compression, indexed):
+def test_decompression_bomb_is_refused(tmp_path, compression, indexed):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
     image = bytes(bag.store.serialize_cdr(bag.rows[0][3], IMAGE))
@@ -180,7 +180,7 @@ def test_a_file_that_unpacks_to_gigabytes_is_refused_before(tmp_path, compressio
         tracemalloc.stop()
 
 
-def test_payload_that_is_no_image(tmp_path):
+def test_payload_that_is_not_an_image(tmp_path):
     bag = BagMaker("mcap file")
     bag.image(START, depth_image(0))
     path = bag.write(tmp_path)
@@ -222,7 +222,7 @@ def test_a_truncated_mcap_of_rosbag2_opens(tmp_path, kind):
     [{}, {"index_types": IndexType.NONE}, {"use_chunking": False}],
     ids=["indexed", "without indexes", "without chunks"],
 )
-def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(tmp_path, options):
+def test_truncated_mcap_of_any_recorder_opens_up_to_the_cut(tmp_path, options):
     path = fill(BagMaker("mcap file"), frames=20).write(tmp_path)
     rewrite(path, **options)
     whole, found = path.read_bytes(), list[int]()
@@ -237,7 +237,7 @@ def test_an_mcap_of_any_recorder_opens_up_to_where_it_is_cut(tmp_path, options):
     assert found[0] == 0 and found[-1] == 20
 
 
-def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path):
+def test_last_complete_chunk_is_read_without_its_indexes(tmp_path):
     path, cut = fill(BagMaker("mcap file"), frames=20).write(tmp_path), tmp_path / "cut.mcap"
     rewrite(path)
     whole, frames = path.read_bytes(), 0
@@ -255,7 +255,7 @@ def test_the_last_whole_chunk_counts_though_its_indexes_are_lost(tmp_path):
     assert frames == 20
 
 
-def test_a_chunk_whose_checksum_is_another_is_refused(tmp_path):
+def test_chunk_with_a_wrong_checksum_is_refused(tmp_path):
     path = fill(BagMaker("mcap file")).write(tmp_path)
     rewrite(path)
     with path.open("rb") as file:
@@ -297,7 +297,7 @@ def frames_up_to_the_cut(path):
 @pytest.mark.parametrize(
     "kind", ["mcap file", "mcap folder", "mcap file lz4", "db3 file", "bag none", "bag bz2"]
 )
-def test_mutations_are_read_or_refused(tmp_path, kind):
+def test_mutated_files_are_read_or_refused(tmp_path, kind):
     """Flipped, overwritten, doubled and removed bytes: nothing but InputError comes out."""
     path = fill(BagMaker(kind.removesuffix(" lz4")), frames=2).write(tmp_path)
     if kind.endswith("lz4"):  # as our recorder writes

@@ -18,7 +18,7 @@ from bubbleviz.recordings import find_gaps
     st.integers(0, 2**31),
     st.floats(1e-3, 1.0),
 )
-def test_dropped_frames_are_counted_in_spite_of_jitter(total, dropped, jitter, seed, period):
+def test_dropped_frames_are_counted_despite_jitter(total, dropped, jitter, seed, period):
     kept = np.array([k for k in range(total) if k not in dropped or k >= total - 3])
     noise = np.random.default_rng(seed).uniform(-jitter, jitter, total)
     gaps = find_gaps((kept + noise[kept]) * period)
@@ -27,18 +27,18 @@ def test_dropped_frames_are_counted_in_spite_of_jitter(total, dropped, jitter, s
     assert [(gap.after_frame, gap.missing) for gap in gaps] == expected
 
 
-def test_one_late_frame_is_no_gap():
+def test_one_late_frame_is_not_a_gap():
     times = np.arange(20) / 30.0
     times[9] += 0.6 / 30.0
     assert find_gaps(times) == ()
 
 
 @pytest.mark.parametrize("times", [[0.0], [0.0, 0.0, 0.0], [0.0, 1.0]])
-def test_too_little_to_judge(times):
+def test_too_few_frames_for_gaps(times):
     assert find_gaps(np.array(times)) == ()
 
 
-def test_facts_of_a_recording(tmp_path):
+def test_info_of_a_recording(tmp_path):
     bag = fill(BagMaker("mcap file"))
     for k in (9, 10):  # frames 6, 7 and 8 are missing
         bag.image(START + k * PERIOD, depth_image(k))
@@ -58,7 +58,7 @@ def test_facts_of_a_recording(tmp_path):
     assert counts == {"/cam/depth/image": 8, "/cam/depth/camera_info": 6, "/gas": 7, "/wrench": 6}
 
 
-def test_json_and_text_say_the_same(press):
+def test_json_and_text_agree(press):
     facts = info(press)
     data = json.loads(facts.to_json())
     assert data["frames"] == 6

@@ -15,7 +15,7 @@ def test_bias_is_the_median_of_contact_free_frames():
     np.testing.assert_allclose(measured_force(wrench, free)[[0, 3, 4]], [0.0, 5.0, 1.0], atol=1e-12)
 
 
-def test_without_a_contact_free_wrench_nothing_is_known():
+def test_no_measured_force_without_a_contact_free_wrench():
     wrench = np.vstack([np.full(3, np.nan), BIAS + PRESS])
     assert np.isnan(measured_force(wrench, np.array([True, False]))).all()
     assert np.isnan(measured_force(wrench, np.array([False, False]))).all()

@@ -39,7 +39,7 @@ def test_millimetres_become_metres(size, big, padding, data):
 
 
 @given(sizes, st.booleans(), st.integers(0, 9), st.data())
-def test_metres_stay_and_everything_that_is_no_distance_is_nan(size, big, padding, data):
+def test_metres_are_kept_and_invalid_depths_are_nan(size, big, padding, data):
     row = st.lists(st.floats(width=32), min_size=size[1], max_size=size[1])
     values = data.draw(st.lists(row, min_size=size[0], max_size=size[0]))
     depth = decode_depth(image(values, "32FC1", big, padding))
@@ -60,7 +60,7 @@ def test_metres_stay_and_everything_that_is_no_distance_is_nan(size, big, paddin
         ({"step": 4_000_000_000}, "step"),
     ],
 )
-def test_images_that_contradict_themselves_are_refused(change, words):
+def test_inconsistent_images_are_refused(change, words):
     message = image([[0.1, 0.2, 0.3]] * 2, "32FC1", False, 0)
     for name, value in change.items():
         setattr(message, name, value)

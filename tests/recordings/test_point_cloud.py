@@ -39,12 +39,12 @@ def cloud(points, *, kind="<f4", step=24, padding=8, offsets=(4, 16, 8), **chang
     ("kind", "offsets", "step"),
     [("<f4", (4, 16, 8), 24), (">f4", (0, 4, 8), 12), ("<f8", (8, 0, 16), 32)],
 )
-def test_the_layout_of_fields_steps_and_rows_is_the_message_s(kind, offsets, step):
+def test_fields_steps_and_rows_follow_the_message(kind, offsets, step):
     decoded = decode_cloud(cloud(POINTS, kind=kind, offsets=offsets, step=step), None)
     np.testing.assert_array_equal(decoded, POINTS[..., 2].astype(np.float32))
 
 
-def test_what_is_no_distance_is_no_return():
+def test_invalid_depths_are_missing_returns():
     points = POINTS.copy()
     points[0, :4, 2] = np.nan, np.inf, 0.0, -0.1
     decoded = decode_cloud(cloud(points), None)
@@ -53,7 +53,7 @@ def test_what_is_no_distance_is_no_return():
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8"])
-def test_points_without_rows_go_where_the_camera_sees_them(kind):
+def test_unorganised_points_are_projected_by_the_camera(kind):
     """The nearest of those that meet in a pixel; none outside the image or behind it."""
     rows, columns = np.indices((4, 5))
     z = np.random.default_rng(2).uniform(0.1, 0.2, (4, 5)).astype(np.float32).astype(float)
@@ -87,7 +87,7 @@ def test_numbers_that_do_not_fit_are_refused(change, says):
     assert decode_cloud(whole, None).shape == (4, 5)
 
 
-def test_whole_numbers_are_no_points_and_a_row_alone_needs_a_camera():
+def test_integer_points_are_refused_and_unorganised_ones_need_a_camera():
     message = cloud(POINTS)
     message.fields[1].datatype = 5
     with pytest.raises(ValueError, match="not floating-point"):

@@ -86,7 +86,7 @@ def test_compressed_depth_that_cannot_be_read_is_refused(tmp_path, cut, more, sa
         Recording(path)
 
 
-def test_index_outside_is_an_index_error(press):
+def test_index_out_of_range_raises_index_error(press):
     with Recording(press) as recording:
         for k in (-1, 6, 10**6):
             with pytest.raises(IndexError):
@@ -118,7 +118,7 @@ def test_stamps_out_of_order_are_sorted(tmp_path):
 
 
 @pytest.mark.parametrize("frames", [3, 40])
-def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path, frames):
+def test_laps_of_a_recorded_loop_follow_each_other(tmp_path, frames):
     """A replay that begins again has its old stamps again, whether or not they go back far."""
     bag, laps = BagMaker("mcap file"), 3
     for log in range(laps * frames):
@@ -132,7 +132,7 @@ def test_a_recorded_loop_has_its_laps_one_after_the_other(tmp_path, frames):
             assert frame.gas_pressure_pa == pytest.approx(1e5 + log)
 
 
-def test_what_belongs_together_in_a_recorded_loop_is_told_by_its_stamps(tmp_path):
+def test_messages_of_a_recorded_loop_are_associated_by_stamps(tmp_path):
     """Images arrive up to half a second after the gas pressure of the same moment, in bursts."""
     bag, laps, frames, late = BagMaker("mcap file"), 3, 40, np.random.default_rng(0)
     free = START
@@ -154,7 +154,7 @@ def test_what_belongs_together_in_a_recorded_loop_is_told_by_its_stamps(tmp_path
         np.testing.assert_allclose(np.diff(lap), np.diff(kept[: frames - 3]) * PERIOD * 1e-9)
 
 
-def test_without_stamps_the_log_times_count(tmp_path):
+def test_log_times_are_used_without_stamps(tmp_path):
     bag = BagMaker("mcap file")
     for k in range(4):
         bag.image(0, depth_image(k), log=START + k * PERIOD)
@@ -282,7 +282,7 @@ def test_real_recording_against_rosbags(punyo_press):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_closing_lets_go_of_the_file(tmp_path, kind):
+def test_close_releases_the_file(tmp_path, kind):
     path = fill(BagMaker(kind)).write(tmp_path)
     descriptors = Path("/proc/self/fd")
     if not descriptors.is_dir():
@@ -295,7 +295,7 @@ def test_closing_lets_go_of_the_file(tmp_path, kind):
 
 
 @pytest.mark.parametrize("garbage", [5, 86_400 * SECOND, 2_100_000_000 * SECOND])
-def test_a_stamp_that_is_garbage_does_not_move_the_frame(tmp_path, garbage):
+def test_invalid_stamp_does_not_move_the_frame(tmp_path, garbage):
     bag = BagMaker("mcap file")
     for k in range(7):
         log = START + k * PERIOD

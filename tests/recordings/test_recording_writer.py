@@ -79,7 +79,7 @@ def test_any_size(tmp_path, height, width, encoding):
         np.testing.assert_allclose(recording[0].depth_m, sent.depth_m, rtol=0, atol=tolerance)
 
 
-def test_what_comes_later_is_written_too(tmp_path):
+def test_late_topics_are_written(tmp_path):
     path = tmp_path / "rec.mcap"
     with RecordingWriter(path) as writer:
         writer.write(Frame(0, 0.0, frame(0).depth_m))
@@ -90,7 +90,7 @@ def test_what_comes_later_is_written_too(tmp_path):
         assert recording[0].gas_pressure_pa is None
 
 
-def test_times_stand_in_for_missing_stamps(tmp_path):
+def test_times_replace_missing_stamps(tmp_path):
     path = tmp_path / "rec.mcap"
     with RecordingWriter(path) as writer:
         for k in range(3):
@@ -99,7 +99,7 @@ def test_times_stand_in_for_missing_stamps(tmp_path):
         np.testing.assert_allclose(recording.times_s, np.arange(3) / 30.0, atol=2e-9)
 
 
-def test_nothing_remains_when_it_fails(tmp_path):
+def test_failure_leaves_no_file(tmp_path):
     with pytest.raises(ZeroDivisionError), RecordingWriter(tmp_path / "rec.mcap") as writer:
         writer.write(frame(0))
         raise ZeroDivisionError

@@ -30,7 +30,7 @@ def slips(name, depth_m, frames, sliding_beyond):
 @pytest.mark.parametrize(
     ("name", "depth"), [("puck", 0.005), pytest.param("sphere", 0.008, marks=pytest.mark.long)]
 )
-def test_a_ring_that_stays_behind(name, depth):
+def test_ring_that_slips(name, depth):
     found = slips(name, depth, STICKING + 3, 0.55)
     begun = found[STICKING + 1]
     assert begun is not None and begun.share > 3.0 * begun.share_sigma > 0.0

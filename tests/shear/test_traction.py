@@ -106,7 +106,7 @@ def test_a_contact_without_texture_is_solved_by_depth_only():
         assert result.slip is None
 
 
-def test_nothing_touches():
+def test_no_contact():
     eyes = Eyes()
     traction = eyes.traction(eyes.rest())
     assert traction.status == "no_contact"
@@ -115,7 +115,7 @@ def test_nothing_touches():
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.6])
-def test_coulombs_bound_holds_where_it_is_set(friction):
+def test_coulomb_bound_is_respected(friction):
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes(friction=friction)
     traction = eyes.traction(eyes.see(truth))
     assert traction.status == "ok", traction.reason

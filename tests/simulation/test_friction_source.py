@@ -62,7 +62,7 @@ def test_the_path_waits_presses_drags_and_twists(sensor):
     np.testing.assert_array_equal(poses[-1], poses[-3])
 
 
-def test_truth_has_force_torque_traction_and_slip(dragged):
+def test_ground_truth_has_force_torque_traction_and_slip(dragged):
     truths = [dragged.truth(k) for k in range(FRAMES)]
     assert np.isnan(truths[0].slip_share) and np.abs(truths[0].torque_nm).max() == 0.0
     pressed = next(k for k in range(FRAMES) if dragged.poses[k, 0, 3] > 0.002 + 1e-9) - 1
@@ -90,7 +90,7 @@ def test_frames_are_the_same_in_any_order(sensor, dragged):
     np.testing.assert_array_equal(again[9].depth_m, dragged[9].depth_m)
 
 
-def test_no_friction_is_the_simulation_that_was(sensor):
+def test_zero_friction_equals_the_frictionless_simulation(sensor):
     aim = np.eye(4)
     aim[:3, 3] = 0.002, 0.0, HEIGHT - 0.004
     without = SyntheticSource(sensor, load_object("sphere"), aim[None], model="rubber")
@@ -101,7 +101,7 @@ def test_no_friction_is_the_simulation_that_was(sensor):
     assert np.isnan(two.slip_share) and np.isnan(two.slip_m).all()
 
 
-def test_recording_and_truth_of_the_command(sensor, dragged, tmp_path):
+def test_recording_and_ground_truth_of_the_command(sensor, dragged, tmp_path):
     file = tmp_path / "sensor.toml"
     file.write_text(sensor_to_toml(sensor))
     rec, truth = tmp_path / "drag.mcap", tmp_path / "drag.npz"
@@ -119,7 +119,7 @@ def test_recording_and_truth_of_the_command(sensor, dragged, tmp_path):
     known.close()
 
 
-def test_a_truth_of_before_friction_is_read_without_it(sensor, tmp_path):
+def test_ground_truth_without_friction_is_read(sensor, tmp_path):
     whole, old = tmp_path / "whole.npz", tmp_path / "old.npz"
     press = SyntheticSource(sensor, load_object("sphere"), np.eye(4)[None] + 0.0)
     press.poses[0, 2, 3] = HEIGHT
@@ -144,7 +144,7 @@ def test_a_truth_of_before_friction_is_read_without_it(sensor, tmp_path):
         (["--twist", "nan", "--frames", "20"], "twist"),
     ],
 )
-def test_what_cannot_be_simulated_is_told_in_one_line(sensor, tmp_path, arguments, words):
+def test_invalid_simulation_gives_one_line(sensor, tmp_path, arguments, words):
     file, rec = tmp_path / "sensor.toml", tmp_path / "out.mcap"
     file.write_text(sensor_to_toml(sensor))
     base = ["simulate", "--sensor", str(file), "--object", "sphere", "--pose", POSE]

@@ -29,7 +29,7 @@ def rounds():
     return NoisyLoop(Flat(), camera, DepthNoise(absolute_m=SIGMA))
 
 
-def test_noise_is_of_the_camera_and_new_every_round(rounds):
+def test_noise_matches_the_camera_and_differs_in_every_loop(rounds):
     first = [rounds[k].depth_m for k in range(3)]
     second = [rounds[k].depth_m for k in range(3)]
     for k, (a, b) in enumerate(zip(first, second, strict=True)):

@@ -39,7 +39,7 @@ def test_object_is_watertight_and_touches_its_origin_from_above(name):
         ("frustum", 0.04 / 3 * (0.06**2 + 0.06 * 0.025 + 0.025**2), 0.001),
     ],
 )
-def test_volume_is_that_of_the_ideal_shape(name, exact, tolerance):
+def test_volume_equals_that_of_the_ideal_shape(name, exact, tolerance):
     assert volume(load_object(name)) == pytest.approx(exact, rel=tolerance)
 
 

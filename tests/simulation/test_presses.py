@@ -35,7 +35,7 @@ def bank(sensor):
 
 
 @pytest.mark.parametrize("name", GRID_OBJECTS + HELD_OUT_OBJECTS)
-def test_presses_are_as_deep_as_they_say_and_repeat(name, bank):
+def test_presses_have_their_depth_and_are_reproducible(name, bank):
     press = Press(name, 0.004, False)
     pose = press.pose(bank.mesh, 3)
     assert np.array_equal(pose, press.pose(bank.mesh, 3))
@@ -81,14 +81,14 @@ def test_held_out_objects_are_marked():
     assert marked == {"cross", "cylinder", "hex_nut"}
 
 
-def test_noise_differs_from_frame_to_frame_and_repeats(bank):
-    sighting = bank.simulate(Press("sphere", 0.012, False))
+def test_noise_differs_between_frames_and_is_reproducible(bank):
+    sighting = bank.sighting(Press("sphere", 0.012, False))
     first, again, second = (bank.frame(sighting, ONE, k).depth_m for k in (0, 0, 1))
     assert np.array_equal(first, again, equal_nan=True)
     assert not np.array_equal(first, second, equal_nan=True)
 
 
-def test_a_kept_truth_is_the_truth(sensor, tmp_path, bank):
+def test_cached_ground_truth_equals_the_computed_one(sensor, tmp_path, bank):
     press = Press("sphere", DEPTH_M, False)
     model = SensorModel.of(sensor)
     first, kept = (
@@ -124,7 +124,7 @@ def test_another_mesh_of_an_inflated_sheet_is_on_its_surface(sheet):
     assert fine.mean_tension == pytest.approx(sheet.tension_n_per_m, rel=2e-3)
 
 
-def test_our_sheet_is_that_of_the_meridians_equations():
+def test_sheet_equals_the_meridian_solution():
     """The same rubber, bulged by two solvers that share no code: γ0 and height."""
     exact = round_sheet(0.045, 110.0, 1.15, 2500.0)
     ours = InflatedRubber.oval_sheet((0.045, 0.045), 110.0, 1.15, 2500.0)

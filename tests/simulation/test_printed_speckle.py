@@ -70,7 +70,7 @@ def test_flow_finds_the_motion_of_the_material(view, far_m):
     assert np.sqrt(np.mean((errors / field.sigma_px[:, None]) ** 2)) < 1.5
 
 
-def test_light_and_noise_are_as_asked(view):
+def test_light_and_noise_match_the_options(view):
     at_rest = np.zeros_like(view.mesh.nodes)
     middle = np.s_[110:130, 150:170]
     plain = PrintedMembrane(Speckle(noise=0.0, shaded=False), view).image(at_rest, 0)
@@ -102,7 +102,7 @@ def test_a_simulated_recording_has_the_images(tmp_path):
         np.testing.assert_array_equal(before.grey(), source[0].colour.grey())
 
 
-def test_what_cannot_be_printed_is_refused():
+def test_invalid_speckle_is_refused():
     with pytest.raises(InputError, match="give metres"):
         Speckle(blot_m=3.0)
     with pytest.raises(InputError, match="grey levels"):

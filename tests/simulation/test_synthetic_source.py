@@ -34,13 +34,13 @@ def sensor():
 
 
 @pytest.mark.parametrize("noise", [DepthNoise(relative=0.01), DepthNoise(absolute_m=0.0015)])
-def test_noise_has_the_standard_deviation_asked_for(noise):
+def test_noise_has_the_requested_standard_deviation(noise):
     error = np.stack([noise.apply(FLAT, 0, k) - FLAT for k in range(20)])
     assert error.std() == pytest.approx(0.0015, rel=0.02)
     assert abs(error.mean()) < 2e-5
 
 
-def test_noise_is_correlated_in_space_and_time_as_asked():
+def test_noise_has_the_requested_correlation():
     noise = DepthNoise(absolute_m=1e-3, correlation_px=6.0, correlation_frames=0.5)
     error = np.stack([noise.apply(FLAT, 0, k) - FLAT for k in range(60)]) / 1e-3
     assert error.std() == pytest.approx(1.0, rel=0.05)
@@ -49,7 +49,7 @@ def test_noise_is_correlated_in_space_and_time_as_asked():
     assert (error[4:] * error[:-4]).mean() == pytest.approx(0.5**4, abs=0.05)
 
 
-def test_holes_and_outliers_have_their_fraction():
+def test_holes_and_outliers_have_the_requested_fraction():
     noise = DepthNoise(holes=0.1, outliers=0.05, outlier_m=0.03)
     images = np.stack([noise.apply(FLAT, 0, k) for k in range(10)])
     assert np.isnan(images).mean() == pytest.approx(0.1, rel=0.1)
@@ -80,7 +80,7 @@ def test_frame_depends_on_seed_and_index_alone(sensor):
     assert not np.array_equal(other, there[2], equal_nan=True)
 
 
-def test_depth_is_that_of_the_exact_sphere_without_contact(sensor):
+def test_depth_without_contact_equals_the_exact_sphere(sensor):
     source = SyntheticSource(sensor, load_object("sphere"), poses(-0.01))
     frame = source[0]
     assert frame.depth_m.dtype == np.float32
@@ -100,7 +100,7 @@ def test_depth_is_that_of_the_exact_sphere_without_contact(sensor):
     assert frame.gas_pressure_pa == pytest.approx(103910.5)
 
 
-def test_truth_mask_is_where_the_ball_touches(sensor):
+def test_ground_truth_mask_is_the_contact_of_the_ball(sensor):
     source = SyntheticSource(sensor, load_object("sphere"), poses(0.012), nodes=6000)
     truth, frame = source.truth(0), source[0]
     pixels = np.flatnonzero(truth.patch_mask)
@@ -133,7 +133,7 @@ def test_simulation_mesh_is_finer_than_and_different_from_the_estimators(sensor)
     assert shared.mean() < 0.05
 
 
-def test_default_press_loops_and_touches_in_between(sensor):
+def test_default_press_loops_with_contact_in_between(sensor):
     source = default_press(sensor, frames=30)
     assert len(source) == 30
     touching = [bool(source.truth(k).patch_mask.any()) for k in range(30)]

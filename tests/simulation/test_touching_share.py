@@ -24,7 +24,7 @@ def pressed(nodes):
     return model.mesh, contact.contact_pressure_pa
 
 
-def test_the_contact_of_a_ball_is_as_large_as_by_its_equations():
+def test_contact_area_of_a_ball_equals_the_analytic_one():
     """Its edge lies anywhere between nodes: on the mean of some meshes there is no error."""
     exact_m2, errors, by_nodes = exact_area(), [], []
     for nodes in (1200, 1400, 1600, 1800, 2000):
@@ -38,7 +38,7 @@ def test_the_contact_of_a_ball_is_as_large_as_by_its_equations():
     assert np.mean(by_nodes) > 0.15  # every node that touches at all
 
 
-def test_line_loads_and_contacts_without_an_interior_count_whole():
+def test_line_loads_and_contacts_without_interior_count_fully():
     mesh = mesh_cap(CAP, 400)
     out = np.hypot(*mesh.nodes[:, :2].T)
     disc = np.where(out < 0.02, 1.0, 0.0)

@@ -47,9 +47,9 @@ def folder(source, tmp_path_factory):
     return folder
 
 
-def test_the_truth_of_every_frame_is_read_back(folder, source):
-    known = RecordingWithTruth(Recording(folder / "sim.mcap"), folder / "truth.npz")
-    assert isinstance(known, HasTruth) and len(known) == FRAMES
+def test_ground_truth_of_every_frame_is_read_back(folder, source):
+    known = KnownRecording(Recording(folder / "sim.mcap"), folder / "truth.npz")
+    assert isinstance(known, KnowsTruth) and len(known) == FRAMES
     for index in range(FRAMES):
         truth, expected = truth_of(known, index), source.truth(index)
         for field in fields(Truth):
@@ -61,7 +61,7 @@ def test_the_truth_of_every_frame_is_read_back(folder, source):
     known.close()
 
 
-def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(folder, tmp_path):
+def test_ground_truth_of_the_same_name_is_found_and_a_result_file_is_not(folder, tmp_path):
     for name in ("sim.mcap", "truth.npz"):
         shutil.copy(folder / name, tmp_path)
     with Recording(tmp_path / "sim.mcap") as recording:
@@ -80,7 +80,7 @@ def test_a_truth_of_the_same_name_is_found_and_a_result_is_none(folder, tmp_path
         assert "sim.npz: belongs to another recording" in recording.remark
 
 
-def test_what_is_no_truth_of_this_recording_is_one_sentence(folder, tmp_path):
+def test_ground_truth_of_another_recording_gives_one_sentence(folder, tmp_path):
     arrays = dict(np.load(folder / "truth.npz"))
     bad = tmp_path / "bad.npz"
 
