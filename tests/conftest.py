@@ -1,4 +1,4 @@
-"""What tests of every part share."""
+"""Fixtures shared by all tests."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""A small sensor and short recordings of a cylinder pressed into it, quick to solve."""
+"""A small sensor and short recordings of a cylinder pressed into it, fast to solve."""
 
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose

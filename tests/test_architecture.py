@@ -1,4 +1,4 @@
-"""The packages as docs promise them: no cycles, and the contracts of pyproject.toml.
+"""The packages as documented: no cycles, and the contracts of pyproject.toml.
 
 And the tests: they look at what is public, and wait for conditions.
 """

@@ -78,12 +78,12 @@ def test_runs_as_a_module():
 
 
 def test_presets_are_listed_by_the_names_that_options_take():
-    told = json.loads(CliRunner().invoke(main, ["presets", "--json"]).stdout)
-    assert {"pico_flexx_75mm", "punyo_oval_d405"} <= told["sensors"].keys()
-    for name, says in told["sensors"].items():
+    printed = json.loads(CliRunner().invoke(main, ["presets", "--json"]).stdout)
+    assert {"pico_flexx_75mm", "punyo_oval_d405"} <= printed["sensors"].keys()
+    for name, says in printed["sensors"].items():
         assert says.startswith(bv.load_sensor(name).name)
-    assert told["objects"]["cylinder"] == "24 × 24 × 40 mm"
-    for name in told["objects"]:
+    assert printed["objects"]["cylinder"] == "24 × 24 × 40 mm"
+    for name in printed["objects"]:
         assert load_object(name).name == name
     text = CliRunner().invoke(main, ["presets"]).stdout
     assert "  cylinder        24 × 24 × 40 mm\n" in text
@@ -97,11 +97,11 @@ def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":77")
     done = CliRunner().invoke(main, ["doctor", "--json"])
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    machine = told["machine"]
+    printed = json.loads(done.stdout)
+    machine = printed["machine"]
     assert machine["bubbleviz"] == bv.__version__ and sys.version.startswith(machine["Python"])
-    assert told["libraries"]["numpy"] == np.__version__
-    assert told["environment"]["DISPLAY"] == ":77"
+    assert printed["libraries"]["numpy"] == np.__version__
+    assert printed["environment"]["DISPLAY"] == ":77"
     assert machine["OpenGL"] == "the driver ended with code -6"
     assert "[realsense]" in machine["cameras"]
     text = CliRunner().invoke(main, ["doctor"]).stdout
@@ -178,17 +178,17 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(arguments, words
 
 
 def test_a_truncated_recording_through_the_real_command(recording):
-    def told(kept):
-        recording.write_bytes(kept)
+    def info_of(content):
+        recording.write_bytes(content)
         return subprocess.run(
             [*command, "info", str(recording)], capture_output=True, text=True, check=False
         )
 
     command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
     whole = recording.read_bytes()
-    opened = told(whole[:-40])  # its index is lost, no chunk
+    opened = info_of(whole[:-40])  # its index is lost, no chunk
     assert opened.returncode == 0 and "after it are lost" in opened.stdout
-    refused = told(whole[:200])
+    refused = info_of(whole[:200])
     assert refused.returncode == 2 and refused.stdout == ""
     assert refused.stderr.count("\n") == 1 and "ends before its first message" in refused.stderr
 
@@ -345,7 +345,7 @@ def test_bench_window(windows, pico_recording):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ([], "Missing command"),
         (["window"], "either REC or --synthetic"),
@@ -353,15 +353,15 @@ def test_bench_window(windows, pico_recording):
         (["window", "--synthetic", "--seconds", "0"], "--seconds"),
     ],
 )
-def test_wrong_usage_of_the_benchmark(windows, words, told):
+def test_wrong_usage_of_the_benchmark(windows, words, message):
     done = CliRunner().invoke(bench, words)
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not windows
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["bench", "window", "x.mcap"], "in a checkout: python -m benchmarks.window"),
         (["study"], "Missing command; see bubbleviz study --help"),
@@ -370,10 +370,10 @@ def test_wrong_usage_of_the_benchmark(windows, words, told):
         (["open", "x.mcap", "--frame", "-1"], "--frame"),
     ],
 )
-def test_wrong_usage_of_the_windows_commands(windows, words, told):
+def test_wrong_usage_of_the_windows_commands(windows, words, message):
     done = CliRunner().invoke(main, words, prog_name="bubbleviz")
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-    assert told in done.stderr
+    assert message in done.stderr
     assert not windows
 
 

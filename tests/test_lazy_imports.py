@@ -1,4 +1,4 @@
-"""What other packages load for nothing is left out, and is there when it is asked for."""
+"""Modules that other packages import needlessly are left out until they are used."""
 
 import importlib.util
 import subprocess

@@ -1,4 +1,4 @@
-"""The pipeline: the products asked for decide which stages run, and nothing else does."""
+"""The pipeline runs only the stages of the requested products."""
 
 import sys
 import threading

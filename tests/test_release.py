@@ -1,4 +1,4 @@
-"""What is released: a wheel built from the source distribution, and files that name the version."""
+"""The release: a wheel built from the source distribution, and version numbers in files."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""`.ci/setup` on machines that are not this one, played by stand-ins for Debian's commands."""
+"""`.ci/setup` on other machines, simulated by stand-ins for Debian's commands."""
 
 import fcntl
 import os

@@ -1,4 +1,4 @@
-"""The estimator that a program holds and gives images to, against `estimate` of the same frames."""
+"""`Estimator` fed image by image, against `estimate` of the same frames."""
 
 import time
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What `import bubbleviz` offers, on small simulated presses and on the real one."""
+"""The names of `import bubbleviz`, on small simulated presses and on the real one."""
 
 import pickle
 import re

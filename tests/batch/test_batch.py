@@ -120,8 +120,8 @@ def test_good_and_corrupted_recordings(recordings, sensor, tmp_path):
     assert not hidden_in(out)
 
     shutil.copy(recordings / "a.mcap", recordings / "bad.mcap")  # repaired
-    told = resumed(recordings, "--sensor", sensor, "--out", out)
-    assert told == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
+    statuses = resumed(recordings, "--sensor", sensor, "--out", out)
+    assert statuses == {**dict.fromkeys(NAMES, "kept"), "bad.mcap": "done"}
 
 
 def test_truncated_recording_is_reported(recordings, sensor, tmp_path):
@@ -132,8 +132,8 @@ def test_truncated_recording_is_reported(recordings, sensor, tmp_path):
     row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), str(sensor), {}))
     assert row.outcome == "done"
     assert "ends early" in row.note
-    told = BatchSummary("t", [row]).to_text()
-    assert "cut.mcap: cut.mcap ends early" in told
+    text = BatchSummary("t", [row]).to_text()
+    assert "cut.mcap: cut.mcap ends early" in text
 
 
 def test_numbers_equal_those_of_the_estimate_command(recordings, sensor, tmp_path):
@@ -229,8 +229,8 @@ def test_killed_in_the_middle_then_resumed(
     assert hidden_in(out)  # killed: nobody could tidy up
 
     kept = {name: (out / name / "result.npz").stat().st_mtime_ns for name in NAMES}
-    told = resumed(*words)
-    assert told == {**dict.fromkeys(NAMES, "kept"), long_recording.name: "done"}
+    statuses = resumed(*words)
+    assert statuses == {**dict.fromkeys(NAMES, "kept"), long_recording.name: "done"}
     assert {n: (out / n / "result.npz").stat().st_mtime_ns for n in NAMES} == kept
     assert not hidden_in(out)
     assert table_of(out)[long_recording.name]["frames"] == str(LONG)

@@ -1,4 +1,4 @@
-"""The identification study: coverage of known numbers, and a small run that goes on."""
+"""The identification study: coverage of known values, and a small run that is resumed."""
 
 import json
 from dataclasses import replace

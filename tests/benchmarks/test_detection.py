@@ -1,4 +1,4 @@
-"""What is found and what is not: neither three times the threshold nor a third of it will do."""
+"""The detection study: thresholds three times too high or too low miss the target."""
 
 import numpy as np
 import pytest

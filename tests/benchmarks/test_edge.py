@@ -1,4 +1,4 @@
-"""The edge of the patch: oracle, truth without errors, groups and targets, one small run."""
+"""The study of the patch's edge: oracle, zero error of truth, groups, targets, a small run."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The study of random errors: what counts as told, held and wrong."""
+"""The study of random errors: which frames count as reported, within the interval or wrong."""
 
 import pytest
 

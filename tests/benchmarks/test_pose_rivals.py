@@ -1,4 +1,4 @@
-"""Pose against other registrations, and the nut that turns."""
+"""Pose against other registration methods, and a turning hexagonal nut."""
 
 import os
 

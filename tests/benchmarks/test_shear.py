@@ -1,4 +1,4 @@
-"""The shear study tells what it measured, in files, too."""
+"""The shear study prints its results and writes them to files."""
 
 import csv
 import json

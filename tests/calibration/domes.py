@@ -1,4 +1,4 @@
-"""Frames of a dome known exactly: rays cut the ellipsoid itself, no mesh in between."""
+"""Depth images of an ellipsoidal dome by exact ray casting, without a mesh."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""The whole identification on a synthetic twin of the real press."""
+"""Complete identification of a synthetic twin of the real press."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a sensor file knows of its gauge pressure is not overruled by inflation levels.
+"""A gauge pressure with σ in the sensor file takes precedence over inflation levels.
 
 Rubber that was moulded as a dome is stretched unevenly, so that levels alone tell a gauge pressure
 that is 25 to 40 % too high.
@@ -58,32 +58,32 @@ def dome(request):
     return twin() if request.param == "twin" else rubber_truth("dome_ball")
 
 
-def told(camera=SMALL, **pneumatics):
-    """A sensor file that says so of its pressures."""
+def sensor_file(camera=SMALL, **pneumatics):
+    """Sensor file with these values of its `[pneumatics]`."""
     sensor = dome_sensor(camera)
     section = sensor.pneumatics.model_copy(update=pneumatics)
     return sensor.model_copy(update={"pneumatics": section})
 
 
-def shown(dome, shape_m, gauge_pa, seed):
+def rendered(dome, shape_m, gauge_pa, seed):
     return render("dome", SMALL, at_rest(shape_m, FRAMES), dome["triangles"], gauge_pa, seed=seed)
 
 
 @pytest.fixture(scope="module")
 def identified(dome):
-    """Identification of the dome from a sensor file that says so much of its pressures.
+    """Identification of the dome from a sensor file with these pressures.
 
     Its surface and pixels do not depend on them and are found once.
     """
-    rest = shown(dome, dome["rest_m"], GAUGE_PA, 1)
-    once = identify(rest, told(), range(FRAMES), nodes=NODES)
+    rest = rendered(dome, dome["rest_m"], GAUGE_PA, 1)
+    once = identify(rest, sensor_file(), range(FRAMES), nodes=NODES)
     levels = [
-        collect(shown(dome, shape, pressure, 2 + k), once.given, range(FRAMES))
+        collect(rendered(dome, shape, pressure, 2 + k), once.given, range(FRAMES))
         for k, (shape, pressure) in enumerate(zip(dome["level_m"], dome["level_pa"], strict=True))
     ]
 
     def of(**pneumatics):
-        sensor = told(**pneumatics)
+        sensor = sensor_file(**pneumatics)
         gauge, _ = rest_gauge(once.samples, sensor)
         tension = once.tension.under(Quantity(gauge, gauge, gauge))
         parts = once.samples, once.surfaces, once.pixels, tension
@@ -150,7 +150,7 @@ def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
         )
         for k, share in enumerate((1.0, 0.85, 1.15), 1)
     )
-    sensor = told(atmospheric_pressure_pa=ATMOSPHERE_PA + 1500.0)
+    sensor = sensor_file(atmospheric_pressure_pa=ATMOSPHERE_PA + 1500.0)
     found = identify(rest, sensor, range(FRAMES), nodes=NODES)
     levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
     rubber = with_rubber(found, levels).rubber
@@ -175,7 +175,7 @@ def test_force_of_presses_after_levels(tmp_path):
     known = {"gauge_sigma_pa": 0.01 * GAUGE_PA}
     too_high = {"atmospheric_pressure_pa": ATMOSPHERE_PA - 1500.0}  # as the levels' own error is
     for case, pneumatics in enumerate((known, {}, too_high)):
-        sensor = told(camera, **pneumatics)
+        sensor = sensor_file(camera, **pneumatics)
         found = identify(rest, sensor, range(FRAMES), nodes=1000)
         levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
         found = with_rubber(found, levels)
@@ -197,24 +197,24 @@ def test_force_of_presses_after_levels(tmp_path):
 @pytest.fixture(scope="module")
 def rest_samples():
     dome = twin()
-    return collect(shown(dome, dome["rest_m"], GAUGE_PA, 1), dome_sensor(SMALL), range(FRAMES))
+    return collect(rendered(dome, dome["rest_m"], GAUGE_PA, 1), dome_sensor(SMALL), range(FRAMES))
 
 
 def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
     """The file's σ holds for its own inflation and weather; another one leaves the difference."""
-    weather = told(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
+    weather = sensor_file(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
     assert rest_gauge(rest_samples, weather)[0] == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
     assert rest_gauge(rest_samples, weather)[1] == pytest.approx(WEATHER)
-    known = told(gauge_sigma_pa=50.0)
+    known = sensor_file(gauge_sigma_pa=50.0)
     assert rest_gauge(rest_samples, known)[0] == GAUGE_PA
     assert rest_gauge(rest_samples, known)[1] == pytest.approx(50.0, abs=0.2)
-    moved = told(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
+    moved = sensor_file(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
     assert rest_gauge(rest_samples, moved)[0] == GAUGE_PA
     assert rest_gauge(rest_samples, moved)[1] == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
-    far = told(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 9000.0)
+    far = sensor_file(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 9000.0)
     assert rest_gauge(rest_samples, far)[1] == pytest.approx(np.hypot(50.0, WEATHER))
     silent = replace(rest_samples, gas_pressure_pa=None)
-    assert rest_gauge(silent, told())[1] is None
+    assert rest_gauge(silent, sensor_file())[1] is None
     assert rest_gauge(silent, known)[1] == 50.0
     gauge_only = replace(rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA)
     with pytest.raises(
@@ -224,13 +224,13 @@ def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
 
 
 def test_open_chamber_replaces_the_gauge_pressure_of_the_file():
-    vented = Vented("vented", ATMOSPHERE_PA, 1.0).set_in(told(gauge_sigma_pa=50.0))
+    vented = Vented("vented", ATMOSPHERE_PA, 1.0).set_in(sensor_file(gauge_sigma_pa=50.0))
     assert vented.pneumatics.gauge_sigma_pa is None
     assert vented.pneumatics.atmospheric_pressure_pa == ATMOSPHERE_PA
 
 
 def test_an_edited_gauge_pressure_drops_its_standard_deviation():
-    sensor = told(gauge_sigma_pa=50.0)
+    sensor = sensor_file(gauge_sigma_pa=50.0)
     assert edited(sensor, {"membrane.nodes": 300}).pneumatics.gauge_sigma_pa == 50.0
     assert (
         edited(sensor, {"pneumatics.gauge_pressure_pa": 4000.0}).pneumatics.gauge_sigma_pa is None

@@ -1,4 +1,4 @@
-"""Several inflation levels and a known press, from recordings to the files that are used."""
+"""Several inflation levels and a known press, from recordings to the files written."""
 
 import json
 

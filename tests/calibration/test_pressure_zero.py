@@ -1,4 +1,4 @@
-"""The zero of the gas pressure: learned in one rest, moved with the sensor file, given back."""
+"""The zero of the gas pressure: learned at rest, kept across sensor files, reset."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The real press, where it is at hand, and the preset made from it."""
+"""The real press, if it is installed, and the preset made from it."""
 
 from pathlib import Path
 
@@ -75,11 +75,11 @@ def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, fo
 
     The sensor file's sea level contradicts that, and weather does not explain it.
     """
-    told = with_rubber(found, [], press=collect_press(press, found))
-    gauge, file = told.rubber.gauge_candidates
-    assert told.rubber.contradicts_file and file.high < gauge.low
-    assert told.rubber.gauge.low <= file.value + 1.0 and gauge.value < told.rubber.gauge.high
-    assert told.rubber.gauge_from == "press"
+    result = with_rubber(found, [], held=collect_press(press, found))
+    gauge, file = result.rubber.both
+    assert result.rubber.contradicts_file and file.high < gauge.low
+    assert result.rubber.gauge.low <= file.value + 1.0 and gauge.value < result.rubber.gauge.high
+    assert result.rubber.gauge_from == "press"
     held = collect_press(press, found).frames
     for parts in (2, 3):
         for frames in np.array_split(held, parts):
@@ -87,7 +87,7 @@ def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, fo
             assert gauge.low < part.rubber.gauge_candidates[0].value < gauge.high, frames
     assert gauge.half_width < 0.15 * gauge.value
     assert gauge.low < np.mean(found.samples.gas_pressure_pa) - 98_700.0 < gauge.high
-    assert told.rubber.prestretch is not None
+    assert result.rubber.prestretch is not None
 
 
 @needs_press

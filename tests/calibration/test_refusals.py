@@ -1,4 +1,4 @@
-"""Recordings that cannot be calibrated from: one clear line each, nothing written."""
+"""Recordings unfit for calibration: one line each, nothing written."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""λ and gauge pressure from inflation levels, of rubber whose truth is known."""
+"""λ and gauge pressure from inflation levels, on simulated rubber."""
 
 import json
 from copy import copy

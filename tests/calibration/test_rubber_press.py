@@ -1,4 +1,4 @@
-"""λ and gauge pressure from a held press, on rubber whose truth is known."""
+"""λ and gauge pressure from a constant press, on simulated rubber."""
 
 from dataclasses import replace
 
@@ -108,35 +108,35 @@ def pressed(truth):
 
 
 @pytest.fixture(scope="module")
-def told(pressed):
+def with_press(pressed):
     found, held = pressed
     assert held.frames[0] == FREE + 5  # the camera's filter has forgotten the way in
     return with_rubber(found, [], press=held)
 
 
-def test_press_determines_gauge_pressure_and_prestretch(truth, told):
+def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     """The sensor file's atmosphere is 0.9 kPa too much."""
-    rubber, stretch = told.rubber, truth[3]
-    assert rubber.prestretch_source == "the press in press"
-    assert rubber.gauge_source == "the press in press; the sensor file"
+    rubber, stretch = with_press.rubber, truth[3]
+    assert rubber.prestretch_rests_on == "the press in press"
+    assert rubber.gauge_rests_on == "the press in press; the sensor file"
     assert rubber.gauge.low < G < rubber.gauge.high
     assert rubber.gauge.value == pytest.approx(G, rel=0.05)
     assert rubber.gauge.half_width < 0.12 * G
     assert rubber.prestretch.low < stretch < rubber.prestretch.high
-    mu_h = told.tension_n_per_m / (1.0 - rubber.prestretch.value**-6)
+    mu_h = with_press.tension_n_per_m / (1.0 - rubber.prestretch.value**-6)
     assert mu_h == pytest.approx(MU_H, rel=0.05)
-    air = told.sensor.pneumatics.atmospheric_pressure_pa
+    air = with_press.sensor.pneumatics.atmospheric_pressure_pa
     assert air + rubber.gauge.value == pytest.approx(ATMOSPHERE_PA + G, abs=5.0)
 
 
-def test_report_names_the_pressed_object(told):
-    numbers = summary(told, {})
+def test_report_names_the_pressed_object(with_press):
+    numbers = summary(with_press, {})
     assert numbers["rubber"]["from"] == "press"
     assert numbers["gauge_pressure_measured"] is True
-    assert numbers["rubber"]["levels"]["rises_pa"] == told.rubber.rises_pa
+    assert numbers["rubber"]["levels"]["rises_pa"] == with_press.rubber.rises_pa
 
 
-def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, told):
+def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press):
     """By each half of the press's frames alone, within the interval of all."""
     found, held = pressed
     for part in np.array_split(np.arange(len(held.frames)), 2):
@@ -146,12 +146,8 @@ def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, told):
             gas_pressure_pa=held.gas_pressure_pa[part],
             statistics=measure_depth(held.depth_m[part], held.camera.range_per_depth),
         )
-        shapes, _ = with_rubber(found, [], press=half).rubber.gauge_candidates
-        assert (
-            told.rubber.gauge_candidates[0].low
-            < shapes.value
-            < told.rubber.gauge_candidates[0].high
-        )
+        shapes, _ = with_rubber(found, [], held=half).rubber.both
+        assert with_press.rubber.both[0].low < shapes.value < with_press.rubber.both[0].high
 
 
 @pytest.mark.long
@@ -168,7 +164,7 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
     assert rubber.prestretch_source.startswith("the press in press; the gauge pressure by the open")
 
 
-def test_a_reflection_next_to_the_press_changes_little(pressed, told):
+def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):
     """A patch of pixels is 3 mm too far away while the ball is held: outliers count for little."""
     found, held = pressed
     glare = np.zeros(held.statistics.range_m.shape)
@@ -181,7 +177,7 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, told):
     )
     rubber = with_rubber(found, [], press=shiny).rubber
     for crossed, clean in (
-        (rubber.gauge, told.rubber.gauge), (rubber.prestretch, told.rubber.prestretch),
+        (rubber.gauge, with_press.rubber.gauge), (rubber.prestretch, with_press.rubber.prestretch),
     ):  # fmt: skip
         assert crossed.value == pytest.approx(clean.value, abs=0.5 * clean.half_width)
 

@@ -1,4 +1,4 @@
-"""Whether a sensor file still holds: each change told as what it is, no false alarm."""
+"""Check of a sensor file: each change is reported as what it is, without false alarms."""
 
 import json
 from dataclasses import replace

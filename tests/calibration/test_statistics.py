@@ -1,4 +1,4 @@
-"""Depth statistics, correlation, rim height and pixel files on made-up data."""
+"""Depth statistics, correlation, rim height and pixel files on synthetic data."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Robust fits against surfaces known exactly."""
+"""Robust fits of exactly known surfaces."""
 
 import numpy as np
 import pytest

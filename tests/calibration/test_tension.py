@@ -1,4 +1,4 @@
-"""γ0 and its interval against domes known exactly and errors made on purpose."""
+"""γ0 and its interval on exactly known domes with added errors."""
 
 import os
 

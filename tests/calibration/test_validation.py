@@ -1,4 +1,4 @@
-"""A known press: predicted by a right sensor and by wrong ones."""
+"""A known press, predicted by a right sensor file and by wrong ones."""
 
 import numpy as np
 import pytest

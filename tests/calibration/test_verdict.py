@@ -1,4 +1,4 @@
-"""The verdict weighs all ways to γ0 that the report lists."""
+"""The verdict on γ0 uses all methods that the report lists."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def ball():
     found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
     gas = np.full(20, 1e5 + found.tension.gauge_pressure_pa)
     samples = replace(found.samples, gas_pressure_pa=gas)
-    return with_tension(seen(replace(found, samples=samples), 1.0), 0.01)
+    return with_tension(with_seen_share(replace(found, samples=samples), 1.0), 0.01)
 
 
 def with_tension(found, relative, **changes):
@@ -69,8 +69,8 @@ def rim_at(found, height_m, sigma_m):
     return replace(found, surfaces=replace(found.surfaces, **rim))
 
 
-def seen(found, share):
-    return replace(found, surfaces=replace(found.surfaces, visible_share=share))
+def with_seen_share(found, share):
+    return replace(found, surfaces=replace(found.surfaces, seen=share))
 
 
 @pytest.mark.parametrize(
@@ -99,8 +99,8 @@ def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relat
         (lambda found: gauged(found, 1.06), "The gauge pressure is 6 % above"),
         (lambda found: gauged(found, 0.94), "The gauge pressure is 6 % below"),
         (without_gas, "The recording has no gas pressure"),
-        (lambda found: seen(found, 0.81), ""),
-        (lambda found: seen(found, 0.79), "21 % of the dome is not visible"),
+        (lambda found: with_seen_share(found, 0.81), ""),
+        (lambda found: with_seen_share(found, 0.79), "21 % of the dome is not visible"),
         (lambda found: rim_at(found, 5e-4, 1e-5), ""),  # of 45 mm: 2 % are 0.9 mm
         (lambda found: rim_at(found, -2e-3, 1e-3), ""),
         (lambda found: rim_at(found, -2e-3, 5e-4), "The edge of the cloud lies -2.0 mm from"),

@@ -1,4 +1,4 @@
-"""Gas pressure of another day changes no force, or its interval holds what it changes."""
+"""Another atmospheric pressure changes no force, or the interval covers the change."""
 
 from dataclasses import replace
 

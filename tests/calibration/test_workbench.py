@@ -1,4 +1,4 @@
-"""Step by step, changed and done again: the same numbers as all at once, and no needless work."""
+"""Steps changed and repeated give the same numbers as one run, without needless work."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Estimate against a wrench: known gain, rotation, delay, bias and hysteresis are found again."""
+"""Estimate against a wrench: known gain, rotation, delay, bias and hysteresis are recovered."""
 
 import csv
 import json

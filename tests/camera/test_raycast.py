@@ -1,4 +1,4 @@
-"""First triangles of rays, against every triangle tried by itself."""
+"""First triangle on each ray, against a test of every triangle."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A speckle that is known everywhere, so that its images after any motion are exact."""
+"""Analytic speckle, so that images after any motion are exact."""
 
 from collections.abc import Callable
 

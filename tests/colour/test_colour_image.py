@@ -1,4 +1,4 @@
-"""Colour images are decoded as the message says, and what is none is refused in one sentence."""
+"""Colour images are decoded by their encoding; invalid ones are refused in one sentence."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Colour and depth are paired by stamps and a given delay; never by what is seen."""
+"""Colour and depth are paired by time stamp and a given delay."""
 
 from dataclasses import replace
 from pathlib import Path

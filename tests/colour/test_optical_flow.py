@@ -1,4 +1,4 @@
-"""Flow finds the motion of a known texture, knows how well, and leaves out what it cannot see."""
+"""Optical flow of a known texture: motion, its uncertainty, and exclusion of covered pixels."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The colour images of a recording: the right topic, the right moment, and only where asked."""
+"""Colour images of a recording: right topic, right time, read only on demand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Folders of images and other bags become recordings that say the same."""
+"""Image folders and foreign bags become recordings with the same content."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The command estimate: from a recording to RESULT.npz, checked against what was simulated."""
+"""The command estimate: from a recording to RESULT.npz, checked against the simulation."""
 
 import csv
 import json

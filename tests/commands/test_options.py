@@ -1,4 +1,4 @@
-"""Options that commands share: former names, and writing over what is there."""
+"""Options that commands share: former names, and overwriting."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""`bubbleviz simulate`: what is written is what was solved, and bad input writes nothing."""
+"""`bubbleviz simulate`: files contain what was solved; bad input writes nothing."""
 
 import numpy as np
 import pytest

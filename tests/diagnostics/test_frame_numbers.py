@@ -1,4 +1,4 @@
-"""The numbers of a frame that are plotted over time."""
+"""The scalars of a frame that are plotted over time."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A place seen three ways, against rays and distances reckoned here."""
+"""The probe at a pixel, a node or a point, against independent rays and distances."""
 
 import sys
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Numbers of a contact with friction, against forces put together by hand."""
+"""Scalars of a contact with friction, against forces added by hand."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the tests of the pages share."""
+"""Fixtures shared by the tests of the documentation."""
 
 import pytest
 from pages import REPOSITORY

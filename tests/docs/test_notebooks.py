@@ -1,4 +1,4 @@
-"""The tutorials as notebooks, in a Jupyter kernel as readers run them."""
+"""The tutorials as notebooks, run in a Jupyter kernel."""
 
 import os
 import shlex

@@ -1,4 +1,4 @@
-"""README and pages: their blocks run, their commands exist, their links lead somewhere."""
+"""README and pages: code blocks run, commands exist, links resolve."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""The package of the page on plug-ins, installed by pip: its format, source and solver are used."""
+"""The package of the page on plug-ins, installed by pip: format, source and solver are usable."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""One small press, and an estimate of it by the command that the exports must agree with."""
+"""One small press and its estimate, which the exports must reproduce."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Output files appear whole or not at all."""
+"""Output files appear complete or not at all."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Files that others made: damage is one sentence, and nothing is unpacked beyond its limit."""
+"""Foreign files: damage gives one sentence, and unpacking has a limit."""
 
 import io
 import zipfile

@@ -1,4 +1,4 @@
-"""Answers that must not change while code only moves: `python -m tests.golden.cases` writes them.
+"""Results that refactoring must not change: `python -m tests.golden.cases` writes them.
 
 Status, force, area and pose of the real press and of three simulated ones. On the processor and
 with the libraries that they were made with, they are equal to the last digit.

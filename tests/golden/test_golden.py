@@ -1,4 +1,4 @@
-"""Answers of the real press and three simulated ones are those of `golden.json`."""
+"""Results of the real press and three simulated ones equal those in `golden.json`."""
 
 import json
 

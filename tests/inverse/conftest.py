@@ -1,4 +1,4 @@
-"""A small press whose truth was made on another, finer mesh."""
+"""A small press simulated on another, finer mesh."""
 
 from dataclasses import dataclass
 

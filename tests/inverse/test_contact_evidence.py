@@ -1,4 +1,4 @@
-"""Which parts of a pressure are contact: by their share of the load and by their own noise."""
+"""Which parts of a pressure field are contact: by share of the load and by noise."""
 
 from types import SimpleNamespace
 

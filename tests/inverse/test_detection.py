@@ -1,4 +1,4 @@
-"""The weight of the L1 term against noise that is drawn, and not reckoned."""
+"""The weight of the L1 term against sampled noise."""
 
 import numpy as np
 import pytest

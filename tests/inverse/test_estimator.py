@@ -1,4 +1,4 @@
-"""The inverse of the linear membrane against presses made by the forward one on another mesh."""
+"""The inverse of the linear membrane, on presses simulated on another mesh."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Friction by depth alone, against another solver's rubber and against presses on another mesh."""
+"""Friction from depth alone, on rubber of another solver and presses on another mesh."""
 
 import numpy as np
 import pytest
@@ -82,20 +82,22 @@ def test_friction_on_rubber_by_another_solver(name, tmp_path):
     truth, camera = rubber_truth(name), camera_of(320)
     triangles, rest = truth["triangles"], truth["rest_m"]
 
-    def seen(shapes, gauge, noise=5e-5, seed=0):
+    def depth_images(shapes, gauge, noise=5e-5, seed=0):
         return render(name, camera, shapes, triangles, gauge, noise_m=noise, seed=seed)
 
     levels = [
-        seen(at_rest(shape, 10), gauge, seed=1)
+        depth_images(at_rest(shape, 10), gauge, seed=1)
         for shape, gauge in zip(truth["level_m"], truth["level_pa"], strict=True)
     ]
-    vented = seen(at_rest(truth["vented_m"], 5), 0.0)
+    vented = depth_images(at_rest(truth["vented_m"], 5), 0.0)
     drawing = dome_sensor(camera)
-    found = bv.identify(seen(at_rest(rest), GAUGE_PA), drawing, levels=levels, vented=vented)
+    found = bv.identify(
+        depth_images(at_rest(rest), GAUGE_PA), drawing, levels=levels, vented=vented
+    )
     found.save(tmp_path / "dome.toml")
     true, gauges = truth["force_n"], truth["gauge_pressure_pa"]
     for noise_m in (5e-5, 1.5e-4):
-        presses = seen(truth["nodes_m"], gauges, noise_m, 2)
+        presses = depth_images(truth["nodes_m"], gauges, noise_m, 2)
         run = bv.estimate(list(presses), tmp_path / "dome.toml")
         assert all(each.status == "ok" for each in run)
         error, size = np.linalg.norm(run.force_n - true, axis=1), np.linalg.norm(true, axis=1)

@@ -1,4 +1,4 @@
-"""Depth images that are off as a whole: warmed cameras, mountings that moved."""
+"""Systematic errors of depth images: warm cameras, moved mountings."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Neither mesh, nor rim, nor the frames before change what is found in a frame."""
+"""The result of a frame does not depend on mesh, rim or earlier frames."""
 
 from dataclasses import replace
 

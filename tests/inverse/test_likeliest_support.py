@@ -1,4 +1,4 @@
-"""The max_evidence support, against the evidence of every support in another form."""
+"""The max_evidence support, against the evidence of every support by another formula."""
 
 from dataclasses import replace
 from itertools import product

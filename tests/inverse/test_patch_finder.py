@@ -1,4 +1,4 @@
-"""The contact patch of presses whose contact is known."""
+"""The contact patch of presses with known contact."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def overlap(a, b):
     return float(np.count_nonzero(a & b) / np.count_nonzero(a | b))
 
 
-def seen_patch(truth):
+def visible_contact(truth):
     """Pixels that see a node in contact nearer than one that is not."""
     touching = (truth.contact.contact_pressure_pa > 0).astype(float)
     return MembraneView(CAMERA, truth.mesh).above(truth.contact.displacement_m, touching, 0.5)
@@ -46,7 +46,7 @@ def test_the_patch_overlaps_the_true_contact(name):
         view.above(estimate.displacement_m, finder.find(estimate, kappa).level, 0.0)
         for kappa in (None, 1.0)
     ]
-    ours, paper = (overlap(mask, seen_patch(truth)) for mask in masks)
+    ours, paper = (overlap(mask, visible_contact(truth)) for mask in masks)
     assert ours > 0.7
     assert ours > paper
 

@@ -1,4 +1,4 @@
-"""What is refused as an image of this membrane."""
+"""Which images are refused as implausible for the membrane."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Strength λ of the H1 term: the shipped one is where the misfit is that of the noise.
+"""Strength λ of the H1 term: at the default the misfit equals the noise.
 
 Most pixels see no contact, so that the misfit moves by a few parts in a thousand over decades of λ:
 the discrepancy principle needs the noise known that well, as only a simulation knows it.

@@ -1,4 +1,4 @@
-"""The inverse of the exact membrane: against its meridian's equations, and against presses."""
+"""The inverse of the exact membrane: against the meridian's equations and simulated presses."""
 
 import os
 from functools import cache
@@ -58,7 +58,7 @@ def estimator(nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0
     return Estimator(RangeObserver(CAMERA, mesh, relative, block=3), rubber)
 
 
-def seen(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
+def depth_image_of(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
     """Depth image of a moved mesh, with noise."""
     ranges = MembraneView(CAMERA, mesh).range_image(motion)
     noise = np.random.default_rng(seed).standard_normal(ranges.shape)
@@ -101,7 +101,7 @@ def error(estimate, force):
 def test_force_and_pressure_equal_the_meridian_solution(depth, ball):
     """Force, gas pressure, pressure under a plate and shape, on two meshes."""
     exact, surface = oracle(depth, ball)
-    image = seen(surface, np.zeros(len(surface.nodes)), NOISE_M)
+    image = depth_image_of(surface, np.zeros(len(surface.nodes)), NOISE_M)
     for nodes, most in ((400, 0.05), (800, 0.02)):
         solver = estimator(nodes)
         estimate, _ = solver.estimate(image)
@@ -123,7 +123,9 @@ def test_force_and_pressure_equal_the_meridian_solution(depth, ball):
 def test_presses_on_another_mesh(name, noise_m, relative):
     mesh, contact = pressed(name, 0.007, 0.0)
     solver = estimator(relative=relative or NOISE_M / 0.065)
-    estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, noise_m, relative))
+    estimate, _ = solver.estimate(
+        depth_image_of(mesh, contact.displacement_3d_m, noise_m, relative)
+    )
     assert estimate.status == "ok"
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < (0.06 if relative else 0.03)
 
@@ -142,13 +144,13 @@ def test_presses_on_another_mesh(name, noise_m, relative):
 def test_measured_gas_pressure(depth, off_pa):
     """A barometer's error does not become force: the bulge beside the contact tells it."""
     mesh, contact = pressed("sphere", depth)
-    solver, image = estimator(1000), seen(mesh, contact.displacement_3d_m, NOISE_M)
+    solver, image = estimator(1000), depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     true_pa = contact.gas_pressure_change_pa
     estimate, _ = solver.estimate(image, solver.bubble.gas.P0 + true_pa + off_pa)
     assert estimate.status == "ok"
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
     assert abs(estimate.gas_pressure_change_pa - true_pa) < 10.0
-    rest = seen(mesh, np.zeros(len(mesh.nodes)), NOISE_M)
+    rest = depth_image_of(mesh, np.zeros(len(mesh.nodes)), NOISE_M)
     assert solver.estimate(rest, solver.bubble.gas.P0 + off_pa)[0].status == "no_contact"
 
 
@@ -166,7 +168,9 @@ def test_sharp_edged_rod_off_the_axis():
     force = contact.nodal_force_n.sum(axis=0)
     askew = np.degrees(np.arctan2(force[1], force[0]) - np.arctan2(-0.006, -0.012))
     assert abs(askew) < 3.0  # towards the axis, by symmetry; tens of degrees on an even mesh
-    estimate, _ = estimator(800, 1.05).estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    estimate, _ = estimator(800, 1.05).estimate(
+        depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    )
     assert estimate.status == "ok"
     assert error(estimate, force) < 0.03
 
@@ -175,12 +179,12 @@ def test_no_contact_gives_zero_pressure():
     """Pressure on the contact and none elsewhere; none at all on an untouched membrane."""
     solver = estimator()
     mesh, contact = pressed("sphere", 0.007)
-    estimate, start = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    estimate, start = solver.estimate(depth_image_of(mesh, contact.displacement_3d_m, NOISE_M))
     touched = mesh.nodes[contact.contact_pressure_pa > 0.0].mean(axis=0)
     pressing = solver.mesh.nodes[estimate.contact_pressure_pa > 0.0]
     assert np.linalg.norm(pressing - touched, axis=1).max() < 0.013
     for seed in range(10):
-        image = seen(mesh, np.zeros(len(mesh.nodes)), NOISE_M, seed=seed)
+        image = depth_image_of(mesh, np.zeros(len(mesh.nodes)), NOISE_M, seed=seed)
         rest, start = solver.estimate(image, start=start)
         assert rest.status == "no_contact"
         assert not rest.force_n.any()
@@ -189,7 +193,7 @@ def test_no_contact_gives_zero_pressure():
 @pytest.mark.parametrize("change", [{"nodes": 2000}, {"slack": 3 * RIM_SLACK_M}])
 def test_invariance_to_irrelevant_changes(change):
     mesh, contact = pressed("sphere", 0.007)
-    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     usual, other = (solver.estimate(image)[0] for solver in (estimator(), estimator(**change)))
     assert error(other, usual.force_n) < 0.03
 
@@ -199,7 +203,7 @@ def test_highly_stretched_rubber_is_solved_from_rest(depth):
     """Close to constant tension it bends to single nodes, which once took all of the pressure."""
     mesh, contact = pressed("sphere", depth, prestretch=1.5)
     solver = estimator(prestretch=1.5)
-    estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    estimate, _ = solver.estimate(depth_image_of(mesh, contact.displacement_3d_m, NOISE_M))
     true = contact.nodal_force_n.sum(axis=0)
     assert estimate.status == "ok"
     assert error(estimate, true) < 0.03
@@ -255,7 +259,7 @@ def test_a_warm_start_that_fits_worse_than_rest_is_discarded():
 
 def image_of(depth, x, noise_m, seed=0):
     mesh, contact = pressed("sphere", depth, x)
-    return seen(mesh, contact.displacement_3d_m, noise_m, seed=seed)
+    return depth_image_of(mesh, contact.displacement_3d_m, noise_m, seed=seed)
 
 
 def test_small_press_on_a_flat_membrane_is_the_linear_model():
@@ -270,7 +274,7 @@ def test_small_press_on_a_flat_membrane_is_the_linear_model():
     forward = ForwardModel(
         fine, tension, Gas(AIR + gauge, CHAMBER + fine.cap_volume(), fine.areas)
     ).press(load_object("cylinder"), T)
-    image = seen(fine, forward.displacement_m)
+    image = depth_image_of(fine, forward.displacement_m)
     observer = RangeObserver(CAMERA, mesh, 2e-5, block=3)
     linear, _ = Estimator(observer, ConstantTension(mesh, tension, gas)).estimate(image)
     film = RubberMembrane.uniform(mesh, gauge, tension)
@@ -293,7 +297,7 @@ def test_sigma_includes_the_uncertainty_of_the_material(measured):
     noise_m, nodes = 5.0 * NOISE_M, 800
     usual = estimator(nodes, relative=noise_m / 0.065)
     stiffer = estimator(nodes, relative=noise_m / 0.065, tension=1.02 * TENSION)
-    image = seen(mesh, contact.displacement_3d_m, noise_m)
+    image = depth_image_of(mesh, contact.displacement_3d_m, noise_m)
     gas = usual.bubble.gas.P0 + contact.gas_pressure_change_pa if measured else None
     a, b = usual.estimate(image, gas)[0], stiffer.estimate(image, gas)[0]
     rubber = usual.bubble
@@ -303,7 +307,8 @@ def test_sigma_includes_the_uncertainty_of_the_material(measured):
     by_material = np.sqrt(both**2 - a.force_sigma_n[2] ** 2)
     assert by_material == pytest.approx(abs(b.force_n[2] - a.force_n[2]), rel=0.15)
     images = (
-        seen(mesh, contact.displacement_3d_m, noise_m, seed=seed) for seed in range(0, 12, EVERY)
+        depth_image_of(mesh, contact.displacement_3d_m, noise_m, seed=seed)
+        for seed in range(0, 12, EVERY)
     )
     forces = np.array([usual.estimate(image, gas)[0].force_n for image in images])
     assert np.all(forces.std(axis=0) < 2.0 * by_noise(a))
@@ -316,7 +321,7 @@ def test_sigma_includes_the_uncertainty_of_the_material(measured):
 def test_the_patch_overlaps_the_true_contact_and_its_band_holds_the_edge(name, least, held):
     mesh, contact = pressed(name, 0.007, 0.0, nodes=4000)
     solver = estimator(1000)
-    estimate, _ = solver.estimate(seen(mesh, contact.displacement_3d_m, NOISE_M))
+    estimate, _ = solver.estimate(depth_image_of(mesh, contact.displacement_3d_m, NOISE_M))
     patch = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m).find(estimate)
     inside = MembraneView(CAMERA, solver.mesh).above(estimate.motion_m, patch.level, 0.0)
     touching = touching_share(mesh, contact.contact_pressure_pa)
@@ -339,7 +344,7 @@ def test_patch_area_equals_the_meridian_solution():
         finder = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m)
         for depth in (0.005, 0.006, 0.009, 0.007)[::EVERY]:
             exact, surface = oracle(depth, BALL)
-            image = seen(surface, np.zeros(len(surface.nodes)), noise_m)
+            image = depth_image_of(surface, np.zeros(len(surface.nodes)), noise_m)
             patch = finder.find(solver.estimate(image)[0])
             errors.append(patch.area_m2 / exact.contact_area_m2(R) - 1)
         assert abs(np.mean(errors)) < 0.08
@@ -349,7 +354,7 @@ def test_an_unsolved_frame_has_no_numbers():
     """Ranges in other units, no return, a gas pressure that no membrane holds."""
     solver = estimator()
     mesh, contact = pressed("sphere", 0.007)
-    image = seen(mesh, contact.displacement_3d_m)
+    image = depth_image_of(mesh, contact.displacement_3d_m)
     for depth, gas, status in (
         (np.full_like(image, np.nan), None, "no_data"),
         (1e3 * image, None, "implausible"),

@@ -1,4 +1,4 @@
-"""What tests of live sources share."""
+"""Fixtures shared by the tests of live sources."""
 
 import pytest
 from wire import HEIGHT, WIDTH

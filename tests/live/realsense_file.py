@@ -1,4 +1,4 @@
-"""A file of the RealSense SDK, which it records from its own software device."""
+"""A file of the RealSense SDK, recorded from its software device."""
 
 from typing import Any
 

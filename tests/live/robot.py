@@ -1,4 +1,4 @@
-"""A robot in a process of its own: publishes with zenoh alone, keys as the two layouts spell them.
+"""A robot in its own process: publishes with zenoh alone, in both layouts of keys.
 
 Usage: robot.py PORT LAYOUT FIRST [MODE]. Counts images from FIRST, at 100 Hz, and prints each count
 once it is sent. In mode `bad` every third message is something that no camera sends.

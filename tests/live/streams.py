@@ -1,4 +1,4 @@
-"""What tests do with messages: make frames of them, record, play and publish them."""
+"""Helpers that make frames of messages, record, play and publish them."""
 
 import subprocess
 import sys

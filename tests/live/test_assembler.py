@@ -1,4 +1,4 @@
-"""Messages become frames; what is wrong with them is counted and never raises."""
+"""Messages become frames; invalid ones are counted and never raise."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Live frames have colour images once somebody asks for them, and are not burdened before."""
+"""Live frames have colour images only after a request for them."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A recording is a stream that has ended: the frames of either have the same beside them."""
+"""Recordings and streams associate the same wrench and colour with each frame."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The recorder skips nothing, and its file opens wherever writing ended."""
+"""The recorder skips nothing, and its file opens wherever writing was interrupted."""
 
 import os
 import random

@@ -1,4 +1,4 @@
-"""The wrench with friction and slip arrive over Zenoh as they were simulated."""
+"""The wrench with friction and slip arrive over Zenoh as simulated."""
 
 from dataclasses import replace
 from typing import Any

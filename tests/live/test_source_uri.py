@@ -1,4 +1,4 @@
-"""What --source may say, and how it is refused."""
+"""Values of --source, and messages for invalid ones."""
 
 import pytest
 

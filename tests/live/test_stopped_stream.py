@@ -1,4 +1,4 @@
-"""A stream whose camera dies ends with one clear error; `watch` says so and waits."""
+"""A stream whose camera fails ends with one clear error; `watch` reports it and waits."""
 
 import json
 import threading

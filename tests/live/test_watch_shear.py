@@ -1,4 +1,4 @@
-"""`watch --shear`: traction, torque and slip of a live source, or why there is depth alone."""
+"""`watch --shear`: traction, torque and slip of a live source, or why only depth is used."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Real Zenoh sessions on loopback, with a robot in a process of its own."""
+"""Real Zenoh sessions on loopback, with a robot in its own process."""
 
 import os
 import random
@@ -305,8 +305,8 @@ def test_invalid_topic_name_is_refused_in_one_line(small_sensor, option):
 
 
 @pytest.fixture
-def told(small_sensor, eventually):
-    """What a source says that is refused: `told(endpoint, ca=…, login=…)`."""
+def refusal(small_sensor, eventually):
+    """Message of a refused source: `refusal(endpoint, ca=…, login=…)`."""
 
     def ask(endpoint, **given):
         options = "&".join(f"{name}={value}" for name, value in given.items())
@@ -321,7 +321,7 @@ def told(small_sensor, eventually):
 
 
 def test_refused_and_unreachable_endpoints_are_distinguished(
-    small_sensor, certificates, eventually, told
+    small_sensor, certificates, eventually, refusal
 ):
     """Zenoh says of either only that it cannot connect."""
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "login", "stranger")
@@ -335,32 +335,34 @@ def test_refused_and_unreachable_endpoints_are_distinguished(
             eventually(lambda: waits.source.link == "up")
             assert waits.source.problem == ""
             signed = "the certificate of localhost is not signed by"
-            assert told(at) == f"{signed} an authority that this computer trusts; check ca="
-            assert told(at, ca=other) == f"{signed} ca={other}; check ca="
-            assert "not valid for '127.0.0.1'" in told(f"tls/127.0.0.1:{port}", ca=ca)
-            assert "in PEM form" in told(at, ca=login)
+            assert refusal(at) == f"{signed} an authority that this computer trusts; check ca="
+            assert refusal(at, ca=other) == f"{signed} ca={other}; check ca="
+            assert "not valid for '127.0.0.1'" in refusal(f"tls/127.0.0.1:{port}", ca=ca)
+            assert "in PEM form" in refusal(at, ca=login)
             no_session = f"localhost:{port} answers but refuses the session;"
-            assert told(at, ca=ca) == f"{no_session} if it requires user and password, give login="
+            assert (
+                refusal(at, ca=ca) == f"{no_session} if it requires user and password, give login="
+            )
             check = f"{no_session} check user and password in login={stranger}"
-            assert told(at, ca=ca, login=stranger) == check
-            assert told(f"tcp/localhost:{port}").endswith("if it requires encryption, use tls/")
+            assert refusal(at, ca=ca, login=stranger) == check
+            assert refusal(f"tcp/localhost:{port}").endswith("if it requires encryption, use tls/")
 
 
-def test_an_unknown_host_is_reported(told):
+def test_an_unknown_host_is_reported(refusal):
     """RFC 6761 keeps .invalid from ever being a name."""
-    assert told("tcp/robot.invalid:7447").startswith("the host robot.invalid is not known")
+    assert refusal("tcp/robot.invalid:7447").startswith("the host robot.invalid is not known")
 
 
-def test_a_missing_or_wrong_certificate_is_reported(certificates, told):
+def test_a_missing_or_wrong_certificate_is_reported(certificates, refusal):
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
     ca, cert, key, other, other_key = (str(certificates / name) for name in files)
     at = f"tls/localhost:{free_port()}"
     with listener(at, Credentials(ca=ca, cert=cert, key=key)):  # it wants ours, too
         missing = "localhost asks for a certificate of this computer; give cert= and key="
-        assert told(at, ca=ca).startswith(missing)
-        assert f"not accept cert={other};" in told(at, ca=ca, cert=other, key=other_key)
+        assert refusal(at, ca=ca).startswith(missing)
+        assert f"not accept cert={other};" in refusal(at, ca=ca, cert=other, key=other_key)
     with listener(at, Credentials(cert=other, key=other_key)):
-        assert "is the authority's own" in told(at, ca=other)
+        assert "is the authority's own" in refusal(at, ca=other)
 
 
 def test_a_refused_reconnection_is_reported(small_sensor, certificates, eventually, monkeypatch):

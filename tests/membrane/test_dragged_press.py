@@ -1,4 +1,4 @@
-"""Truths of objects that stick and slip: what the membrane does follows from their motion."""
+"""The oracle of sticking and slipping objects: membrane motion follows from object motion."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ def rubber(mesh):
     return RubberMembrane.uniform(mesh, GAUGE, TENSION, 1.2)
 
 
-def truths(press, frames=FRAMES):
+def simulate(press, frames=FRAMES):
     mesh = mesh_cap(CAP, 200)
     return mesh, list(dragged_truths(rubber, gas_of, mesh, press, frames))
 
 
 def test_sticking_ball_drags_its_contact():
-    mesh, found = truths(DraggedPress("sphere", 0.004, drag_m=0.001, friction=5.0))
+    mesh, found = simulate(DraggedPress("sphere", 0.004, drag_m=0.001, friction=5.0))
     assert len(found) == FRAMES and len(found[-1].mesh.nodes) > len(mesh.nodes)
     assert np.isnan(found[0].slip_share(1e-6)) and np.isnan(found[0].center_m).all()
     pressed = next(k for k in range(FRAMES) if found[k].T_B_O[0, 3] > 1e-9) - 1
@@ -35,7 +35,7 @@ def test_sticking_ball_drags_its_contact():
 
 
 def test_twisted_ball_slips_progressively_at_low_friction():
-    _, found = truths(DraggedPress("sphere", 0.004, twist_rad=np.radians(20.0), friction=0.3))
+    _, found = simulate(DraggedPress("sphere", 0.004, twist_rad=np.radians(20.0), friction=0.3))
     shares = np.array([truth.slip_share(5e-5) for truth in found[-5:]])
     assert (np.diff(shares) > -1e-3).all() and shares[0] < 0.1 < 0.3 < shares[-1]
     last = found[-1]

@@ -1,4 +1,4 @@
-"""The exact bubble agrees with conservation laws; the linear model's error against it."""
+"""The exact bubble obeys conservation laws; error of the linear model against it."""
 
 import os
 from functools import cache

@@ -1,4 +1,4 @@
-"""The line where a nodal field has a level, against fields whose lines are known."""
+"""Level lines of nodal fields, against fields with known lines."""
 
 import numpy as np
 import pytest

@@ -22,13 +22,13 @@ for a, b, c in MESH.triangles:
 EDGES = ((EDGES + EDGES.T) > 0).tocsr()
 
 
-def some_nodes(share):
+def random_nodes(share):
     return np.random.default_rng(2).random(len(MESH.nodes)) < share
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.5, 1.0])
 def test_connected_components_equal_those_of_networkx(share):
-    mask = some_nodes(share)
+    mask = random_nodes(share)
     nodes = np.flatnonzero(mask)
     count, part = connected_parts(MESH.rings, mask)
     expected, label = connected_components(EDGES[nodes][:, nodes], directed=False)
@@ -37,12 +37,12 @@ def test_connected_components_equal_those_of_networkx(share):
 
 
 def test_dilation_adds_the_neighbours():
-    mask = some_nodes(0.1)
+    mask = random_nodes(0.1)
     assert np.array_equal(grown(MESH.rings, mask), mask | (EDGES @ mask.astype(float) > 0.0))
 
 
 def test_sparse_submatrices_equal_those_by_indexing():
-    nodes = np.flatnonzero(some_nodes(0.3))
+    nodes = np.flatnonzero(random_nodes(0.3))
     laplacian = cotangent_laplacian(MESH)
     assert np.array_equal(dense_part(laplacian, nodes), laplacian[nodes][:, nodes].toarray())
     assert np.array_equal(adjacency(MESH.rings, nodes), EDGES[nodes][:, nodes].toarray())

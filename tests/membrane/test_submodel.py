@@ -1,4 +1,4 @@
-"""Part of a membrane with the rest condensed, against the whole; the gas that gives way."""
+"""Part of a membrane with the rest condensed, against the full model; compliant gas."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from bubbleviz.membrane import Gas, HeldPressure, Submodel
 PLACE = np.array([0.01, 0.0, H])
 
 
-def whole_motion(membrane, gas, forces):
+def full_model_motion(membrane, gas, forces):
     """Motions of all nodes under small forces on them, by the whole tangent with its gas."""
     rest = membrane.mesh.nodes
     K = membrane.tangent(rest, GAUGE).toarray()
@@ -34,7 +34,7 @@ def test_submodel_responds_to_small_forces_like_the_full_model(reach_m, held):
     tangent, missed = part.linearised(part.mesh.nodes, forces, nothing, gas)
     everywhere = np.zeros_like(membrane.mesh.nodes)
     everywhere[nodes] = np.where(part.mesh.rim[:, None], 0.0, forces)
-    exact = whole_motion(membrane, gas, everywhere)[nodes]
+    exact = full_model_motion(membrane, gas, everywhere)[nodes]
     assert inside.sum() > 5
     np.testing.assert_allclose(tangent.moved(missed[None])[0], exact, atol=1e-9 * H)
 

@@ -1,4 +1,4 @@
-"""Triangles on the surface that a meridian of the oracle sweeps."""
+"""Triangles on the surface of revolution of an oracle's meridian."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects that are pressed in with friction, dragged and twisted: truths on a mesh of their own."""
+"""Objects pressed in with friction, dragged and twisted, on a separate mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exact nonlinear contact of a constant-tension bubble, to judge the linear model by.
+"""Exact nonlinear contact of a constant-tension bubble: reference for the linear model.
 
 A film of tension γ0 over a circular rim, pressed on its axis by a ball or a flat plate without
 friction. The free part is a surface of revolution of constant mean curvature, P = γ0 (κ1 + κ2);

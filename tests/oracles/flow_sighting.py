@@ -1,4 +1,4 @@
-"""What depth and colour camera see of a membrane that is known: an image, and its flow."""
+"""Depth image and optical flow of a membrane whose motion is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bulged round sheet by its meridian's equations, which share nothing with our membrane.
+"""A bulged round sheet by its meridian's equations, independent of our membrane.
 
 And any inflated sheet on other meshes.
 """

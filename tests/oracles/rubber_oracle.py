@@ -1,4 +1,4 @@
-"""Exact contact of an axisymmetric rubber membrane, to judge the triangles by.
+"""Exact contact of an axisymmetric rubber membrane: reference for the triangles.
 
 An incompressible neo-Hookean membrane over a circular rim, inflated and pressed on its axis by a
 ball, a flat plate or the sharp-edged end of a rod without friction: ordinary differential equations

@@ -1,4 +1,4 @@
-"""Objects made ready: closest places, smooth normals, creases, refusals, symmetries, samples."""
+"""Object models: closest points, smooth normals, creases, refusals, symmetries, samples."""
 
 import numpy as np
 import open3d

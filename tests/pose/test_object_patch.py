@@ -1,4 +1,4 @@
-"""The patch by the object: it ends where the object does, and there is none without its pose."""
+"""The patch by the object ends at the object's edge and requires its pose."""
 
 from dataclasses import replace
 
@@ -37,44 +37,44 @@ def source(model):
 
 
 @pytest.fixture(scope="module")
-def seen(model, source):
+def processed(model, source):
     return Pipeline(model).process(source[0], frozenset({"patch"}))
 
 
-def outline(model, seen, T):
+def outline(model, processed, T):
     """The patch by a cylinder at a pose, the middle (2,) of its outline, and radii about T."""
-    finder = ObjectPatchFinder(model, ObjectSurface(study_object("cylinder")))
-    found = finder.find(seen.estimate, seen.patch, Pose("ok", T))
-    nodes = model.mesh.deformed(seen.estimate.motion_m)
+    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
+    found = finder.find(processed.estimate, processed.patch, Pose("ok", T))
+    nodes = model.mesh.deformed(processed.estimate.motion_m)
     pieces = level_line(nodes, model.mesh.corners, found.level)[:, :, :2]
     middles = pieces.mean(axis=1)
     lengths = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
     return found, lengths @ middles / lengths.sum(), np.linalg.norm(middles - T[:2, 3], axis=1)
 
 
-def test_patch_of_a_flat_face_ends_at_its_edge(model, seen):
-    found, _, radius = outline(model, seen, upright())
+def test_patch_of_a_flat_face_ends_at_its_edge(model, processed):
+    found, _, radius = outline(model, processed, upright())
     assert radius.mean() == pytest.approx(RADIUS_M, abs=4e-4)
     assert np.abs(radius - RADIUS_M).mean() < 0.15 * model.mesh.edge_length
     assert found.area_m2 == pytest.approx(np.pi * RADIUS_M**2, rel=0.1)
 
 
-def test_patch_ends_at_the_edge_with_outward_leaning_sides(model, seen):
+def test_patch_ends_at_the_edge_with_outward_leaning_sides(model, processed):
     finder = ObjectPatchFinder(model, ObjectSurface(made("frustum")))
-    found = finder.find(seen.estimate, seen.patch, Pose("ok", upright(z=0.044)))
+    found = finder.find(processed.estimate, processed.patch, Pose("ok", upright(z=0.044)))
     assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
 
 
-def test_outline_follows_the_pose_at_a_constant_depth_image(model, seen):
-    _, here, _ = outline(model, seen, upright())
-    _, there, _ = outline(model, seen, upright(x=0.0045))
+def test_outline_follows_the_pose_at_a_constant_depth_image(model, processed):
+    _, here, _ = outline(model, processed, upright())
+    _, there, _ = outline(model, processed, upright(x=0.0045))
     assert there - here == pytest.approx([1.5e-3, 0.0], abs=4e-4)
 
 
 @pytest.mark.parametrize("status", ["lost", "no_contact", "few_points", "no_data"])
-def test_no_object_patch_without_a_pose_of_the_frame(model, seen, status):
+def test_no_object_patch_without_a_pose_of_the_frame(model, processed, status):
     finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
-    assert finder.find(seen.estimate, seen.patch, Pose(status, upright())) is None
+    assert finder.find(processed.estimate, processed.patch, Pose(status, upright())) is None
 
 
 def test_object_patch_on_request_changes_no_pose(model, source):

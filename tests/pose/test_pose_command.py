@@ -1,4 +1,4 @@
-"""The command pose: from a recording to POSES.csv, checked against what was simulated."""
+"""The command pose: from a recording to POSES.csv, checked against the simulation."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Registration against cases whose answer is known in closed form."""
+"""Registration in cases with closed-form solutions."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The tracker on a simulated press: followed, lost, found again, and why there is no pose."""
+"""The tracker on a simulated press: tracking, loss, recovery, and reasons for no pose."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""A pipeline in another process: the same answers, and nothing lost with the process."""
+"""A pipeline in another process: same results, and no loss when the process dies."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Bags made with rosbags alone, so that the reader is not tested against its own writer."""
+"""Bags made with rosbags alone, independent of our writer."""
 
 from typing import Any
 

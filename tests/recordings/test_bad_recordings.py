@@ -1,4 +1,4 @@
-"""Whatever is wrong with a recording is one line that names the file, and no traceback."""
+"""Every error of a recording is one line that names the file, without traceback."""
 
 import os
 import random

@@ -1,4 +1,4 @@
-"""Frames kept as they are read: the same frames, and no more memory than allowed."""
+"""Cache of frames: the same frames, within the memory limit."""
 
 from collections import Counter
 

@@ -1,4 +1,4 @@
-"""The size of a measured force: its bias, and what stays unknown."""
+"""The magnitude of a measured force: its bias, and what remains unknown."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Point clouds as other programs lay them out in memory."""
+"""Point clouds in the memory layouts of other programs."""
 
 from types import SimpleNamespace
 

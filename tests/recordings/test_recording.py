@@ -1,4 +1,4 @@
-"""Recordings are read as what another program wrote."""
+"""Recordings written by another program are read correctly."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the writer writes is read by rosbags and by our own reader."""
+"""Recordings that we write are read by rosbags and by our reader."""
 
 import numpy as np
 import pytest

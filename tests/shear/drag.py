@@ -1,4 +1,4 @@
-"""A small sensor, and objects that stick to its membrane: truths on another, finer mesh."""
+"""A small sensor, and objects that stick to its membrane, simulated on a finer mesh."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""What `estimate --shear` writes and says."""
+"""Files and output of `estimate --shear`."""
 
 import csv
 import json

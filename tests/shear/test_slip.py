@@ -1,4 +1,4 @@
-"""Slip is found soon after it begins, and not where everything sticks."""
+"""Slip is detected soon after its onset, and not while everything sticks."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A source played in rounds: what is true repeats, the noise does not."""
+"""A looped source: the ground truth repeats, the noise does not."""
 
 import numpy as np
 import pytest

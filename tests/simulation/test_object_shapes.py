@@ -1,4 +1,4 @@
-"""The shipped objects: closed, outward, of the size they claim."""
+"""The shipped objects: closed, oriented outward, of the documented size."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Objects, presses and truths that studies and tests share."""
+"""Objects, presses and ground truths shared by studies and tests."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A sharp-edged object pressed in, against the equations of the meridian."""
+"""A sharp-edged object pressed in, against the meridian's equations."""
 
 from dataclasses import replace
 

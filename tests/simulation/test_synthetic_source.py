@@ -1,4 +1,4 @@
-"""Synthetic frames: reproducible, noisy as asked, and true to what the simulation solved."""
+"""Synthetic frames: reproducible, with the requested noise, equal to the simulated solution."""
 
 import numpy as np
 import pytest

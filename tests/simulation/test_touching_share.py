@@ -1,4 +1,4 @@
-"""How much of a node's cell touches, against presses whose contact radius is known exactly."""
+"""The share of a node's cell in contact, against presses with exact contact radius."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""TRUTH.npz read back: the recording knows what its simulation knew, or says why not."""
+"""TRUTH.npz is read back with its recording, or refused with the reason."""
 
 import shutil
 from dataclasses import fields

@@ -1,4 +1,4 @@
-"""The speed study: what it measures adds up; growth and targets on known numbers."""
+"""The speed study: parts sum to the total; growth and targets on known numbers."""
 
 import json
 import subprocess

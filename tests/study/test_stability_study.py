@@ -1,4 +1,4 @@
-"""The stability study: its cases, its verdicts, and that a broken estimator is found out."""
+"""The stability study: cases, verdicts, and detection of a broken estimator."""
 
 import json
 import os
