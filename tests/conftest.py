@@ -59,7 +59,7 @@ def _turn(item):
 
 @pytest.fixture(scope="session", autouse=True)
 def _temporary_files(tmp_path_factory):
-    """What the tests and their processes leave in the temporary folder goes with pytest's own."""
+    """Temporary files of tests and their processes are in pytest's folder, which it removes."""
     folder = str(tmp_path_factory.mktemp("temporary"))
     before, tempfile.tempdir = tempfile.tempdir, folder
     os.environ["TMPDIR"] = folder
@@ -75,7 +75,7 @@ def punyo_press():
 
 @pytest.fixture(scope="session")
 def punyo_press_colour():
-    """The same press with what the colour camera saw from frame 45 on."""
+    """The same press with colour images from frame 45 on."""
     return _real_recording("punyo_press_a_color")
 
 
@@ -112,7 +112,7 @@ def certificates(tmp_path):
 
 @pytest.fixture
 def eventually():
-    """Wait for something to come true; the limit is for broken code only."""
+    """Wait until a condition is true; the time limit is for broken code only."""
 
     def wait(condition, limit_s=240.0):
         deadline = time.monotonic() + limit_s

@@ -45,7 +45,7 @@ def camera_of(width=320, focal_px=215.0, z_m=-0.052):
 
 
 def dome_sensor(camera=None, gauge_pa=GAUGE_PA, atmosphere_pa=ATMOSPHERE_PA, chamber_m3=2e-4):
-    """What a drawing says of the sensor of `rubber_truth`, gauge pressure and atmosphere true."""
+    """Sensor of `rubber_truth` as drawn, with true gauge and atmospheric pressure."""
     return Sensor(
         name="moulded dome",
         membrane=Membrane(shape="spherical_cap", rim_radius_m=0.045, height_m=0.029),

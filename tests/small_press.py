@@ -26,7 +26,7 @@ def write_small_sensor(path):
 
 
 def small_source(sensor, heights=HEIGHTS, seed=0):
-    """The presses as a source, with the truth behind them."""
+    """The presses as a source with ground truth."""
     poses = [parse_pose(f"0.005 0 {height} 0 0 0 1") for height in heights]
     noise = DepthNoise(relative=0.002)
     return SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, noise, seed=seed)

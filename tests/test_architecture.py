@@ -84,7 +84,7 @@ def test_rooms_and_packages_import_what_their_contracts_allow():
 
 
 def private(name):
-    """Whether a dotted name goes through something private."""
+    """Whether a dotted name has a private part."""
     return any(
         part.startswith("_") and not part.endswith("__") and part not in PUBLIC_AFTER_ALL
         for part in name.split(".")
@@ -105,7 +105,7 @@ def private_names(node):
 
 
 def called(node):
-    """Name of the function that is called, without what it belongs to."""
+    """Name of the called function, without its object or module."""
     return ast.unparse(node.func).split(".")[-1]
 
 
@@ -123,7 +123,7 @@ def test_tests_use_nothing_private():
 
 
 def test_tests_wait_for_conditions_and_never_for_a_time():
-    """Helpers may sleep: a slow source, a robot with a rate, what looks again and again."""
+    """Helpers may sleep: a slow source, a robot with a rate, a polling loop."""
     found = [
         f"{file.relative_to(REPOSITORY)}:{node.lineno}"
         for file in TESTS
@@ -154,7 +154,7 @@ def late_imports(file):
 
 
 def test_an_import_inside_a_function_says_why():
-    """Which start it makes faster, or which extra it leaves out: beside it, or for the module."""
+    """A comment at the import or for the module names the faster start or the optional extra."""
     silent = []
     for file in FILES:
         text = file.read_text().splitlines()

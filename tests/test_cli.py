@@ -109,7 +109,7 @@ def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
 
 
 def loaded_after_help(which):
-    """What is imported of what is heavy, and of the window, after the help of some commands."""
+    """Heavy packages and modules of the window that are imported by the help of some commands."""
     code = (
         "import click, sys; from bubbleviz.cli.command_line import main\n"
         f"for name in {which}: main([name, '--help'], standalone_mode=False)\n"

@@ -129,7 +129,7 @@ def test_a_package_that_is_not_there_leaves_nothing():
 
 
 def test_an_import_that_another_thread_disturbs_is_repeated():
-    """Open3D goes through all modules; the name of one adds another meanwhile, as a thread may."""
+    """Open3D iterates over all modules; one name adds another meanwhile, as a thread may."""
     code = (
         "import sys, types\n"
         "class Name(str):\n"

@@ -67,7 +67,7 @@ def test_import_loads_nothing_heavy():
 
 
 def test_a_notebook_kernel_estimates(recording, sensor):
-    """Open3D knows a kernel by the class of its shell, and then loads more."""
+    """Open3D detects a Jupyter kernel by the class of its shell, and then loads more."""
     code = (
         "import builtins; builtins.get_ipython = type('ZMQInteractiveShell', (), {})\n"
         "import bubbleviz as bv\n"
@@ -168,7 +168,7 @@ def test_repr_is_one_line_with_units(frames, estimated):
 
 
 def test_pickled_run_omits_what_can_be_recomputed(estimated):
-    """As to another process; a picture of the patch has been made, so that views are there."""
+    """As when sent to another process; the patch was drawn before, so that cached views exist."""
     mask = estimated[2].pixel_mask
     sent = pickle.dumps(estimated)
     arrays = [*estimated.arrays().values(), *vars(estimated.model.mesh).values()]
@@ -185,7 +185,7 @@ def test_a_calibration_of_every_pixel_travels_as_in_its_file():
 
 
 def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
-    """Elsewhere: of the sensor file only what is in the result's file is needed."""
+    """In another folder, without the sensor file: the result file contains its content."""
     estimated.save(tmp_path / "press.npz")
     got = bv.load_run(tmp_path / "press.npz")
     assert got.status.tolist() == estimated.status.tolist()

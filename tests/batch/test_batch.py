@@ -38,7 +38,7 @@ def batch(*words):
 
 
 def resumed(*words):
-    """What the command says of each recording when it goes on, in this process."""
+    """Status of each recording as printed by a resumed batch, run in this process."""
     done = CliRunner().invoke(main, ["batch", *map(str, words), "--resume", "--json"])
     assert done.exit_code == 0, done.stderr
     return {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}

@@ -83,7 +83,7 @@ def test_missing_library(monkeypatch):
 
 
 def _talk(server):
-    """Something else listens there, such as a web server."""
+    """Another program listens on the port, such as a web server."""
     while True:
         try:
             connection, _ = server.accept()

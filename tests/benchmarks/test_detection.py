@@ -44,7 +44,7 @@ def test_a_press_of_a_millimetre_is_found_and_noise_is_not(setup, dome, ladder):
 
 
 class Known:
-    """Shows a force from a known step on, and in some of the contact-free frames."""
+    """Reports a force from a known step on, and in some of the contact-free frames."""
 
     noise, gas_measured = ONE, False
 

@@ -10,7 +10,7 @@ def test_every_input_is_read_or_refused_in_one_line(tmp_path):
 
 
 def test_fuzzing_finds_a_planted_fault(tmp_path, monkeypatch):
-    """Of a reader that raises what is no InputError, and one that never ends."""
+    """One reader raises another error than InputError, one never returns."""
 
     def broken(corpus, folder, rng):
         return lambda: {}["key"]

@@ -13,7 +13,7 @@ from benchmarks.slip import SlipTrial, report_of
 
 
 def trial(**changed):
-    """A good frame but for what is changed."""
+    """An accurate frame with these changes."""
     values = dict.fromkeys(ShearTrial.__dataclass_fields__, 0.0)
     words = {
         "object_name": "puck",
@@ -26,7 +26,7 @@ def trial(**changed):
 
 
 def slip(**changed):
-    """A contact whose slip is found at once, but for what is changed."""
+    """A contact whose slip is detected at once, with these changes."""
     values = {"judged": 10, "alarms": 0, "found_in": 1.0} | changed
     return SlipTrial(5e-3, "0.03 px", 20, **values)
 

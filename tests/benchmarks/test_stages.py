@@ -13,7 +13,7 @@ def sensor():
 
 
 def test_stages_take_longer_than_their_floor(sensor):
-    """On a machine that can do nothing fast all are at their floor; on this one none is below."""
+    """On a very slow machine all are at their floor; on this one none is below."""
     sizes = StageSizes((9_600, 4_800), (200, 300), 1, source_nodes=500)
     machine = Machine.measured()
     assert 1e8 < machine.bytes_per_s < 1e13 and 1e8 < machine.flops_per_s < 1e14

@@ -42,7 +42,7 @@ def test_surface_predicts_held_out_frames(twin, found):
 
 
 def test_surface_equals_ground_truth_and_beats_the_ellipsoid(twin, found):
-    """Against the twin's dome without noise, holes or bias, seen and unseen alike."""
+    """On visible and hidden parts, against the twin's dome without noise, holes or bias."""
     sideways = found.model.camera.T_B_C[:2, 3] - twin.camera.T_B_C[:2, 3]
     assert np.abs(sideways).max() < 5e-4
     modelled = found.modelled_range_m[found.pixels.mask]
@@ -78,7 +78,7 @@ def test_tension_and_noise(twin, found):
 
 
 def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path):
-    """The sensor file's atmosphere is off by the weather: γ0 with it, and its interval says so."""
+    """A wrong atmospheric pressure in the sensor file shifts γ0 within its interval."""
     truth, sensor = balance_tension(twin.truth, GAUGE), nominal_sensor()
     air = {"atmospheric_pressure_pa": ATMOSPHERE - 1500.0}
     sensor = sensor.model_copy(update={"pneumatics": sensor.pneumatics.model_copy(update=air)})

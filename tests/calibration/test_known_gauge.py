@@ -106,7 +106,7 @@ def test_precise_gauge_pressure_is_kept(identified):
 
 @pytest.mark.parametrize("weather_pa", [-1500.0, 0.0, 1500.0])
 def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa):
-    """The sensor file's atmosphere is wrong by weather, which the file does not tell."""
+    """The atmospheric pressure in the sensor file is of another day."""
     found = identified(atmospheric_pressure_pa=ATMOSPHERE_PA - weather_pa)
     gauge, (levels, file) = found.rubber.gauge, found.rubber.gauge_candidates
     assert file.half_width == pytest.approx(2e3, rel=1e-3)
@@ -120,7 +120,7 @@ def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa)
 
 
 def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
-    """Nothing tells which is wrong: the file's value stays, its interval holds both."""
+    """The value of the file is used, with an interval that covers both."""
     found = identified(
         gauge_pressure_pa=2000.0,
         gauge_sigma_pa=20.0,
@@ -160,7 +160,7 @@ def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
 
 
 def test_force_of_presses_after_levels(tmp_path):
-    """From levels to force: right where the gauge pressure is known, else within its interval."""
+    """Force is accurate if the gauge pressure is known, otherwise within its interval."""
     dome = rubber_truth("dome_ball")
     camera = camera_of()
     rest, low, high = (
@@ -201,7 +201,7 @@ def rest_samples():
 
 
 def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
-    """The file's σ holds for its own inflation and weather; another one leaves the difference."""
+    """The σ of the file applies at its gauge pressure; elsewhere the difference is added."""
     weather = sensor_file(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
     assert rest_gauge(rest_samples, weather)[0] == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
     assert rest_gauge(rest_samples, weather)[1] == pytest.approx(WEATHER)

@@ -25,9 +25,9 @@ STRETCH = 0.02
 
 
 class Stretched(Dome):
-    """The dome seen by a camera whose every other pixel stretches ranges about 150 mm.
+    """The dome in a camera with a range scale error about 150 mm in every other pixel.
 
-    A stretch that all pixels share is a shape of its own, and no contact-free frame tells it.
+    A scale error common to all pixels is not identifiable: it looks like another shape.
     """
 
     @property
@@ -129,7 +129,7 @@ def test_useless_levels_are_refused(level, why):
 
 @pytest.fixture(scope="module")
 def press():
-    """A simulated recording: rest, then a cylinder held at a pose that is known."""
+    """A simulated recording: rest, then a cylinder at a known constant pose."""
     sensor = stretched(0.05).sensor
     membrane = sensor.membrane.model_copy(
         update={"nodes": 300, "rim_radius_m": 0.075, "height_m": 0.05}

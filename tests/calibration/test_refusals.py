@@ -52,7 +52,7 @@ def test_a_steep_dent(twin, width):
 
 
 def test_false_return_is_not_a_dent(twin):
-    """A spot that the camera sees 20 mm nearer, as by a reflection, is left out."""
+    """A region measured 20 mm too near, as by a reflection, is excluded."""
     rows, columns = np.indices(twin.depth.shape[1:])
     depth = twin.depth.copy()
     depth[:, (rows - 70) ** 2 + (columns - 78) ** 2 < 36] -= 0.02

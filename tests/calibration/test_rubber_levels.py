@@ -53,7 +53,7 @@ def test_inflation_equals_the_meridian_solution(level):
 
 @pytest.mark.parametrize("share", [-0.6, 0.1, 0.5])
 def test_an_inflated_membrane_is_in_equilibrium(share):
-    """Nodal forces of rubber and gas cancel, but for those that held it at rest."""
+    """Nodal forces of rubber and gas cancel, apart from the residual at rest."""
     rest = swept_mesh(AxialRubber(0.045, 110.0, 1.15, G).rest, 300)
     membrane = prestressed(rest, G, 110.0)
     x = Inflation(membrane).at((1.0 + share) * G)
@@ -160,7 +160,7 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
 
 @pytest.mark.parametrize("off", [-0.02, 0.02])
 def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found, vented, off):
-    """±2 % is the total error band of usual sensors; a better one is said to be better."""
+    """±2 % is the total error band of common sensors; a better one gives a narrower interval."""
     low, high = level(found, 0.85), level(found, 1.15)
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + off * 1.15 * G)
     for opened in (None, vented):
@@ -174,7 +174,7 @@ def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found,
 
 
 def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented):
-    """A tenth of the pixels is 3 mm too close at one level: outliers count for nothing."""
+    """A tenth of the pixels is 3 mm too close at one level: outliers have no weight."""
     low, high = level(found, 0.85), level(found, 1.15)
     ranges = low.statistics.range_m.copy()
     rows = len(ranges)

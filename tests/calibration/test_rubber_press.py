@@ -29,7 +29,7 @@ GIVEN_ATMOSPHERE = ATMOSPHERE_PA + 900.0
 
 
 class Press:
-    """Frames without contact, then frames of a ball that is held."""
+    """Frames without contact, then frames with a ball at a constant pose."""
 
     name = "press"
 
@@ -165,7 +165,7 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
 
 
 def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):
-    """A patch of pixels is 3 mm too far away while the ball is held: outliers count for little."""
+    """A region of pixels is 3 mm too far during the press: outliers have little weight."""
     found, held = pressed
     glare = np.zeros(held.statistics.range_m.shape)
     glare[70:80, 95:115] = 3e-3

@@ -86,7 +86,7 @@ def test_a_scale_of_depth(sensor, rest):
 
 
 def test_more_gas_is_detected(sensor, twin, rest):
-    """Inflated by 1 kPa, a fifth, on the truth's own mesh."""
+    """Inflated by 1 kPa, a fifth, simulated on a separate mesh."""
     tension = SensorModel.of(sensor, twin.intrinsics).tension_n_per_m
     rubber = build_rubber(sensor, twin.truth, tension)
     moved = Inflation(rubber).at(rubber.gauge_pressure_pa + 1e3) - twin.truth.nodes

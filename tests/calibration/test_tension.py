@@ -40,7 +40,7 @@ def test_interval_covers_the_true_tension(spheres):
 
 @pytest.mark.long  # in short: of made-up errors, below
 def test_interval_from_noise_alone_is_calibrated(spheres):
-    """Errors over what the covariance says of them: of unit spread, not twice or half of it."""
+    """Errors divided by the standard deviation of the covariance have about unit spread."""
     own = [np.hypot(f.tension.parts["pixels"], f.tension.parts["frames"]) for f in spheres]
     scores = (np.array([f.tension_n_per_m for f in spheres]) - TRUTH) / own
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5

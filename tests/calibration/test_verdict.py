@@ -34,7 +34,7 @@ def test_balance_and_least_squares_agree_on_a_sphere():
 
 @pytest.fixture(scope="module")
 def ball():
-    """Of 20 frames with gas pressure, all in view: nothing against it but their number."""
+    """Ideal apart from the small number of frames, 20."""
     dome = sphere(0, NOISE, frames=20, scale=0.35)
     found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
     gas = np.full(20, 1e5 + found.tension.gauge_pressure_pa)

@@ -71,7 +71,7 @@ def test_known_numbers_are_found_within_their_intervals():
     "how", [{}, {"presses": 2}, {"presses": 1}, {"spread": 0.05}, {"hysteresis": 0.5}]
 )
 def test_intervals_hold_the_truth(how):
-    """95 % asked of each number, and at least 80 % found of these few recordings."""
+    """Nominally 95 % for each parameter; at least 80 % required for these few recordings."""
     held = []
     for seed in range(60 if "TEST_ALL" in os.environ else 20):
         found = compare_with_wrench(*pressed(seed, **how))

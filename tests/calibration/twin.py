@@ -22,7 +22,7 @@ TILT = Rotation.from_euler("y", 25.0, degrees=True)
 
 @dataclass
 class Twin:
-    """A source of frames with the truth beside it."""
+    """A source of frames with its ground truth."""
 
     name: str
     times_s: np.ndarray
@@ -45,7 +45,7 @@ class Twin:
 
 
 def nominal_sensor(gauge=GAUGE):
-    """What the drawing says; the camera sits 1.3 mm off."""
+    """Sensor as drawn; the true camera is displaced by 1.3 mm."""
     return Sensor(
         name="twin",
         membrane=Membrane(shape="ellipsoidal_cap", rim_semi_axes_m=RIM, height_m=HEIGHT),
@@ -64,9 +64,9 @@ def nominal_sensor(gauge=GAUGE):
 
 
 def make_twin(seed=0, pressure=True, noise_seed=None, frames=FREE + PRESSED):
-    """Frames of 160×120 pixels: FREE without contact, then a press that grows and holds.
+    """Frames of 160×120 pixels: FREE without contact, then a press that grows to a constant depth.
 
-    The same sensor is recorded again by the same seed with another `noise_seed`.
+    The same seed with another `noise_seed` gives another recording of the same sensor.
     """
     rng = np.random.default_rng(seed)
     intrinsics = Intrinsics(160, 120, 107.4, 107.2, 78.4, 61.9)
@@ -106,7 +106,7 @@ def make_twin(seed=0, pressure=True, noise_seed=None, frames=FREE + PRESSED):
 
 
 def bumpy(mesh):
-    """The dome with a broad deviation of 0.8 mm that no ellipsoid has, nothing at the rim."""
+    """The dome with a broad, non-ellipsoidal deviation of 0.8 mm that vanishes at the rim."""
     x, y, z = mesh.nodes.T
     bulge = 8e-4 * np.cos(np.pi * x / 0.04) * np.cos(np.pi * y / 0.04) * (z / HEIGHT)
     return MembraneMesh(mesh.deformed(bulge), mesh.triangles, mesh.rim)

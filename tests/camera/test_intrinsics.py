@@ -52,7 +52,7 @@ def test_projecting_a_deprojected_pixel_returns_it(model, k, depth):
 
 @pytest.mark.parametrize("model", ["plumb_bob", "inverse_brown_conrady"])
 def test_strong_distortion_is_inverted_to_rounding(model):
-    """Newton's method, not an iteration that creeps there."""
+    """By Newton's method rather than a slow fixed-point iteration."""
     lens = camera(model, (-0.12, 0.05, 0.02, -0.025, 0.01))
     back = lens.project(lens.rays())
     v, u = np.mgrid[0 : lens.height, 0 : lens.width]

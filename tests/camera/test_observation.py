@@ -199,7 +199,7 @@ def test_clean_pixels_keep_their_full_weight():
 
 
 def looked_at(noise: np.ndarray, sigma: float):
-    """What is left of a dent's ranges with noise (H, W) by the model of that very dent."""
+    """Misfit of noisy ranges (H, W) of a dent to the model of the same dent."""
     displacement = smooth_dent(0.006)
     observer = RangeObserver(CAMERA, MESH, sigma, block=2)
     ranges = MembraneView(CAMERA, MESH).range_image(displacement)
@@ -219,7 +219,7 @@ def test_expected_noise_is_one_deviation_and_white():
 
 
 def test_noise_factor_uses_mostly_visible_blocks():
-    """The factor of white noise; what neighbours share counts more, a sparse half not at all."""
+    """Correlated noise raises the factor; a sparsely visible half does not affect it."""
     rows, columns = 60, 80
     squares, rng = BlockSquares(np.arange(rows * columns), columns), np.random.default_rng(0)
     block, white = np.arange(rows * columns), rng.standard_normal((rows, columns))
@@ -237,7 +237,7 @@ def test_noise_factor_uses_mostly_visible_blocks():
     ("factor", "least", "most"), [(0.3, 0.3, 0.6), (1.5, 1.4, 1.7), (3, 2.8, 3.3)]
 )
 def test_the_noise_factor_is_relative_to_the_camera(factor, least, most):
-    """Below the camera's it is a bound: what the errors surely stay within."""
+    """Below 1 it is an upper bound of the errors' factor."""
     observer = RangeObserver(CAMERA, MESH, 0.01, block=2)
     ranges = MembraneView(CAMERA, MESH).range_image(np.zeros(len(MESH.nodes)))
     noise = 0.01 * np.random.default_rng(3).standard_normal(ranges.shape)
@@ -282,7 +282,7 @@ def test_a_field_in_the_image_is_cast_on_the_deformed_membrane(model, distortion
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.003, 0.02])
 def test_ranges_equal_those_of_ray_casting(depth_m):
-    """By Open3D's bounding volumes, which know nothing of neighbours."""
+    """By Open3D's bounding volumes, which do not use adjacency."""
     own = replace(CAMERA.intrinsics, cx=CAMERA.intrinsics.cx + 90.0)  # some miss the membrane
     view = MembraneView(DepthCamera(own, CAMERA.T_B_C), MESH)
     displacement = smooth_dent(depth_m)

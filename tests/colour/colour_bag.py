@@ -32,7 +32,7 @@ def encoded(rgb, kind):
 
 
 def add_compressed(bag, stamp, data, said, topic=COLOUR, header=None):
-    """A compressed image, `said` to be of a format."""
+    """A compressed image whose declared format is `said`."""
     fields: dict[str, Any] = {
         "header": header or bag.header(stamp),
         "format": said,

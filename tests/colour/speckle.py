@@ -33,7 +33,7 @@ def still(x, y):
 
 
 def clean_image(motion=still):
-    """Brightness after a motion: each pixel sees the point that moved there."""
+    """Brightness after a motion: each pixel shows the point that moved there."""
     x, y = grid()
     from_x, from_y = x, y
     for _ in range(20):  # each a fifth of the error before it, or less

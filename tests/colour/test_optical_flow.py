@@ -71,7 +71,7 @@ def test_pixels_without_texture_or_saturated_are_excluded():
 
 
 def test_covered_or_glaring_pixels_are_excluded(rest):
-    """Something else is seen there than at rest."""
+    """The image there differs from that at rest."""
     flow = OpticalFlow.of(rest)
     image = clean_image()
     image[50:130, 40:140] = clean_image()[::-1, ::-1][50:130, 40:140]

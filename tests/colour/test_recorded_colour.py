@@ -39,7 +39,7 @@ def test_compressed_images_are_found(tmp_path, kind):
 
 
 def test_a_frame_has_the_nearest_image_within_half_a_period_or_none(tmp_path):
-    """Log times that tell another story do not matter."""
+    """Time stamps of the headers decide, not log times."""
     bag = fill(BagMaker("mcap file"))
     for k, shift in enumerate((0.4, -0.4, 0.0)):
         late = START + (k + 7) * PERIOD

@@ -22,7 +22,7 @@ CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 1
 
 
 def converted(*arguments):
-    """What the command says; its one line of an error where it fails."""
+    """Output of the command, or its error message of one line."""
     done = CliRunner().invoke(main, ["convert", *map(str, arguments)])
     assert done.exit_code in (0, 2), done.output
     assert done.exit_code == 0 or done.stderr.count("\n") == 1
@@ -117,7 +117,7 @@ def test_other_bag_formats_give_the_same_recording(kind, tmp_path):
     [(1e-4, "Depth_Units"), (1e-3, "Depth_Units"), (2.5e-5, "Depth Units"), (None, "")],
 )
 def test_a_bag_of_the_realsense_viewer(unit_m, option, tmp_path):
-    """Whatever the unit; infrared images of 16 bits beside the depth's are none."""
+    """In any depth unit; infrared images of 16 bits are not taken for depth."""
     out = tmp_path / "out.mcap"
     write_realsense_bag(tmp_path / "camera.bag", unit_m, option)
     assert "4 frames of 32×24 pixels lasting 0.1 s, intrinsics" in converted(
@@ -166,7 +166,7 @@ def test_colour_is_copied_unchanged(kind, tmp_path):
 
 @pytest.mark.parametrize("told", [True, False])
 def test_colour_images_in_a_folder_are_matched_by_number(told, tmp_path):
-    """Byte for byte; the second depth image has none. What is not known of the camera is said."""
+    """Copied byte for byte; the second depth image has none. Missing camera data are reported."""
     images = folder_of(tmp_path / "images", ".png", ["d1", "d2", "d10"])
     (images / "rgb").mkdir()
     files = {1: encoded(picture(1), "jpeg"), 10: encoded(picture(3), "png")}

@@ -40,7 +40,7 @@ def arrays(path):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A simulated press with its truth, and the estimate of it."""
+    """A simulated press with its ground truth and estimate."""
     folder = tmp_path_factory.mktemp("press")
     lines = [f"{0.1 * k},0.01,0.005,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
     header = "time_s,x_m,y_m,z_m,qx,qy,qz,qw"
@@ -135,7 +135,7 @@ def test_patch_covers_the_true_contact(result, truth):
 
 
 def test_columns_agree_with_the_nodal_fields(result):
-    """Force, centre and their definitions, from nothing but the file."""
+    """Force and centre recomputed from the arrays of the file alone."""
     nodes, triangles = result["nodes_m"], result["triangles"]
     a, b, c = (nodes[triangles[:, k]] for k in range(3))
     facet = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -189,7 +189,7 @@ def test_kappa_changes_only_the_patch(folder, tmp_path, result):
 
 
 def copied(source, path, change):
-    """Recording whose frames named in `change` see one depth everywhere; NaN for nothing."""
+    """Copy of a recording in which frames in `change` have a constant depth (NaN: no returns)."""
     with Recording(source) as old, RecordingWriter(path) as new:
         for k in range(len(old)):
             frame = old[k]

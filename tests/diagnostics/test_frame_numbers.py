@@ -12,7 +12,7 @@ from bubbleviz.sensor import load_sensor
 
 @pytest.mark.parametrize("drift_pa", [0.0, 5.0])
 def test_gas_law_gives_no_change_without_contact(tmp_path, drift_pa):
-    """Boyle: nothing displaces gas; a measured drift does not turn up a dozenfold, negative."""
+    """Boyle's law: without contact no gas is displaced, so a measured drift has no effect."""
     path = write_small_sensor(tmp_path / "small.toml")
     frame, pipeline = small_source(path, heights=(0.06,))[0], Pipeline.of(load_sensor(path))
     frame = replace(frame, gas_pressure_pa=pipeline.model.gas.P0 + drift_pa)

@@ -88,7 +88,7 @@ def test_without_an_estimate_the_membrane_is_at_rest(pipeline, result):
 
 
 def test_residual_of_the_pixel_or_of_a_close_one(pipeline):
-    """Else there is none: in a thinned cloud the next point can be anywhere."""
+    """Otherwise there is none: in a decimated cloud the next point may be far away."""
     products = frozenset({"estimate", "cloud", "residual"})
     whole = pipeline.process(DentSource(SENSOR)[FRAMES - 1], products)
     probe, wide = Probe(pipeline.camera, pipeline.mesh), SENSOR.camera.width

@@ -8,7 +8,7 @@ REAL = REPOSITORY.parent / "shared" / "data" / "punyo_press_a"
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A new folder to work in, beside the data that this machine has."""
+    """A new working folder, with links to the data on this machine."""
     work = tmp_path / "work"
     work.mkdir()
     if REAL.is_dir():

@@ -21,7 +21,7 @@ DEEPER = (0.060, 0.060, 0.048, 0.046, 0.044, 0.043, 0.042, 0.041, 0.040)
 
 
 class Recorded:
-    """A robot that remembers what it was told."""
+    """A robot that records its commands."""
 
     def __init__(self):
         self.told: list[str] = []

@@ -36,7 +36,7 @@ PROGRAMS: dict[tuple[str, ...], click.Group] = {
 
 
 def program_of(command):
-    """The program of a command, and what it is given; None where it is none of ours."""
+    """Click command and arguments of a shell command; None if it is not ours."""
     words = [Path(command.words[0]).name, *command.words[1:]]
     for start, group in PROGRAMS.items():
         if tuple(words[: len(start)]) == start:
@@ -92,7 +92,7 @@ def run(command):
 
 
 def made(folder):
-    """Make what the commands of the pages are given; what stands for the words in capitals."""
+    """Write the input files of the commands on the pages; values of their placeholders."""
     sensor = write_small_sensor(folder / "small.toml")
     write_press(folder / "press0.mcap", sensor, (*[0.060] * 24, *[0.044] * 6))
     for name in ("day", "images"):
@@ -110,7 +110,7 @@ def made(folder):
 @pytest.mark.timeout(3600)  # whole studies take a quarter of an hour, beside other work longer
 @pytest.mark.parametrize("page", but_the_longest(pages_with("console")), ids=name_of)
 def test_commands_of_a_page_run(page, folder):
-    """Each on files of its own; those are left out whose page says that they need more."""
+    """Each on its own files; commands that need more, as marked on the page, are skipped."""
     commands = [command for block in blocks(page, "console") for command in block.commands()]
     wanted = {None, "takes minutes"} if "TEST_ALL" in os.environ else {None}
     chosen = [command for command in commands if command.needs in wanted]
@@ -135,7 +135,7 @@ def on_screen():
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
-    """A folder with a recording that fits a preset, its sensor file, and its truth."""
+    """A folder with a recording that fits a preset, its sensor file and ground truth."""
     folder = tmp_path_factory.mktemp("simulated")
     sensor = folder / "my.toml"
     sensor.write_text(sensor_to_toml(load_sensor("pico_flexx_75mm")), encoding="utf-8")

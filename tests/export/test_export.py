@@ -126,7 +126,7 @@ def test_poses_are_joined_by_frame(tmp_path, press, sensor):
 
 
 def test_plots_leave_standard_error_empty(tmp_path, press, sensor):
-    """Matplotlib, too, would say something: it cannot make its folder, and has no font cache."""
+    """Nor does Matplotlib print, which cannot create its folder and has no font cache."""
     (tmp_path / "file").touch()
     out = tmp_path / "plots.svg"
     words = ("export", press, "--sensor", sensor, "--what", "plots", "--out", out)

@@ -78,7 +78,7 @@ def test_errors_of_the_encoder_are_quoted(tmp_path):
 
 
 def test_no_python_runs_between_fork_and_ffmpeg(tmp_path):
-    """A factorisation of another thread prints a traceback there."""
+    """Python code run there by another thread's factorisation would print a traceback."""
     words = f"""
 import threading
 import numpy as np

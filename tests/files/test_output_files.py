@@ -105,7 +105,7 @@ def test_missing_input_is_not_reported_as_output(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.csv", "b.mcap", "folder"])
 def test_leftovers_of_a_killed_process_are_removed_by_the_next_run(tmp_path, name):
-    """But not what others write at this moment, nor files that only look alike."""
+    """But not files being written by others, nor files with similar names."""
     script = (
         "import os, sys; from bubbleviz.files import whole_file\n"
         "with whole_file(sys.argv[1]) as path: path.write_text('half'); os.kill(os.getpid(), 9)"

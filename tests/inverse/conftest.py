@@ -19,7 +19,7 @@ TENSION = GAUGE * (0.075**2 + 0.05**2) / (2 * 0.05) / 2  # Young–Laplace of th
 
 @dataclass(frozen=True)
 class Press:
-    """A pressed membrane and what the camera would see of it."""
+    """A pressed membrane and its depth images."""
 
     mesh: MembraneMesh
     contact: Contact

@@ -16,7 +16,7 @@ OUT = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
 
 
 def contact_of(pressure, variances):
-    """A solution with these pressures (n,), of which the variances (k,) are known where any is."""
+    """A solution with these pressures (n,) and variances (k,) of the nonzero ones."""
     return ContactPressure(
         pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, np.zeros(0),
         SimpleNamespace(covariance=lambda _: np.diag(variances)),
@@ -24,7 +24,7 @@ def contact_of(pressure, variances):
 
 
 def two_parts(share, sigma):
-    """A contact in the middle and a node beside it with a share of the load; σ over its load."""
+    """A contact in the middle and another node with a share of the load; σ relative to its load."""
     pressure = np.where(OUT < 0.008, 5e3, 0.0)
     beside = np.argmin(np.hypot(MESH.nodes[:, 0] - 0.03, MESH.nodes[:, 1]))
     load = MESH.areas @ pressure
@@ -65,7 +65,7 @@ def test_real_press_is_one_contact_in_every_frame(punyo_press, frame):
 
 
 def test_many_equal_contacts_are_all_contacts():
-    """None of eight carries much of the whole, but each as much as the others."""
+    """Each of eight carries a small but equal share of the load."""
     around = 0.03 * np.exp(1j * np.arange(8) * np.pi / 4)
     there = MESH.nodes[:, 0] + 1j * MESH.nodes[:, 1]
     pressure = np.zeros(len(MESH.nodes))

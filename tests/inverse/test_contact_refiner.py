@@ -65,7 +65,7 @@ def on_axis(depth):
 
 @cache
 def two_balls():
-    """A press of two balls by the forward model on a mesh of its own, with its true pixels."""
+    """A press of two balls by the forward model on a separate mesh, with the true pixels."""
     mesh = mesh_cap(spherical_cap(A, H), 4_000)
     tension = 0.5 * GAUGE * RADIUS
     gas = Gas(101_325.0 + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)

@@ -127,7 +127,7 @@ def test_solution_that_did_not_converge_is_reported(sphere, monkeypatch):
 
 
 def test_frames_of_a_held_press_take_few_pivots(sphere):
-    """3 to 7 here, of some 30 nodes."""
+    """3 to 7 in this case, of some 30 nodes."""
     solver, start = estimator(1000), None
     for seed in range(4):
         estimate, start = solver.estimate(sphere.depth(0.01, seed), None, start)
@@ -190,7 +190,7 @@ def test_removed_solver_names_its_version_and_replacement(name, instead):
 
 @pytest.mark.parametrize("noise", [0.03, 0.08])
 def test_more_noise_than_in_the_sensor_file_is_reported(sphere, untouched, noise):
-    """The file says 1 %; a noisier camera must not see contact where there is none."""
+    """The sensor file gives 1 %; a noisier camera must not cause false contact."""
     solver = estimator()
     results = [first(solver, untouched.depth(noise, seed)) for seed in range(5)]
     assert {r.status for r in results} == {"no_contact"}
@@ -247,7 +247,7 @@ def test_a_mesh_finer_than_the_noise_can_use_is_refused():
 
 
 def test_correlated_noise_that_should_be_white_is_not_trusted(sphere):
-    """The camera filters over 8 pixels and the sensor file, which says white, is wrong."""
+    """The camera filters over 8 pixels, but the sensor file declares white noise."""
     noise = gaussian_filter(np.random.default_rng(0).standard_normal((171, 224)), 6)
     depth = sphere.depth(0.0)
     small, large = (depth * (1 + s * noise / noise.std()).astype(np.float32) for s in (5e-4, 0.01))

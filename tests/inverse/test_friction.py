@@ -54,7 +54,7 @@ def test_contact_of_one_node_has_no_rotation_mode():
     ("name", "depth", "drag", "twist"), [("puck", 0.004, 0.001, 8.0), ("sphere", 0.006, 0.002, 0.0)]
 )
 def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist):
-    """The truth is on a mesh of its own, and its friction is not proportional to pressure."""
+    """The ground truth is on a separate mesh, with friction not proportional to pressure."""
     truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
     frame, size = eyes.see(truth), np.linalg.norm(truth.force_n)
     estimate = eyes.pipeline.process(frame, PRODUCTS).estimate

@@ -57,7 +57,7 @@ def test_force_of_a_press_with_image_errors(solver, kind, size):
 
 
 def test_half_an_image_does_not_determine_its_errors(solver):
-    """Its shape where it is not seen could be anything."""
+    """Errors of the hidden half are undetermined."""
     mesh, contact = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, contact.displacement_3d_m, NOISE_M)
     image[CAMERA.intrinsics.cx < COLUMNS] = np.nan
@@ -93,7 +93,7 @@ def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
 
 
 def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):
-    """A camera that is turned in its mount sees a part of the membrane where none can be."""
+    """A camera turned in its mount measures points where the membrane cannot be."""
     mesh, _ = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M) + np.where(RIGHT > 0.0, 0.02, -0.02)
     estimate, _ = solver.estimate(image)
@@ -104,7 +104,7 @@ def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):
 @pytest.mark.parametrize("value_m", [1e-3, 0.04, 12.0])
 @pytest.mark.parametrize("right_m", [0.008, -0.02])
 def test_one_bad_pixel_changes_nothing(solver, value_m, right_m):
-    """On the contact and beside it."""
+    """Inside and outside the contact."""
     mesh, contact = pressed("sphere", 0.007, 0.0)
     image = seen(mesh, contact.displacement_3d_m, NOISE_M)
     usual, _ = solver.estimate(image)

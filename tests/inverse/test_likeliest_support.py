@@ -83,7 +83,7 @@ def test_a_problem_that_cannot_be_solved_has_no_answer():
 
 
 def test_a_rim_node_never_touches():
-    """It moves a little and so can explain ranges, but carries no pressure."""
+    """It moves slightly and could explain ranges, but carries no pressure."""
     dome = mesh_cap(spherical_cap(0.045, 0.02), 200)
     membrane = RubberMembrane.uniform(dome, 2500.0, 70.0, 1.2)
     rubber = LinearisedRubber(

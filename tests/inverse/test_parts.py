@@ -34,7 +34,7 @@ def test_pivoting_equals_lawson_hanson(n, seed, warm):
 
 
 def test_pivoting_terminates_where_full_exchanges_cycle():
-    """Nearly singular and badly scaled: what decides is Murty's rule, last index first."""
+    """Nearly singular and badly scaled: terminates by Murty's rule, last index first."""
     for seed in range(100):
         rng = np.random.default_rng(seed)
         A, scale = rng.standard_normal((6, 12)), 10.0 ** rng.uniform(-1.0, 1.0, 12)
@@ -108,7 +108,7 @@ def test_equilibrium_of_constant_tension_has_the_exact_gas_law():
 
 @pytest.fixture(scope="module")
 def problem_of(sphere):
-    """A noisy press seen from rest, on a coarse mesh: problem, the same for the oracle, and τ."""
+    """Noisy press on a coarse mesh, linearised at rest: problem, the oracle's form of it, and τ."""
     solver, depth = estimator(300), sphere.depth(0.01)
     mesh, film, nothing = solver.mesh, solver.bubble, np.zeros(len(solver.mesh.nodes))
     newton = GaussNewton(solver.observer, film, solver.smoothness, 0.1, 0.0, 0.0)

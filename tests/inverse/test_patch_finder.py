@@ -121,7 +121,7 @@ def test_the_edge_does_not_move_outwards_on_a_mesh_finer_than_the_blur(radius, w
 
 
 def test_the_band_around_the_edge():
-    """As wide as the response; of a dot no wider than that, nothing is sure to touch."""
+    """As wide as the response; a smaller contact has no area that is certain."""
     resolution = 0.003
     finder = PatchFinder(MESH, GAUGE, resolution)
     for radius, sure in ((0.018, True), (0.002, False)):

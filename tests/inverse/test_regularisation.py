@@ -53,7 +53,7 @@ def strength(sensor, sightings, bank, factor):
 
 
 def noise_rms(pipeline, sighting, frame):
-    """Weighted rms of this frame's noise: the residual with the true shape as the model."""
+    """Weighted rms of the noise of a frame: residual to the true shape."""
     observer = pipeline.estimator.observer
     truth = at_nodes(pipeline.mesh, sighting.mesh, sighting.truth.displacement_m)
     view = observer.around(pipeline.mesh.deformed(truth))

@@ -67,7 +67,7 @@ def depth_image_of(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
 
 @cache
 def oracle(depth, ball):
-    """A press by the meridian's equations, and the surface that the camera sees of it."""
+    """A press by the meridian's equations, and its surface."""
     exact = AxialRubber.dome(A, H, 1.2, GAUGE).press(depth, ball)
     return exact, exact.surface(A, H)
 
@@ -142,7 +142,7 @@ def test_presses_on_another_mesh(name, noise_m, relative):
     ],
 )
 def test_measured_gas_pressure(depth, off_pa):
-    """A barometer's error does not become force: the bulge beside the contact tells it."""
+    """An error of the barometer does not become force: the bulge around the contact reveals it."""
     mesh, contact = pressed("sphere", depth)
     solver, image = estimator(1000), depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     true_pa = contact.gas_pressure_change_pa
@@ -155,7 +155,7 @@ def test_measured_gas_pressure(depth, off_pa):
 
 
 def test_sharp_edged_rod_off_the_axis():
-    """A truth that resolves the edge; on an even mesh nodes catch on it, as if it had friction."""
+    """The ground truth resolves the edge, on which nodes of a uniform mesh catch as by friction."""
     T = np.eye(4)
     T[:3, 3] = 0.012, 0.006, H - 0.004
     start = mesh_cap(spherical_cap(A, H), 1000)
@@ -238,7 +238,7 @@ def test_a_camera_that_is_better_than_its_noise_is_trusted_more():
 
 
 def test_contact_below_the_noise_is_not_found_after_a_contact_either():
-    """Though the image with that contact told of less noise, by which the weak one would show."""
+    """The image with contact has less noise, with which the weak one would be significant."""
     solver = estimator(1000, relative=0.02)
     first, start = solver.estimate(image_of(0.001, 0.008, 5e-5))
     weak = image_of(0.0008, 0.008, 5e-5, seed=1)
@@ -351,7 +351,7 @@ def test_patch_area_equals_the_meridian_solution():
 
 
 def test_an_unsolved_frame_has_no_numbers():
-    """Ranges in other units, no return, a gas pressure that no membrane holds."""
+    """Ranges in other units, no returns, an impossible gas pressure."""
     solver = estimator()
     mesh, contact = pressed("sphere", 0.007)
     image = depth_image_of(mesh, contact.displacement_3d_m)

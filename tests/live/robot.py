@@ -60,7 +60,7 @@ def attachment(sequence):
 
 
 def bad(k, stamp):
-    """Garbage, cut short, another size, 1970, the future, another type's bytes, nothing."""
+    """Random bytes, truncated, another size, 1970, the future, another message type, empty."""
     kinds = [
         b"\xff\xfe garbage" * 30,
         wire.image(stamp, k)[:900],

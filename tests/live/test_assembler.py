@@ -64,7 +64,7 @@ def test_compressed_depth_is_decoded_and_compressed_colour_not_subscribed():
 
 
 def test_gas_pressure_and_wrench_are_interpolated_at_the_stamp_with_the_lag():
-    """A ramp of 1 kPa/s: the value tells the time it was taken at."""
+    """On a ramp of 1 kPa/s the value gives its time."""
     for lag in (0.0, 0.02, -0.015):
         assembler = FrameAssembler(lag_s=lag)
         found = []
@@ -261,7 +261,7 @@ def test_frame_times_are_monotonic_between_clock_jumps(stamps):
 
 @pytest.mark.parametrize(("equal", "told"), [(29, False), (30, True)])
 def test_a_camera_that_repeats_its_last_image_gives_a_warning(equal, told):
-    """Its stamps are new each time; a covered camera, which sees nothing, is another matter."""
+    """With a new time stamp each time; an image without returns (covered camera) gives none."""
     assembler = FrameAssembler()
     for k in range(equal + 40):
         number = 10 if 10 <= k < 10 + equal else k

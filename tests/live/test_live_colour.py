@@ -106,7 +106,7 @@ def test_a_newer_frame_ends_the_wait_for_colour():
 
 @pytest.mark.parametrize("ahead", [0, 2, 14])
 def test_colour_delay_pairs_simultaneous_frames(ahead, small_sensor):
-    """Colour shows the moment `ahead` frames later; up to half a second of images are kept."""
+    """Colour shows the scene `ahead` frames later; up to half a second of images is buffered."""
     delay_s = -1e-9 * ahead * PERIOD
     pipeline = Pipeline.of(with_colour_delay(small_sensor, delay_s))
     assembler = FrameAssembler(colour_delay_s=delay_s)
@@ -119,7 +119,7 @@ def test_colour_delay_pairs_simultaneous_frames(ahead, small_sensor):
 
 
 def test_a_frame_waits_for_a_colour_image_that_is_late():
-    """Colour at twice the rate shows what depth showed 0.8 periods before."""
+    """Colour at twice the rate, delayed by 0.8 periods relative to depth."""
     delay_s = 0.8e-9 * PERIOD
     assembler = FrameAssembler(colour_delay_s=delay_s)
     assembler.follow_colour()
@@ -174,7 +174,7 @@ def test_recording_includes_colour(tmp_path, small_sensor, before):
 
 
 def test_a_robot_sends_colour_only_to_subscribers(small_sensor):
-    """Announced, but not subscribed to before; found also when it is asked for later."""
+    """Advertised, but not subscribed until requested; also when requested later."""
     port, topics = free_port(), {"depth/image": 0, "color/image_raw": 1}
     kind = f"sensor_msgs::msg::dds_::Image_/{HASH}"
     heard: list[Message] = []
@@ -220,7 +220,7 @@ def test_a_robot_sends_colour_only_to_subscribers(small_sensor):
 
 
 def test_reason_for_missing_colour(tmp_path, small_sensor):
-    """Not asked for, awaited, or not there: three words."""
+    """Not requested, awaited, or not available."""
     said = []
     for colours, asked in ((1, False), (1, True), (0, True)):
         messages = [depth(NOW + k * PERIOD, k, topic="/cam/depth/image") for k in range(3)]
@@ -292,7 +292,7 @@ POSE = np.array(
     ],
 )
 def test_pose_of_the_colour_camera_from_tf_static(frame_id, pose, remark):
-    """Sent once, before anybody asks for colour; what nothing places is said."""
+    """Sent once, before colour is requested; a camera without a pose is reported."""
     assembler = FrameAssembler()
     assembler.push(static_pose(header(NOW).frame_id, "lens", (0.01, 0.02, 0.03)))
     assembler.follow_colour()
@@ -399,7 +399,7 @@ def test_colour_of_a_realsense_camera_subscribed_later(realsense_file, small_sen
 
 
 def test_repeated_static_poses_use_bounded_memory():
-    """A publisher may invent frames of reference for ever; the one that was told last counts."""
+    """A publisher may send ever new coordinate frames; the latest transform is used."""
     poses = StaticPoses()
     for k in range(30):
         names = [f"a{k}_{i}" for i in range(1_000)]

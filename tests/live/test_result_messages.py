@@ -191,7 +191,7 @@ def test_zero_is_learned_in_one_contact_free_run():
 
 
 class Weather(LiveSource):
-    """The simulated sensor on a day when the air weighs 800 Pa less; sends a frame when told to."""
+    """The simulated sensor at an atmospheric pressure lower by 800 Pa; sends frames on demand."""
 
     def __init__(self, simulation):
         super().__init__("weather")
@@ -256,7 +256,7 @@ def test_recording_is_zeroed_by_default(small_sensor, small_sensor_file, tmp_pat
 
 
 def test_message_without_a_zero(small_sensor_file, small_sensor, tmp_path):
-    """Without a gas pressure there is none to take; without a rest it is the weather's."""
+    """Without gas pressure there is none; without contact-free frames it is the weather's."""
     source = press(small_sensor, 200)
     for name, frames, measured, says in (
         ("none", range(3), False, None),

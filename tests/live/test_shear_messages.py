@@ -29,7 +29,7 @@ def eyes():
 
 @pytest.fixture(scope="module")
 def dragged(eyes):
-    """The second frame of a puck that is held where it was dragged to."""
+    """The second frame of a puck at rest after it was dragged."""
     truth = stuck("puck", 0.004, 0.001, 8.0)
     first, second = (eyes.pipeline.process(eyes.see(truth, seed), SHEAR) for seed in range(2))
     assert first.slip is None and second.slip is not None

@@ -110,7 +110,7 @@ def test_only_the_newest_frame_is_delivered_and_skipped_ones_counted(small_senso
 
 
 def test_a_waiting_listener_does_not_block_readers(small_sensor):
-    """A recorder waiting for its disk must not freeze the window, which asks how it is going."""
+    """A recorder that waits for its disk must not block the window, which reads its status."""
     waiting, go_on = threading.Event(), threading.Event()
 
     def wait(message):
@@ -324,7 +324,7 @@ def test_missing_camera_gives_one_line(small_sensor):
 
 
 def test_streams_end_when_their_source_fails(small_sensor, eventually):
-    """A simulation that cannot be: the object cuts the rim. The stream says so and ends."""
+    """The object of the simulation cuts the rim: the stream reports it and ends."""
     from bubbleviz.live import SyntheticLive
 
     def make():

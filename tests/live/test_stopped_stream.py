@@ -92,7 +92,7 @@ def test_killed_robot_ends_the_loop(sensor):
 
 @pytest.mark.parametrize("made", [iter, bv.estimate])
 def test_robot_without_a_camera_times_out(made, sensor, monkeypatch):
-    """It is there, and never sends a depth image."""
+    """The robot is connected but never sends a depth image."""
     port = free_port()
     monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.5)
     with (

@@ -37,7 +37,7 @@ def stream_of(port, sensor, options=""):
 
 
 def first_frame(stream, send):
-    """Send until a frame is there."""
+    """Send until a frame has arrived."""
     frame = None
     while frame is None:
         send()
@@ -207,7 +207,7 @@ def test_invalid_messages_are_counted(small_sensor, eventually):
 
 
 def test_connection_through_an_rmw_zenoh_router(small_sensor, eventually):
-    """Nodes are peers that gossip through a router; we are its client, here and on other hosts."""
+    """Nodes are peers that discover each other by the router, whose client we are."""
     port = free_port()
     with open_session(str(port), "router"), open_session(str(port), "node") as node:
         tokens = [node.liveliness().declare_token(key) for key in TOKENS["rmw"]]
@@ -256,7 +256,7 @@ def test_two_sensors_are_independent(small_sensor):
 
 
 def test_default_endpoint_is_local_only(small_sensor, eventually):
-    """Who connects listens nowhere, who listens does so where it is told to."""
+    """A client opens no port; a listener only the given one."""
     port, other = free_port(), free_port()
     with robot(port), stream_of(port, small_sensor) as stream:
         eventually(lambda: stream.status().state == "live")
@@ -323,7 +323,7 @@ def refusal(small_sensor, eventually):
 def test_refused_and_unreachable_endpoints_are_distinguished(
     small_sensor, certificates, eventually, refusal
 ):
-    """Zenoh says of either only that it cannot connect."""
+    """Zenoh itself reports both as failed connections."""
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "login", "stranger")
     ca, cert, key, other, login, stranger = (str(certificates / name) for name in files)
     port = free_port()
@@ -349,7 +349,7 @@ def test_refused_and_unreachable_endpoints_are_distinguished(
 
 
 def test_an_unknown_host_is_reported(refusal):
-    """RFC 6761 keeps .invalid from ever being a name."""
+    """RFC 6761 reserves .invalid."""
     assert refusal("tcp/robot.invalid:7447").startswith("the host robot.invalid is not known")
 
 
@@ -366,7 +366,7 @@ def test_a_missing_or_wrong_certificate_is_reported(certificates, refusal):
 
 
 def test_a_refused_reconnection_is_reported(small_sensor, certificates, eventually, monkeypatch):
-    """The robot is up again with another certificate; then nothing listens there."""
+    """The robot restarts with another certificate; then its port is closed."""
     monkeypatch.setattr("bubbleviz.live.zenoh_source.WHY_EVERY_S", 0.2)
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
     ca, cert, key, other, other_key = (str(certificates / name) for name in files)

@@ -197,7 +197,7 @@ def test_exact_contact_of_the_linear_model_on_a_flat_disc():
 
 
 def test_force_balance_and_signs(mesh):
-    """What the object takes is what the gas pushes less what the rim holds."""
+    """Force on the object: force of the gas minus force of the rim."""
     contact = ForwardModel(mesh, TENSION, gas_of(mesh)).press(load_object("frustum"), at(z=0.035))
     assert_equilibrium(contact)
     assert contact.gas_pressure_change_pa > 0.0
@@ -322,7 +322,7 @@ def test_fallback_rule_terminates_where_the_active_set_cycles(seed):
 
 
 def test_a_press_takes_few_factorisations(mesh):
-    """Starting guess, exchanges and secant of the gas at work: 28 here for all of them."""
+    """By starting guess, exchanges and secant of the gas: 28 in total."""
     count, model = 0, ForwardModel(mesh, TENSION, gas_of(mesh))
     for name in ("sphere", "torus", "hex_nut", "two_legged_toy", "frustum"):
         for depth in (0.003, 0.01):

@@ -48,7 +48,7 @@ INNER, OUTER = 0.0116, 0.04  # m; the cylinder's radius is 12 mm
 
 
 def flat_sheet(sectors, rings, prestretch):
-    """A round sheet at rest with nodes on the circle that the disc holds, and much gas."""
+    """A round sheet at rest with nodes on the edge of the stuck disc, and a large gas volume."""
     radii = np.concatenate(
         [np.linspace(0.0, INNER, 4)[1:], np.geomspace(INNER, OUTER, rings + 1)[1:]]
     )
@@ -178,7 +178,7 @@ def test_without_friction_the_press_does_not_change():
 
 
 def test_sliding_plate_has_tangential_force_mu_times_load():
-    """Everything slips: |t| = μ f_n at each node, and the whole drags on against the motion."""
+    """All nodes slip: |t| = μ f_n at each, and the sum opposes the motion."""
     membrane, gas = dome(300)
     friction = 0.2
     poses = [pose(z=H - 0.005), *(pose(1e-3 * k, 0.0, H - 0.005) for k in range(1, 9))]
@@ -196,7 +196,7 @@ def test_sliding_plate_has_tangential_force_mu_times_load():
 
 
 def test_sticking_and_slipping_takes_few_factorisations():
-    """Newton's method with the friction's own derivative: 75 here, 110 with that of another law."""
+    """Newton's method with the exact derivative of friction: 75; another one takes 110."""
     membrane, gas = dome(300)
     pressed, turned = pose(z=H - 0.005), pose(1e-3, 0.0, H - 0.005, np.radians(3.0))
     poses = [pressed, turned, pose(3e-3, 0.0, H - 0.006, np.radians(9.0))]

@@ -94,7 +94,7 @@ def oval(nodes):
 
 
 def test_oval_is_in_equilibrium_with_varying_tension():
-    """What is left of the load, averaged over a tenth of the height: an eighth of before."""
+    """Residual of smoothed nodal forces relative to the load, against uniform tension."""
     mesh = oval(1500)
     field = prestressed(mesh, 5000.0, 400.0)
     uniform = RubberMembrane.uniform(mesh, 5000.0, field.mean_tension, 1.2)
@@ -173,7 +173,7 @@ def test_zernike_polynomials_are_orthonormal_over_the_disc():
 
 
 def test_gauge_pressure_uncertainty_is_counted_once(punyo):
-    """γ0's interval holds what the gauge pressure's does: together the variants spread as it."""
+    """The interval of γ0 includes the gauge pressure's: the variants together spread as it does."""
     sensor, mesh, tension = punyo
     known = sensor.calibration
     usual = build_rubber(sensor, mesh, tension).mean_tension
@@ -210,7 +210,7 @@ def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration(pun
 
 
 def test_a_varied_membrane_has_the_stress_of_its_own_surface_and_pressure():
-    """Found once and handed on, it is that of each variant found anew; without λ there is none."""
+    """Computed once, it equals the recomputed one of each variant; without λ there is none."""
     sensor = load_sensor("punyo_oval_d405")
     mesh = build_mesh(sensor, 300)
     tension = reference_tension(sensor, mesh)

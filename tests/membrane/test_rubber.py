@@ -26,7 +26,7 @@ def mesh():
 
 
 def moved(mesh, membrane, size, seed):
-    """A random vector over the nodes, 0 where they are held."""
+    """A random vector over the nodes, 0 at fixed ones."""
     vector = size * np.random.default_rng(seed).standard_normal(mesh.nodes.shape)
     vector[np.setdiff1d(np.arange(len(mesh.nodes)), membrane.moving)] = 0.0
     return vector

@@ -248,7 +248,7 @@ def test_newton_converges_quadratically_on_a_curved_object():
 
 
 def test_a_press_takes_few_factorisations():
-    """Line search, second-order correction and stopping rule at work: 66 here for all of them."""
+    """By line search, second-order correction and stopping rule: 66 in total."""
     model, count = forward(300, 1.2), 0
     for name in ("sphere", "cylinder", "hex_nut", "torus", "frustum"):
         for x, depth in ((0.004, 0.004), (0.010, 0.009)):
@@ -259,7 +259,7 @@ def test_a_press_takes_few_factorisations():
 
 
 def test_without_the_linear_model_the_object_approaches_from_outside():
-    """A ring deep in at the side: no Newton from the linear equilibrium gets there."""
+    """A ring pressed deep at the side: Newton's method from the linear equilibrium diverges."""
     model = forward(200, 1.5)
     assert_equilibrium(model.press(load_object("torus"), pose(0.02, 0.0, H - 0.012)))
 

@@ -10,7 +10,7 @@ PLACE = np.array([0.01, 0.0, H])
 
 
 def full_model_motion(membrane, gas, forces):
-    """Motions of all nodes under small forces on them, by the whole tangent with its gas."""
+    """Motions of all nodes under small nodal forces, by the full tangent with gas."""
     rest = membrane.mesh.nodes
     K = membrane.tangent(rest, GAUGE).toarray()
     g = membrane.volume_gradient(rest)[membrane.moving].ravel()

@@ -21,7 +21,7 @@ from tests.oracles.stuck_press import ShearTruth
 
 @dataclass(frozen=True)
 class DraggedPress:
-    """One object pressed in on the axis or beside it, dragged along x, then twisted."""
+    """One object pressed in on or off the axis, dragged along x, then twisted."""
 
     object_name: str  # for `study_object`
     depth_m: float  # beyond first touch, along −z of B
@@ -42,7 +42,7 @@ class DraggedPress:
 
 @dataclass(frozen=True)
 class DraggedTruth(ShearTruth):
-    """What is true of one frame."""
+    """Ground truth of one frame."""
 
     T_B_O: np.ndarray  # (4, 4)
     areas_m2: np.ndarray  # (n,), of the nodes that touch, as they are; 0 for others

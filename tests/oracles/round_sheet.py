@@ -59,7 +59,7 @@ def rubber_on(sheet: InflatedRubber, mesh: MembraneMesh) -> RubberMembrane:
 
 
 def resting(sheet: InflatedRubber, nodes: int) -> MembraneMesh:
-    """Another mesh of a sheet at rest, of about so many nodes, all on its facets."""
+    """Another mesh of a sheet at rest, of about this many nodes, all on its facets."""
     height = float(sheet.rest.nodes[:, 2].max())
     mesh = mesh_cap(EllipsoidalCap.of(sheet.rim_semi_axes_m, height), nodes)
     inner = ~mesh.rim

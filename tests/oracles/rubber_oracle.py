@@ -59,7 +59,7 @@ class RubberPress:
         return float(2.0 * pi * radius_m**2 * (1.0 - cos(s / radius_m)))
 
     def surface(self, rim_m: float, height_m: float, nodes: int = 8_000) -> MembraneMesh:
-        """What a camera sees of it: a mesh as dense along the meridian as the cap's."""
+        """Its surface: a mesh as dense along the meridian as the cap's."""
         r, z = (np.concatenate([[v[0]], v]) for v in (self.meridian.r_m, self.meridian.z_m))
         r[0] = 0.0
         cap = mesh_cap(spherical_cap(rim_m, height_m), nodes)

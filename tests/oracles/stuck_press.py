@@ -144,7 +144,7 @@ class StuckPress:
         return ShearTruth(self._rubber.mesh, moved, force, self._normals(x))
 
     def _balanced(self, x: np.ndarray, stuck: np.ndarray) -> np.ndarray:
-        """Equilibrium of the nodes that are not held, from close by."""
+        """Equilibrium of the free nodes, from a close initial guess."""
         moving = self._rubber.moving
         free = ~stuck[moving]
         rows = np.flatnonzero(np.repeat(free, 3))
@@ -202,7 +202,7 @@ def shear_sensor(nodes: int = 1_000) -> Sensor:
 
 
 def pressed(sensor: Sensor, name: str, depth_m: float, nodes: int) -> StuckPress:
-    """An object that was pressed in beside the axis, on a mesh of so many nodes."""
+    """An object pressed in off the axis, on a mesh of this many nodes."""
     mesh = build_mesh(sensor, nodes)
     rubber = build_rubber(sensor, mesh, SensorModel.of(sensor).tension_n_per_m)
     gas = Gas.of(sensor.pneumatics, mesh)

@@ -64,7 +64,7 @@ def test_coasting_ends():
 
 
 def test_coasting_uncertainty_follows_unknown_acceleration():
-    """F P Fᵀ and what accelerations drawn at random add: ½ a t² and a t, wholly correlated."""
+    """F P Fᵀ plus the effect of random accelerations: ½ a t² and a t, fully correlated."""
     rng, dt = np.random.default_rng(0), 0.05
     root = rng.standard_normal((12, 12))
     motion = Motion(np.eye(4), np.zeros(6), root @ root.T, CENTER)
@@ -106,7 +106,7 @@ def test_small_rotations_equal_scipy():
 
 
 def test_contradicting_frame_widens_the_prediction():
-    """Frames off by as much as both covariances say leave it, k times as much multiply it by k²."""
+    """Deviations as large as both covariances keep it; k times as large ones multiply it by k²."""
     start = Motion.at_rest(np.eye(4), START_DEVIATION, np.zeros(3))
     P = start.covariance[:6, :6]
     information = np.linalg.inv(0.01 * P)  # the frame is much better known than the prediction

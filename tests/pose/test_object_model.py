@@ -123,8 +123,8 @@ def test_pyramid_has_only_rotations_of_its_polygon(sides):
 
 @pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])
 def test_distances_are_those_of_a_signed_distance_field(name):
-    """Inside and outside, over faces and beside edges; the sign by counting what a ray meets."""
-    obj = study_object(name)
+    """Inside and outside, near faces and edges; the sign by counting ray crossings."""
+    obj = made(name)
     rng = np.random.default_rng(0)
     low, high = obj.vertices.min(axis=0), obj.vertices.max(axis=0)
     points = rng.uniform(low - 4e-3, high + 4e-3, (1500, 3))

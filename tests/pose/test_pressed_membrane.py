@@ -132,7 +132,7 @@ def test_warm_start_equals_cold_start(pipeline, rubber, contact):
 
 
 def test_moved_object_needs_few_steps(pipeline, rubber, contact, monkeypatch):
-    """What touches stays in the tangent from pose to pose: 9 here, 15 where it is not kept."""
+    """Contacts are kept in the tangent from pose to pose: 9 steps rather than 15."""
     membrane, count = pressed(pipeline, rubber, "cylinder", PressOptions()), []
     membrane.press(pose(), contact)
     linearised = Submodel.linearised
@@ -202,7 +202,7 @@ def test_image_of_the_press_equals_the_range_change(pipeline, rubber, contact, i
 
 
 def test_step_is_weighted_least_squares_with_image_noise(contact, image):
-    """Edges that may lie further back are left out of it."""
+    """Pixels at occluding edges are excluded."""
     fit, found = image
     options, rng, sigma = ImageOptions(), np.random.default_rng(0), 1e-3
     way = np.array([2e-4, -1e-4, 1e-4, 3e-3, 2e-3, -4e-3])
@@ -229,7 +229,7 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
 
 
 def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, contact):
-    """The noisier the image, the less a pose is off by an old model over what it does not know."""
+    """With more noise an old linearisation remains valid for longer."""
     every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
     observer, served = pipeline.estimator.observer, []
     look, fit = (

@@ -106,7 +106,7 @@ def test_contact_with_the_wrong_side_does_not_count(frustum):
 
 
 def test_face_is_placed_at_the_pressure_weighted_mean_first():
-    """Stage one by force, stage two by area; how much the whole pressure is decides nothing."""
+    """Stage one weights by force, stage two by area; the scale of the pressure has no effect."""
     slab = ObjectSurface(plate(half=0.02))
     x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-4e-3, 4e-3, 9)] * 2))
     height = np.where(x * y > 0.0, 4e-5, -2e-5)  # a saddle: no plane but a level one is nearer
@@ -242,7 +242,7 @@ def test_initial_poses_are_independent_of_the_object_origin(frustum):
 
 
 def test_initial_poses_cover_all_rotations():
-    """An oblong slab on its large face: one of them is within half a step of 30° of the truth."""
+    """An oblong slab on its large face: one of them is within half a step of 30°."""
     slab = plate(half=0.01)
     model = ObjectSurface(replace(slab, vertices=slab.vertices * [1.0, 0.5, 1.0]))
     x, y = (

@@ -26,7 +26,7 @@ KINDS = (
 
 
 def depth_image(k, height=HEIGHT, width=WIDTH):
-    """Frame k: each pixel tells which it is; m."""
+    """Depth of frame k, different in each pixel; m."""
     pixels = np.arange(height * width, dtype=np.float32).reshape(height, width)
     return (0.1 + 1e-5 * pixels + 0.01 * k).astype(np.float32)
 

@@ -112,7 +112,7 @@ def test_a_message_without_an_image_is_a_frame_without_data(tmp_path, kind, bad)
 
 @pytest.mark.parametrize("kind", ["mcap file", "db3 file", "bag lz4"])
 def test_an_image_that_lacks_its_last_bytes_is_a_frame_without_data(tmp_path, kind):
-    """Fewer than its header has, so that the message is longer than the pixels alone."""
+    """Fewer bytes missing than the header has, so that the message is longer than the pixels."""
     bag = BagMaker(kind)
     for k in range(4):
         bag.image(START + k * PERIOD, depth_image(k))
@@ -298,7 +298,7 @@ def frames_up_to_the_cut(path):
     "kind", ["mcap file", "mcap folder", "mcap file lz4", "db3 file", "bag none", "bag bz2"]
 )
 def test_mutated_files_are_read_or_refused(tmp_path, kind):
-    """Flipped, overwritten, doubled and removed bytes: nothing but InputError comes out."""
+    """Flipped, overwritten, doubled and removed bytes: only InputError is raised."""
     path = fill(BagMaker(kind.removesuffix(" lz4")), frames=2).write(tmp_path)
     if kind.endswith("lz4"):  # as our recorder writes
         rewrite(path, compression=CompressionType.LZ4)

@@ -40,7 +40,7 @@ def test_every_format_gives_the_frames_written(press):
 
 
 def write_compressed(folder, kind, encoding, cut=None, more=""):
-    """Depth as its publisher compresses it, beside compressed colour, and with a hole."""
+    """Compressed depth with a hole, and compressed colour images."""
     bag, topic = BagMaker(kind), "/cam/depth/image/compressedDepth"
     image = "sensor_msgs/msg/CompressedImage"
     for k in range(4):

@@ -39,7 +39,7 @@ def stuck(name, depth_m, drag_m, twist_deg):
 
 
 class Eyes:
-    """A pipeline of the sensor and what its cameras see of truths, frame after frame."""
+    """A pipeline of the sensor and rendered images of simulated frames, in order."""
 
     def __init__(self, nodes=600, **options):
         self.pipeline = Pipeline.of(sensor(nodes))

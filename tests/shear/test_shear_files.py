@@ -74,7 +74,7 @@ def jpeg(k, step=1):
 
 
 def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
-    """Among the contact-free ones they are left out."""
+    """Damaged contact-free frames are excluded."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     damaged, small, out = HELD + 1, HELD + 2, tmp_path / "r.npz"
     changed = {k: jpeg(k)[: len(jpeg(k)) // 2] for k in (5, damaged)}
@@ -104,7 +104,7 @@ def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
 
 
 def estimated(press, sensor, out, *options):
-    """Force with friction of frames that are pressed in and dragged, with what else is told."""
+    """Force with friction of pressed and dragged frames, estimated with these options."""
     command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
     found = CliRunner().invoke(main, [*command, "--frames", f"{HELD - 4}:{HELD}", *options])
     assert found.exit_code == 0, found.output
@@ -146,7 +146,7 @@ def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path)
 @pytest.mark.long
 @pytest.mark.skipif(not PRESS.exists(), reason="the real press is not part of the repository")
 def test_the_real_press(tmp_path):
-    """Friction makes the force a tenth larger; nothing touches before."""
+    """Friction makes the force a tenth larger; no contact before."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     command = ["estimate", str(PRESS), "--sensor", "punyo_oval_d405", "--shear", "--json"]
     out = ["--out", str(tmp_path / "r.npz"), "--frames", "50:90:3"]

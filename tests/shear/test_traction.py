@@ -53,7 +53,7 @@ def test_a_long_drag_is_followed():
 
 
 def test_a_press_without_friction_has_no_shear():
-    """The shear that is found is the flow's noise, and known to be."""
+    """The shear found is noise of the flow, within its uncertainty."""
     truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
     traction = eyes.traction(eyes.see(truth))
     shear = traction.tangential_force_n.sum(axis=0)
@@ -127,7 +127,7 @@ def test_coulomb_bound_is_respected(friction):
 
 
 def test_nodes_without_pressure_have_no_traction_under_a_bound():
-    """A cone programme leaves a little of nothing everywhere, which would count as contact."""
+    """Tiny pressures that a cone programme leaves everywhere would count as contact."""
     eyes = Eyes(friction=0.6)
     for drag in (0.0, 0.0005):
         truth = stuck("puck", 0.004, drag, 0.0)

@@ -25,7 +25,7 @@ def view():
 
 @cache
 def ranges(share):
-    """Without noise, of the membrane moved by a share of what the press moves it, m."""
+    """Noise-free ranges of the membrane displaced by a share of the press, m."""
     return view().range_image(share * stuck(*PRESS).displacement_m)
 
 

@@ -21,7 +21,7 @@ WIDTH, HEIGHT, REST = 320, 240, 8
 
 @pytest.fixture(scope="module")
 def view():
-    """The dome of the preset, seen by a camera with 320×240 pixels."""
+    """The dome of the preset in a camera with 320×240 pixels."""
     sensor: Sensor = load_sensor("pico_flexx_75mm")
     camera = Intrinsics(WIDTH, HEIGHT, 270.0, 270.0, 159.5, 119.5)
     return MembraneView(DepthCamera(camera, sensor.camera.T_B_C), build_mesh(sensor))

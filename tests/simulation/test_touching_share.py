@@ -25,7 +25,7 @@ def pressed(nodes):
 
 
 def test_contact_area_of_a_ball_equals_the_analytic_one():
-    """Its edge lies anywhere between nodes: on the mean of some meshes there is no error."""
+    """Its edge is anywhere between nodes, so the error vanishes in the mean over several meshes."""
     exact_m2, errors, by_nodes = exact_area(), [], []
     for nodes in (1200, 1400, 1600, 1800, 2000):
         mesh, pressure = pressed(nodes)

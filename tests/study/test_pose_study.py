@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def study(sensor, folder):
-    """A pair of balls, and a cylinder, on a coarse sensor; truth by the exact forward model."""
+    """A pair of balls, and a cylinder, on a coarse sensor; ground truth by the exact model."""
     grid = Grid(
         objects=OBJECTS, presses=1, starts=1, truth_nodes=1_500 if LONG else 600, seed=11,
         noise_relative=0.003,
