@@ -6,7 +6,7 @@ import pytest
 from bubbleviz.camera import IMAGE_ERRORS
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
-from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, estimator, pressed, seen
+from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, depth_image_of, estimator, pressed
 
 ROWS, COLUMNS = np.indices((CAMERA.intrinsics.height, CAMERA.intrinsics.width))
 RIGHT = (COLUMNS - CAMERA.intrinsics.cx) / CAMERA.intrinsics.fx
@@ -35,7 +35,7 @@ def solver():
 @pytest.mark.parametrize(("kind", "size"), OFF)
 def test_image_errors_are_not_contact(solver, kind, size):
     mesh, _ = pressed("sphere", 0.007, 0.0)
-    image = ERRORS[kind](seen(mesh, np.zeros_like(mesh.nodes), NOISE_M), size)
+    image = ERRORS[kind](depth_image_of(mesh, np.zeros_like(mesh.nodes), NOISE_M), size)
     estimate, _ = solver.estimate(image)
     assert estimate.status == "no_contact"
     assert not estimate.force_n.any()
@@ -49,7 +49,7 @@ def test_image_errors_are_not_contact(solver, kind, size):
 def test_force_of_a_press_with_image_errors(solver, kind, size):
     mesh, contact = pressed("sphere", 0.007, 0.0)
     truth = contact.nodal_force_n.sum(axis=0)
-    image = ERRORS[kind](seen(mesh, contact.displacement_3d_m, NOISE_M), size)
+    image = ERRORS[kind](depth_image_of(mesh, contact.displacement_3d_m, NOISE_M), size)
     estimate, _ = solver.estimate(image)
     assert estimate.status == "ok"
     assert np.linalg.norm(estimate.force_n - truth) < 0.06 * np.linalg.norm(truth)
@@ -59,7 +59,7 @@ def test_force_of_a_press_with_image_errors(solver, kind, size):
 def test_half_an_image_does_not_determine_its_errors(solver):
     """Errors of the hidden half are undetermined."""
     mesh, contact = pressed("sphere", 0.007, 0.0)
-    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     image[CAMERA.intrinsics.cx < COLUMNS] = np.nan
     estimate, _ = solver.estimate(image)
     assert estimate.status == "ok"
@@ -68,7 +68,7 @@ def test_half_an_image_does_not_determine_its_errors(solver):
 
 def test_a_contact_over_most_of_the_image_has_the_same_solution_warm_and_cold(solver):
     mesh, contact = pressed("sphere", 0.007, 0.0)
-    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     half = np.where(CAMERA.intrinsics.cx < COLUMNS, np.nan, image)
     _, start = solver.estimate(image)
     followed, _ = solver.estimate(half, start=start)
@@ -81,8 +81,8 @@ def test_a_contact_over_most_of_the_image_has_the_same_solution_warm_and_cold(so
 
 def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
     mesh, contact = pressed("sphere", 0.007, 0.0)
-    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
-    rest = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    rest = depth_image_of(mesh, np.zeros_like(mesh.nodes), NOISE_M)
     whole, _ = solver.estimate(image)
     assert whole.seen_share == pytest.approx(1.0)
     row, column = np.unravel_index(np.nanargmax(rest - image), image.shape)
@@ -95,7 +95,9 @@ def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
 def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):
     """A camera turned in its mount measures points where the membrane cannot be."""
     mesh, _ = pressed("sphere", 0.007, 0.0)
-    image = seen(mesh, np.zeros_like(mesh.nodes), NOISE_M) + np.where(RIGHT > 0.0, 0.02, -0.02)
+    image = depth_image_of(mesh, np.zeros_like(mesh.nodes), NOISE_M) + np.where(
+        RIGHT > 0.0, 0.02, -0.02
+    )
     estimate, _ = solver.estimate(image)
     assert estimate.status == "implausible"
     assert estimate.solve_ms == 0.0
@@ -106,7 +108,7 @@ def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):
 def test_one_bad_pixel_changes_nothing(solver, value_m, right_m):
     """Inside and outside the contact."""
     mesh, contact = pressed("sphere", 0.007, 0.0)
-    image = seen(mesh, contact.displacement_3d_m, NOISE_M)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     usual, _ = solver.estimate(image)
     image.flat[np.argmin(np.hypot(RIGHT * image - right_m, DOWN * image))] = value_m
     estimate, _ = solver.estimate(image)
