@@ -27,7 +27,7 @@ from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"
 """Filter of file dialogs."""
-LIVE_MESH_FACTOR = 2
+LIVE_NODE_RATIO = 2
 """Ratio of mesh nodes, simulation to estimator; a frame is simulated in 15 ms."""
 
 
@@ -88,7 +88,7 @@ def _synthetic(sensor: Sensor) -> FrameSource:
     # not at start: opening a recording needs no simulator
     from bubbleviz.simulation import SyntheticSource, default_press
 
-    press, nodes = default_press(sensor), LIVE_MESH_FACTOR * sensor.membrane.nodes
+    press, nodes = default_press(sensor), LIVE_NODE_RATIO * sensor.membrane.nodes
     source = CachedSource(
         SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
     )
