@@ -27,7 +27,7 @@ def sensor():
 
 
 def test_rival_methods_register_a_complete_surface():
-    model = ObjectSurface(made("frustum"))
+    model = ObjectSurface(study_object("frustum"))
     points, _ = model.sample(2_000, seed=8)
     T = np.eye(4)
     T[:3, 3] = [0.01, 0.0, 0.04]

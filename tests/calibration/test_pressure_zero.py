@@ -21,7 +21,7 @@ def frame(pressure):
 
 
 def test_median_at_rest_is_subtracted_from_every_pressure():
-    pressures = REFERENCE + 250.0 + np.arange(ENOUGH) ** 2
+    pressures = REFERENCE + 250.0 + np.arange(ZERO_FRAMES) ** 2
     assert learned(pressures[:-1]).applied(frame(REFERENCE)).gas_pressure_pa == REFERENCE
     zero = learned(pressures)
     assert not zero.waiting

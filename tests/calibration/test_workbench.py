@@ -137,7 +137,7 @@ def test_too_few_frames_are_refused_with_the_source(bench):
 
 
 def test_frame_ranges():
-    assert numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
+    assert frame_numbers(((0, 2), (5, 7))) == [0, 1, 5, 6]
     assert as_ranges([0, 1, 2, 7]) == ((0, 3), (7, 8))
     assert as_ranges(range(0)) == ()
 

@@ -33,7 +33,10 @@ def npy(array, shape=None):
     ],
 )
 def test_missing_array_is_refused(data, tmp_path):
-    with pytest.raises(InputError, match="x: the array cannot be read"), damage("x", "the array"):
+    with (
+        pytest.raises(InputError, match="x: the array cannot be read"),
+        as_input_error("x", "the array"),
+    ):
         read_npy(io.BytesIO(data), len(data))
 
 

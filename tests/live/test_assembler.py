@@ -146,6 +146,16 @@ def test_clock_jump_is_accepted_after_three_frames():
     assert found[-1].time_s == pytest.approx(4 * PERIOD * 1e-9)
 
 
+def test_short_loop_with_repeated_stamps_is_followed():
+    """Of a loop joined at its last frame, all other frames are older."""
+    assembler = FrameAssembler()
+    sent = [
+        depth(NOW + (k % 20) * PERIOD, k, arrival=NOW + k * PERIOD + 1_000_000)
+        for k in range(19, 219)
+    ]
+    assert len(frames_of(assembler, *sent)) > 40
+
+
 def test_wrong_sizes_types_and_bytes_are_counted_separately():
     assembler = FrameAssembler(size=(WIDTH, HEIGHT))
     stamps = [NOW + k * PERIOD for k in range(8)]

@@ -70,9 +70,17 @@ def test_longer_timeout_receives_frames_after_a_gap(timeout_s, gaps, sensor):
     assert times_s[-1] > 2.0 * GAP_S and stream.ended
 
 
+def test_estimate_uses_the_timeout_of_its_stream(gaps, sensor):
+    with bv.connect(f"replay:{gaps}", sensor, timeout_s=2.0 * GAP_S) as stream:
+        assert [found.time_s for found in bv.estimate(stream)][-1] > 2.0 * GAP_S
+
+
 def test_killed_robot_ends_the_loop(sensor):
-    """Until then every result has the time of its image, and after it its age grows."""
-    port = free_port()
+    """Until then every result has the time of its image, and after it its age grows.
+
+    No thread of Zenoh's outlives the stream: one that ended while Python exits would abort it.
+    """
+    port, threads = free_port(), set(threading.enumerate())
     with (
         robot(port) as process,
         bv.connect(f"zenoh:tcp/127.0.0.1:{port}", of_robot(sensor)) as stream,

@@ -20,7 +20,7 @@ from bubbleviz.simulation import study_object
 
 
 def test_closest_points_on_a_ball_are_radial():
-    model = ObjectSurface(made("sphere"))
+    model = ObjectSurface(study_object("sphere"))
     middle = np.array([0.0, 0.0, 0.015])
     away = np.random.default_rng(0).standard_normal((50, 3))
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -40,7 +40,7 @@ def test_normals_do_not_smooth_over_an_edge():
 
 
 def test_creases_of_a_nut_are_its_geometric_edges():
-    model = ObjectSurface(made("hex_nut"))
+    model = ObjectSurface(study_object("hex_nut"))
     points = np.asarray(model.creases.tree.data)
     radius = np.hypot(points[:, 0], points[:, 1])
     on_end = (points[:, 2] < 1e-6) | (points[:, 2] > 0.01 - 1e-6)
@@ -124,7 +124,7 @@ def test_pyramid_has_only_rotations_of_its_polygon(sides):
 @pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])
 def test_distances_are_those_of_a_signed_distance_field(name):
     """Inside and outside, near faces and edges; the sign by counting ray crossings."""
-    obj = made(name)
+    obj = study_object(name)
     rng = np.random.default_rng(0)
     low, high = obj.vertices.min(axis=0), obj.vertices.max(axis=0)
     points = rng.uniform(low - 4e-3, high + 4e-3, (1500, 3))

@@ -43,7 +43,7 @@ def processed(model, source):
 
 def outline(model, processed, T):
     """The patch by a cylinder at a pose, the middle (2,) of its outline, and radii about T."""
-    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
+    finder = ObjectPatchFinder(model, ObjectSurface(study_object("cylinder")))
     found = finder.find(processed.estimate, processed.patch, Pose("ok", T))
     nodes = model.mesh.deformed(processed.estimate.motion_m)
     pieces = level_line(nodes, model.mesh.corners, found.level)[:, :, :2]
@@ -60,7 +60,7 @@ def test_patch_of_a_flat_face_ends_at_its_edge(model, processed):
 
 
 def test_patch_ends_at_the_edge_with_outward_leaning_sides(model, processed):
-    finder = ObjectPatchFinder(model, ObjectSurface(made("frustum")))
+    finder = ObjectPatchFinder(model, ObjectSurface(study_object("frustum")))
     found = finder.find(processed.estimate, processed.patch, Pose("ok", upright(z=0.044)))
     assert found.area_m2 == pytest.approx(0.025**2, rel=0.08)
 
@@ -73,7 +73,7 @@ def test_outline_follows_the_pose_at_a_constant_depth_image(model, processed):
 
 @pytest.mark.parametrize("status", ["lost", "no_contact", "few_points", "no_data"])
 def test_no_object_patch_without_a_pose_of_the_frame(model, processed, status):
-    finder = ObjectPatchFinder(model, ObjectSurface(made("cylinder")))
+    finder = ObjectPatchFinder(model, ObjectSurface(study_object("cylinder")))
     assert finder.find(processed.estimate, processed.patch, Pose(status, upright())) is None
 
 

@@ -127,7 +127,7 @@ def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
 
 
 def test_invalid_objects_are_refused(pipeline):
-    obj = made("frustum")
+    obj = study_object("frustum")
     with pytest.raises(InputError, match="millimetres"):
         pipeline.track(RigidObject("big", 1e3 * obj.vertices, obj.triangles))
     with pytest.raises(InputError, match="no area"):

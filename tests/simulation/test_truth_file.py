@@ -48,8 +48,8 @@ def folder(source, tmp_path_factory):
 
 
 def test_ground_truth_of_every_frame_is_read_back(folder, source):
-    known = KnownRecording(Recording(folder / "sim.mcap"), folder / "truth.npz")
-    assert isinstance(known, KnowsTruth) and len(known) == FRAMES
+    known = RecordingWithTruth(Recording(folder / "sim.mcap"), folder / "truth.npz")
+    assert isinstance(known, HasTruth) and len(known) == FRAMES
     for index in range(FRAMES):
         truth, expected = truth_of(known, index), source.truth(index)
         for field in fields(Truth):

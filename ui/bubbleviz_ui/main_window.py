@@ -145,6 +145,7 @@ class MainWindow(QMainWindow):
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
         self.shear = ShearPanel(state, controller)
         self.pair = SensorPair(controller, self.scene, self.view)
+        self.beside = MembraneBeside(controller, self.scene, self.view)
         self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
         self.live = LiveBar(self.live_controller, state.units)
         self.display_latency = DisplayLatency(controller, self.view)

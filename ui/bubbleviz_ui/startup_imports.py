@@ -30,7 +30,7 @@ def import_the_window() -> None:
     import_without("scipy", "ndimage")
     import_later("pooch")
     charts = defer_class("matplotlib.backends.backend_agg", "FigureCanvasAgg")
-    with everything_stays(), charts, hide_package("mypy"):
+    with without_garbage_collection(), charts, hide_package("mypy"):
         # before Qt: PySide6 reads the source of every module imported after it
         import pyvista.plotting  # noqa: F401
 

@@ -203,7 +203,7 @@ class CalibrationPanel(QWidget):
 
     def _on_next(self) -> None:
         """Go to the next page and compute its step; on the first page, first compute its own."""
-        if not isinstance(self.page, FramesPage) or self.calibration.settings.reached:
+        if not isinstance(self.page, FramesPage) or self.calibration.settings.last_step:
             self.go_to(self.stack.currentIndex() + 1)
         self.page.enter()
 
@@ -301,7 +301,7 @@ class CalibrationPanel(QWidget):
 
     def _reachable_pages(self) -> int:
         """Number of pages with results."""
-        reached = self.calibration.answer.work.settings.reached
+        reached = self.calibration.answer.work.settings.last_step
         return len(self.pages) if reached >= Step.TENSION else max(1, int(reached))
 
     def _lay_out(self) -> None:

@@ -163,8 +163,8 @@ class Calibration(QObject):
 
     def reach(self, step: Step, text: str) -> None:
         """Compute the steps up to this one, if not done yet."""
-        if self.settings.reached < step:
-            self.edit(text, reached=step)
+        if self.settings.last_step < step:
+            self.edit(text, last_step=step)
 
     def cancel(self) -> None:
         """Stop computing and restore the previous settings."""

@@ -186,7 +186,7 @@ class FramesPage(Page):
         return answer.draft.ranges
 
     def _step_reached(self) -> Step:
-        return max(self.calibration.settings.reached, Step.FRAMES)
+        return max(self.calibration.settings.last_step, Step.FRAMES)
 
     def _on_add(self) -> None:
         answer = self.calibration.answer

@@ -175,9 +175,10 @@ class OpenSource:
             return Result(frame)
         if stream is not None:
             frame = zeroed(frame, stream.zero, pipeline)
-        products = self.shear.products(self.source, pipeline, frame.index, demand) - DIAGNOSTICS.keys()
+        products = self.shear.products(self.source, pipeline, frame.index, demand)
+        products -= DIAGNOSTICS.keys()
         if cold:
-            pipeline.settle(frame)
+            pipeline.converge(frame)
         result = (solver_process or pipeline).process(frame, products, demand.options)
         if products & SHEAR:
             self.shear.add_frame(result)
@@ -190,7 +191,7 @@ class OpenSource:
         wanted = "kappa_curve" in demand.diagnostics
         truth = truth_of(self.source, result.frame.index) if wanted else None
         mask = truth.patch_mask if truth is not None else None
-        result = self.pipeline.look(result, demand.products, demand.options, mask)
+        result = self.pipeline.diagnose(result, demand.products, demand.options, mask)
         seen = replace(result.inspection or Inspection(), reference=self.shear.message)
         return replace(result, inspection=seen)
 
@@ -315,13 +316,13 @@ class Solver:
 
     def compare(
         self, index: int, settings: tuple[ComparedOptions, ...], *, cold: bool
-    ) -> tuple[Measured | str, ...]:
+    ) -> tuple[ComparedResult | str, ...]:
         """Measure settings on a frame; an error text for one that is impossible.
 
         Without settings, the estimators built for the comparison are released.
         """
         current = self._open
-        bench, measured = current.side_by_side, list[Measured | str]()
+        bench, measured = current.side_by_side, list[ComparedResult | str]()
         bench.keep([options for options, _ in settings])
         if not settings:
             return ()
@@ -365,7 +366,7 @@ class Solver:
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if stream is not None:
                 stream.zero.refer_to(pipeline.model.gas.P0)
-            settings = SideBySide(sensor, pipeline.camera.intrinsics)
+            settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
             current = OpenSource(request.source, source, pipeline, settings)
             products = current.shear.products(source, pipeline, frame.index, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
@@ -394,7 +395,8 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
     """Properties of an opened source."""
     opened, source, zero = current.opened, current.source, current.zero
     stream, recording = opened.stream, current.recording
-    remarks = [str(getattr(source, "remark", ""))]  # recordings have one
+    # recordings have a remark
+    remarks = [str(getattr(source, "remark", "")), contradiction(sensor)]
     if stream is None:  # a live source reports its zero later
         remarks.append(gas_warning(measured_pa, current.pipeline.model.gas.P0))
         remarks.append(_zero_remark(zero))

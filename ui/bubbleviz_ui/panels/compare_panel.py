@@ -29,7 +29,6 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import ComparedOptions
 from bubbleviz_ui.engine.source import RECORDINGS, Source, sensor_for
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.choices import PATCH_CHOICES, SETTINGS, Setting
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, ComparedSetting
 from bubbleviz_ui.model.source_facts import force_text, tangential_text
@@ -106,7 +105,7 @@ class Column:
     def show_measured(self, measured: ComparedResult | str | None, units: Units) -> None:
         """Write the numbers; a text says why there are none."""
         for name, (_, text) in ROWS.items():
-            shown = text(measured, units) if isinstance(measured, ComparedResult) else NOTHING
+            shown = text(measured, units) if isinstance(measured, ComparedResult) else DASH
             self.values[name].setText(shown)
         if isinstance(measured, str):
             self.values["status"].setText("impossible")
@@ -152,7 +151,7 @@ class OtherRecording(QWidget):
         )
         state.source_changed.connect(self._drop)
         state.frame_changed.connect(self._write)
-        state.choices_changed.connect(self._on_choices)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         self.align.setAccessibleName("Alignment")
@@ -185,7 +184,7 @@ class OtherRecording(QWidget):
         self._recording = self._sensor_file = None
         self._drop()
 
-    def _on_choices(self, _: object) -> None:
+    def _on_settings(self, _: object) -> None:
         if (self._runs or self.worker.busy) and self._how != self._solved_how:
             self._drop()
         self._write()  # in the operator's units
@@ -200,7 +199,7 @@ class OtherRecording(QWidget):
         ):
             button.setText(title if path is None else path.name)
         facts = self._state.facts
-        possible = facts is not None and not (facts.nothing or facts.grows)
+        possible = facts is not None and not (facts.is_empty or facts.grows)
         chosen = self._recording is not None or self._sensor_file is not None
         self.start.setEnabled(possible and chosen)
         self.remove.setEnabled(chosen)
@@ -210,7 +209,7 @@ class OtherRecording(QWidget):
     @property
     def _how(self) -> ComparedOptions:
         """What the window makes estimates and patches with."""
-        return self._state.choices.options, FrameOptions(*self._state.choices.rule)
+        return self._state.settings.options, FrameOptions(*self._state.settings.patch_rule)
 
     def _start(self) -> None:
         # with the first comparison: the window starts without
@@ -298,7 +297,7 @@ class ComparePanel(QWidget):
         self.a, self.b = Column(state, 0), Column(state, 1)
         self.outlines = QCheckBox("Outlines in the 3-D view")
         self.outlines.setToolTip("Draw the patch outlines of A and B in their colours")
-        bind_member(self.outlines, state, "layers", "compared")
+        bind_membership(self.outlines, state, "layers", "compared")
         self.other = OtherRecording(state, controller)
         self._lay_out()
         controller.compared.connect(self._on_compared)

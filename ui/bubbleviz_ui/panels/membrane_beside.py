@@ -28,7 +28,7 @@ class MembraneBeside(QObject):
         self._drawing: SecondScene | None = None
         self._beside: Beside | None = None
         controller.shown.connect(self._show)
-        controller.state.choices_changed.connect(self._show)
+        controller.state.settings_changed.connect(self._show)
 
     def take(self, beside: Beside | None) -> None:
         """Draw another run from now on, or none."""
@@ -53,5 +53,5 @@ class MembraneBeside(QObject):
         if shown is None or beside is None or self._drawing is None:
             return
         k = int(np.abs(beside.times_s - shown.frame.time_s).argmin())
-        self._drawing.show(beside.run[k].result, self._controller.state.choices)
+        self._drawing.show(beside.run[k].result, self._controller.state.settings)
         self._view.refresh()

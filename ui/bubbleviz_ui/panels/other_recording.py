@@ -23,7 +23,7 @@ from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.model.frame_history import History
+from bubbleviz_ui.model.frame_history import FrameHistory
 
 
 def solve(
@@ -58,12 +58,12 @@ class Beside:
     facts: dict[str, Any]  # Of the comparison
     run: Run
     times_s: np.ndarray  # (F,) of its frames
-    history: History
+    history: FrameHistory
 
     @classmethod
     def of(cls, first: Run, other: Run, align: Alignment) -> Beside:
         """Align two runs. Raises InputError: They have no time, or no contact, in common."""
-        found, history = compare(first, other, align=align), History(len(other))
+        found, history = compare(first, other, align=align), FrameHistory(len(other))
         for k, each in enumerate(other):
-            history.take(k, numbers_of(each.result, other.model.gas), patch=True)
+            history.record(k, numbers_of(each.result, other.model.gas), patch=True)
         return cls(found, found.facts(), other, other.times_s - found.shift_s, history)

@@ -143,13 +143,13 @@ class TimePlot:
             for curve in self.beside.values():
                 curve.clear()
             return
-        scale, window_s = self.trace.unit(units).of(1.0), self.box.viewRange()[0]
+        scale, window_s = self.trace.unit(units).from_si(1.0), self.box.viewRange()[0]
         for name, colour in self.trace.curves.items():
             if name not in self.beside:
                 pen = pg.mkPen(colour, style=Qt.PenStyle.DashLine)
                 self.beside[name] = pg.PlotDataItem(pen=pen, connect="finite")
                 self.box.addItem(self.beside[name])
-            times, values = thinned(beside.times_s, beside.history.of(name), window_s)
+            times, values = decimated(beside.times_s, beside.history.quantity(name), window_s)
             self.beside[name].setData(times, values * scale)
 
     def show_all(self, times_s: np.ndarray) -> None:

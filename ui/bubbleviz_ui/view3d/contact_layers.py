@@ -166,8 +166,8 @@ class ComparedLayer(Layer):
         self._outlines = [_Outline(self, colour) for colour in theme.COMPARED]
         self._measured: tuple[ComparedResult | str | None, ...] = (None, None)
 
-    def set_measured(self, measured: tuple[Measured | str | None, ...]) -> None:
-        """Set the measurements of A and B; anything but a `Measured` means none."""
+    def set_measured(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
+        """Set the measurements of A and B; anything but a `ComparedResult` means none."""
         self._measured = measured
 
     def draw(self, picture: Picture) -> None:

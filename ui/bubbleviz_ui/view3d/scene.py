@@ -218,7 +218,7 @@ class Scene:
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def compare(self, measured: tuple[Measured | str | None, ...]) -> None:
+    def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings while their frame is shown."""
         self._drawn.layer(ComparedLayer).set_measured(measured)
         self.apply(self._settings)
