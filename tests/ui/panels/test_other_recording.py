@@ -8,7 +8,7 @@ import pytest
 from fakes import FRAMES, DentSource, record, small_sensor
 from PySide6.QtWidgets import QApplication, QFileDialog
 from vtkmodules.vtkRenderingCore import vtkAssembly
-from window_driver import props
+from window_driver import vtk_props
 
 from bubbleviz.sensor import save_sensor
 from bubbleviz_ui.engine.source import Source
@@ -28,14 +28,14 @@ def driver(drive, tmp_path, sensor):
     later = [replace(each, index=k, time_s=k * STEP_S) for k, each in enumerate(waiting)]
     record(tmp_path / "later.mcap", later)
     driver = drive(Source.of_recording(press), frame=PRESSED)
-    driver.state.choose(plots=frozenset({"force", "area"}), layers=frozenset({"membrane", "rim"}))
+    driver.state.change(plots=frozenset({"force", "area"}), layers=frozenset({"membrane", "rim"}))
     driver.window.resize(1280, 800)
     driver.show("plots", "compare")
     driver.wait(lambda: driver.window.plots.isVisible() and bool(driver.window.plots.plots))
     QApplication.processEvents()
-    driver.settle()
+    driver.wait_until_shown()
     yield driver
-    driver.let_go()
+    driver.release()
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def numbers(driver, title):
 
 
 def membranes_beside(driver):
-    return [p for p in props(driver) if isinstance(p, vtkAssembly) and p.GetVisibility()]
+    return [p for p in vtk_props(driver) if isinstance(p, vtkAssembly) and p.GetVisibility()]
 
 
 def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path):
@@ -75,7 +75,7 @@ def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path
     assert numbers(driver, "|Δarea|")[1] < 0.1 * 1e6 * driver.result.patch.area_m2
     # the curves of both lie on each other
     driver.click(plots.analyse)
-    known = driver.state.history.of
+    known = driver.state.history.quantity
     driver.wait(lambda: np.isfinite(known("force_n")).all())
     for plot, quantity, scale in (("force", "force_n", 1.0), ("area", "area_m2", 1e6)):
         times, values = plots.plots[plot].beside[quantity].getOriginalDataset()
@@ -83,7 +83,7 @@ def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path
         np.testing.assert_allclose(times[same], np.arange(FRAMES) * STEP_S, atol=1e-6)
         np.testing.assert_allclose(values[same], own, atol=0.1 * own.max())
     # another setting makes other numbers: none of the old ones stays
-    driver.state.choose(kappa=3.0)
+    driver.state.change(kappa=3.0)
     assert panel.result.text() == "" and plots.plots["force"].beside["force_n"].getData()[0] is None
     driver.click(panel.start)
     driver.wait(lambda: "median" in panel.result.text())
@@ -100,7 +100,7 @@ def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, t
     driver.wait(lambda: "median" in panel.result.text())
     assert not membranes_beside(driver)
     driver.click(panel.drawn)
-    driver.painted_anew()
+    driver.wait_for_redraw()
     (beside,) = membranes_beside(driver)
     low, high = np.array(beside.GetBounds()).reshape(3, 2).T
     own = driver.nodes()
@@ -108,22 +108,22 @@ def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, t
 
     def warm_halves():
         """Pixels in the colours of pressure, left and right of the middle of the picture."""
-        columns = driver.warm_pixels()[:, 1]
+        columns = driver.pressure_pixels()[:, 1]
         middle = driver.pixels().shape[1] / 2
         return np.count_nonzero(columns < middle), np.count_nonzero(columns > middle)
 
     left, right = warm_halves()
     assert min(left, right) > 20 and right == pytest.approx(left, rel=0.5)
     driver.seek(0)
-    driver.painted_anew()
+    driver.wait_for_redraw()
     assert warm_halves() == (0, 0)  # neither touches
     driver.click(panel.drawn)
     assert not membranes_beside(driver)
     driver.click(panel.drawn)
-    driver.opens("nothing of this", DentSource, small_sensor())
+    driver.open("nothing of this", DentSource, small_sensor())
     driver.wait(lambda: panel.result.text() == "")
     assert not membranes_beside(driver)
-    driver.settle()
+    driver.wait_until_shown()
 
 
 def test_the_same_recording_is_compared_with_another_sensor_file(driver, choose, sensor, tmp_path):
