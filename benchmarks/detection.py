@@ -95,7 +95,7 @@ def _limits(sensor: Sensor, grid: DetectionGrid, name: str) -> list[Limit]:
     ladders = {place: Ladder(own.presses, place, grid) for place in grid.places}
     found = list[Limit]()
     for noise, setup in product(grid.noises, grid.setups):
-        pipeline = setup.pipeline(own.told(noise))
+        pipeline = setup.pipeline(own.model(noise))
         for gas in (False, True):
             found += limits_of(name, setup, Alarm(pipeline, noise, gas, grid), ladders)
     return found

@@ -118,7 +118,7 @@ def _rows(grid: EdgeGrid, membrane: accuracy.Specimen, bank: TruthBank, name: st
     for noise in grid.noises:
         best = best_thresholds(bank, own, noise)
         for setup in SETUPS:
-            pipeline = setup.pipeline(membrane.told(noise))
+            pipeline = setup.pipeline(membrane.model(noise))
             for sighting, iou_threshold in zip(own, best, strict=True):
                 row = _row(pipeline, bank, sighting, noise, float(iou_threshold))
                 rows.append(replace(row, setup=setup.label))

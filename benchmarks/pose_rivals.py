@@ -47,7 +47,7 @@ from bubbleviz.study.harness import (
     averages,
     summaries,
 )
-from bubbleviz.study.pose import PoseJudge, TrueContact
+from bubbleviz.study.pose import PoseMetrics, TrueContact
 
 SHALLOWEST_M, DEEPEST_M = 0.008, 0.015  # of the presses, as the paper's
 FARTHEST_M, FARTHEST_RAD = 5e-3, np.radians(10.0)  # of the starts
@@ -130,7 +130,7 @@ class _Bench:
         self._model = ObjectSurface(obj)
         precision = precision_of(pipeline.estimator)
         self._registration = Registration(self._model, precision)
-        self._judge = PoseJudge(self._model, precision)
+        self._judge = PoseMetrics(self._model, precision)
         self._cloud = CloudRegistration(self._model, CLOUD_REACH_M)
         self._patch = CloudRegistration(self._model, PATCH_REACH_M)
 

@@ -37,7 +37,7 @@ from bubbleviz.simulation import (
     with_pixels,
 )
 from bubbleviz.study.harness import Case, Report, Study
-from bubbleviz.study.speed import ROUND
+from bubbleviz.study.speed import FRAMES
 
 _POSES = (0, 25, 35, 45, 51, 54, 57, 60)
 """Of the moving press: one above the membrane, and the way down."""
@@ -133,7 +133,7 @@ class _Stages:
     def __init__(self, sensor: Sensor, sizes: StageSizes, folder: Path) -> None:
         folder.mkdir()
         self._folder, ball = folder, load_object("sphere")
-        poses = default_path(*dome_size(sensor), ROUND)[list(_POSES)]
+        poses = default_path(*dome_size(sensor), FRAMES)[list(_POSES)]
         noise = DepthNoise(relative=sensor.camera.noise_relative)
         source = SyntheticSource(sensor, ball, poses, noise, nodes=sizes.source_nodes)
         frames = [replace(source[k], gas_pressure_pa=None) for k in range(len(source))]

@@ -1,1 +1,1 @@
-"""Error against run time, numerical stability, speed and pose: studies of one harness."""
+"""Studies of error against run time, numerical stability, speed and pose, on one harness."""

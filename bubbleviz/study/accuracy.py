@@ -1,6 +1,6 @@
 """Study of force and patch error against run time: exact, linear and the paper's estimator.
 
-Presses of simulated membranes at two noises.
+On simulated presses at two noise levels.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ from bubbleviz.study.harness import (
 )
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
-SHALLOWEST_SHARE = 0.2
-"""Of the dome's height: patches of shallower presses are as small as the mesh, and not judged."""
+MIN_DEPTH_SHARE = 0.2
+"""Of the dome's height: patches of shallower presses are as small as the mesh, and not rated."""
 FORCE_TARGETS = {"known": (0.02, 0.05), "identified": (0.03, 0.06)}
-"""Of the force error, median and worst, where the material is known and identified."""
-LEAST_IOU = 0.75
+"""Median and worst relative force error, for known and identified material."""
+MIN_IOU = 0.75
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Settings of an estimator; None is what the sensor file and the defaults say."""
+    """Settings of an estimator; None: from the sensor file or default."""
 
     solver: str | None = None
     nodes: int | None = None
@@ -87,7 +87,7 @@ class Setup:
         return "_".join(filter(None, parts))
 
     def pipeline(self, model: SensorModel) -> Pipeline:
-        """Pipeline of a sensor whose mesh stays, where no other is asked for."""
+        """Pipeline of a sensor; on its own mesh unless `nodes` or `stride` differ."""
         options = EstimatorOptions.named(self.solver)
         if self.nodes is not None or self.stride > 1:
             varied = strided(with_nodes(model.sensor, self.nodes), self.stride)
@@ -97,59 +97,58 @@ class Setup:
 
 RUBBER, LINEAR = Setup("rubber"), Setup("linear")
 PAPER = Setup("paper")
-"""Eq. 23 by OSQP from rest in every frame, linearised once at the reference surface."""
+"""Eq. 23 by OSQP, cold-started in every frame, linearised once at the reference surface."""
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A membrane under test: its truth, and what the estimator is told of it at some noise."""
+    """A membrane under test: its simulated presses, and the estimator's model at a given noise."""
 
     name: str
     presses: Presses
-    told: Callable[[DepthNoise], SensorModel]
-    material: str = "known"  # or "identified": found from inflation levels, with none given
+    model: Callable[[DepthNoise], SensorModel]
+    material: str = "known"  # or "identified" from inflation levels
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What an accuracy study runs over.
+    """Parameters of an accuracy study.
 
-    The setups are compared with the first; on membranes other than `sensor`, those of another mesh
-    or image are left out.
+    The first setup is the reference. Setups with another mesh or image run on `sensor` alone.
     """
 
     specimens: tuple[str, ...] = ("sensor", "dome λ 1.05", "dome λ 1.2", "dome λ 1.5")
     objects: tuple[str, ...] = GRID_OBJECTS + HELD_OUT_OBJECTS  # pressed into `sensor`
-    others_objects: tuple[str, ...] = SMOOTH_OBJECTS  # into every other membrane
-    depths: tuple[float, ...] = (0.1, 0.2, 0.3, 0.45)  # shares of the dome's height
+    others_objects: tuple[str, ...] = SMOOTH_OBJECTS  # pressed into other membranes
+    depths: tuple[float, ...] = (0.1, 0.2, 0.3, 0.45)  # over the dome's height
     noises: tuple[DepthNoise, ...] = (DepthNoise(absolute_m=1e-4), DepthNoise(relative=0.01))
     setups: tuple[Setup, ...] = (RUBBER, LINEAR, PAPER)
-    repeats: int = 3  # warm frames of each press, the same but for their noise
-    model: Model = "rubber"  # of the truth
+    repeats: int = 3  # warm frames of each press, with different noise
+    model: Model = "rubber"  # of the ground truth
     truth_nodes: int = TRUTH_NODES
-    limit_s: float | None = 120.0  # wall time of one truth
+    limit_s: float | None = 120.0  # wall time of one press of the ground truth
     seed: int = 7
 
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors of one frame; NaN where there is no answer."""
+    """Errors of one frame; NaN without trusted estimate."""
 
     iou: float = np.nan  # of the patch's pixels
-    force_error_relative: float = np.nan  # length of the difference of the vectors
+    force_error_relative: float = np.nan  # |difference of the forces| over |true force|
     force_excess_relative: float = np.nan  # |F| over the true one, less 1
-    area_error_relative: float = np.nan  # counted on the reference surface
-    cop_error_m: float = np.nan  # between centres of pressure
+    area_error_relative: float = np.nan  # on the reference surface
+    cop_error_m: float = np.nan  # distance between centres of pressure
     displacement_rms_m: float = np.nan  # over the estimator's nodes
     gas_error_pa: float = np.nan  # of p_v
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row(Errors):
-    """One press at one noise level with one setup: means over the warm frames that have an answer.
+    """One press at one noise level with one setup: means over the warm frames of status ok.
 
-    `failed` counts those that have none, and `status` says why; `warm_ms` is the median time from
-    depth image in to patch pixels out; `cold_ms` that of the first frame of the press.
+    `failed` counts the other frames, and `status` is one of theirs; `warm_ms` is the median time
+    from depth image in to patch pixels out, `cold_ms` that of the first frame of the press.
     """
 
     specimen: str
@@ -170,7 +169,7 @@ class Row(Errors):
 
 
 def full_grid(model: Model = "rubber") -> Grid:
-    """All membranes; on the sensor's also other meshes and images."""
+    """All membranes; for `sensor` also other meshes and images."""
     sizes = [replace(s, nodes=n) for s in (RUBBER, LINEAR, PAPER) for n in (400, 800, 1600)]
     if model == "linear":
         setups = (LINEAR, PAPER, *(s for s in sizes if s.solver != "rubber"))
@@ -195,7 +194,7 @@ def quick_grid(model: Model = "rubber") -> Grid:
 
 
 def specimen(name: str, sensor: Sensor, grid: Grid) -> Specimen:
-    """One of a grid; `sensor` is of rubber with the usual λ where its file gives none."""
+    """Specimen of a grid by name; `sensor` has a default λ if its file gives none."""
     kind, _, stretch = name.partition(" λ ")
     own = dome(float(stretch)) if kind == "dome" else sensor
     if grid.model == "linear":
@@ -211,7 +210,7 @@ def accuracy_study(
     parts: Path | None = None,
     specimen_of: Callable[[str, Sensor, Grid], Specimen] = specimen,
 ) -> Study:
-    """Study of a grid, on its membranes as `specimen_of` makes them."""
+    """Study of a grid, on specimens made by `specimen_of`."""
     settings = {"grid": asdict(grid), "sensor": sensor.model_dump(mode="json")}
     benches = [Bench(specimen_of(name, sensor, grid), grid, parts) for name in grid.specimens]
     cases = [case for bench in benches for case in bench.cases()]
@@ -219,7 +218,7 @@ def accuracy_study(
 
 
 class Bench:
-    """Truths and pipelines of one membrane."""
+    """Ground truth and pipelines of one membrane."""
 
     def __init__(self, own: Specimen, grid: Grid, parts: Path | None) -> None:
         folder = None
@@ -228,29 +227,29 @@ class Bench:
         self._own, self._grid = own, grid
         self.bank = TruthBank(own.presses, grid.seed, folder, grid.limit_s)
         self.height_m = float(self.bank.mesh.nodes[:, 2].max())
-        self.sightings: list[SimulatedPress] = []
+        self.simulated: list[SimulatedPress] = []
 
     def cases(self) -> list[Case]:
         """Every press, then every setup at every noise."""
         grid, own = self._grid, self._own.name == "sensor"
-        work: dict[str, Callable[[], list[Row]]] = {}
+        runs: dict[str, Callable[[], list[Row]]] = {}
         for obj, share in product(grid.objects if own else grid.others_objects, grid.depths):
-            work[f"{obj} at {100 * share:g} %"] = partial(self._press, obj, share)
+            runs[f"{obj} at {100 * share:g} %"] = partial(self._press, obj, share)
         for noise, setup in product(grid.noises, grid.setups):
             if own or (setup.nodes is None and setup.stride == 1):
                 run = partial(self._rows, setup, noise)
-                work[f"{setup.label}, {noise_name(noise)}"] = run
-        return [Case(f"{self._own.name}, {name}", run) for name, run in work.items()]
+                runs[f"{setup.label}, {noise_name(noise)}"] = run
+        return [Case(f"{self._own.name}, {name}", run) for name, run in runs.items()]
 
     def _press(self, obj: str, share: float) -> list[Row]:
-        """Find a truth, of which the cases after this make rows."""
+        """Simulate a press for the later cases; makes no rows."""
         (press,) = presses((obj,), (share * self.height_m,))
-        self.sightings.append(self.bank.simulate(press))
+        self.simulated.append(self.bank.simulate(press))
         return []
 
     def _rows(self, setup: Setup, noise: DepthNoise) -> list[Row]:
-        pipeline = setup.pipeline(self._own.told(noise))
-        return [self._row(sighting, noise, setup, pipeline) for sighting in self.sightings]
+        pipeline = setup.pipeline(self._own.model(noise))
+        return [self._row(each, noise, setup, pipeline) for each in self.simulated]
 
     def _row(
         self, sighting: SimulatedPress, noise: DepthNoise, setup: Setup, pipeline: Pipeline
@@ -260,11 +259,11 @@ class Bench:
         )
         pipeline.restart()
         cold, *warm = (pipeline.process(frame, PRODUCTS) for frame in frames)
-        answered = [r for r in warm if r.estimate is not None and r.estimate.status == "ok"]
-        errors = [errors_of(pipeline, result, sighting, setup.stride) for result in answered]
+        solved = [r for r in warm if r.estimate is not None and r.estimate.status == "ok"]
+        errors = [errors_of(pipeline, result, sighting, setup.stride) for result in solved]
         means: dict[str, Any] = {f.name: over(errors, f.name, np.mean) for f in fields(Errors)}
         statuses = [r.estimate.status for r in warm if r.estimate is not None]
-        residuals = [r.estimate.kkt_residual for r in answered if r.estimate is not None]
+        residuals = [r.estimate.kkt_residual for r in solved if r.estimate is not None]
         press = sighting.press
         return Row(
             **means,
@@ -279,7 +278,7 @@ class Bench:
             force_n=float(np.linalg.norm(sighting.truth.force_n)),
             nodes=len(pipeline.mesh.nodes),
             status=next((s for s in statuses if s != "ok"), "ok"),
-            failed=len(warm) - len(answered),
+            failed=len(warm) - len(solved),
             kkt_residual=max(residuals, default=np.nan),
             cold_ms=cold.times_ms["total"],
             warm_ms=float(np.median([result.times_ms["total"] for result in warm])),
@@ -291,27 +290,27 @@ def errors_of(
 ) -> Errors:
     """Errors of a pipeline's result with an estimate, a patch and its pixels.
 
-    The truth is on another mesh of the same surface; the pixels are every stride-th of its image.
+    The ground truth is on another mesh of the same surface; pixels are every stride-th of it.
     """
     estimate, patch, truth = result.estimate, result.patch, sighting.truth
     if estimate is None or patch is None or patch.pixel_mask is None:
         raise ValueError("the result lacks the estimate, the patch or its pixels")
     expected = at_nodes(pipeline.mesh, sighting.mesh, truth.displacement_m)
     force = float(np.linalg.norm(truth.force_n))
-    away = patch.center_of_pressure_m - truth.center_of_pressure_m
+    offset = patch.center_of_pressure_m - truth.center_of_pressure_m
     return Errors(
         iou=iou(patch.pixel_mask, truth.patch_mask[::stride, ::stride]),
         force_error_relative=truth.force_error(patch.force_n),
         force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
         area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
-        cop_error_m=float(np.linalg.norm(away)),
+        cop_error_m=float(np.linalg.norm(offset)),
         displacement_rms_m=float(np.sqrt(np.mean((estimate.displacement_m - expected) ** 2))),
         gas_error_pa=abs(estimate.gas_pressure_change_pa - truth.gas_pressure_change_pa),
     )
 
 
 def at_nodes(mesh: MembraneMesh, other: MembraneMesh, field: np.ndarray) -> np.ndarray:
-    """Field (m, …) of the nodes of another mesh of the same surface, at those of a mesh, (n, …)."""
+    """Field (m, …) on another mesh of the same surface, interpolated at the nodes, (n, …)."""
     found = TriangleScene(other.nodes, other.triangles).closest(mesh.nodes)
     corners = field[other.triangles[found.triangle]]
     values: np.ndarray = np.einsum("ij...,ij->i...", corners, found.barycentric)
@@ -327,11 +326,11 @@ AVERAGES = averages(
     "iou": ("iou", np.mean),
     "failed": ("failed", np.count_nonzero),
 }
-"""Medians, but for the patch's mean IoU, the worst force and the presses with failed frames."""
+"""Medians, except mean IoU, worst force error and number of presses with failed frames."""
 
 
 def curves(rows: list[Row]) -> list[Record]:
-    """Errors over depth, by setup and by how the material is known; one mesh and image."""
+    """Errors over depth by setup and material, for the default mesh and image."""
     some = [r for r in rows if r.setup in {s.label for s in (RUBBER, LINEAR, PAPER)}]
     some.sort(key=lambda row: row.depth_share)
     found = summaries(some, ("material", "setup", "depth_share"), AVERAGES)
@@ -341,11 +340,11 @@ def curves(rows: list[Row]) -> list[Record]:
 
 
 def points(rows: list[Row]) -> list[Record]:
-    """Every setup on the plane of error and run time: presses into one membrane at one noise.
+    """Errors and run time of every setup, for one membrane at one noise.
 
-    `on_front` says that no other setup is both faster and better, in IoU or in force.
+    `on_front`: on the Pareto front of IoU or of force error over run time.
     """
-    deep = [row for row in rows if not row.held_out and row.depth_share >= SHALLOWEST_SHARE]
+    deep = [row for row in rows if not row.held_out and row.depth_share >= MIN_DEPTH_SHARE]
     found = summaries(deep, ("specimen", "noise", "setup", "nodes"), AVERAGES)
     return [{**point, "on_front": _on_front(point, found)} for point in found]
 
@@ -353,9 +352,9 @@ def points(rows: list[Row]) -> list[Record]:
 def _on_front(point: Record, found: list[Record]) -> bool:
     same = [p for p in found if all(p[by] == point[by] for by in ("specimen", "noise"))]
     others = [p for p in same if p["warm_ms"] <= point["warm_ms"]]
-    better = any(p["iou"] > point["iou"] for p in others)
-    nearer = any(p[ERROR] < point[ERROR] for p in others)
-    return not (better and nearer)
+    better_iou = any(p["iou"] > point["iou"] for p in others)
+    better_force = any(p[ERROR] < point[ERROR] for p in others)
+    return not (better_iou and better_force)
 
 
 def targets(rows: list[Row], label: str) -> list[Target]:
@@ -364,16 +363,16 @@ def targets(rows: list[Row], label: str) -> list[Target]:
     own = [row for row in rows if row.setup == label]
     for (material, noise), some in groups(own, "material", "noise").items():
         median, worst = FORCE_TARGETS[material]
-        name, answered = f"{material}, {noise}", [r for r in some if np.isfinite(r.iou)]
-        deep = [row for row in answered if row.depth_share >= SHALLOWEST_SHARE]
-        if answered:
+        name, solved = f"{material}, {noise}", [r for r in some if np.isfinite(r.iou)]
+        deep = [row for row in solved if row.depth_share >= MIN_DEPTH_SHARE]
+        if solved:
             found += [
-                at_most(f"{name}: median force error", over(answered, ERROR), median),
-                at_most(f"{name}: worst force error", over(answered, ERROR, np.max), worst),
+                at_most(f"{name}: median force error", over(solved, ERROR), median),
+                at_most(f"{name}: worst force error", over(solved, ERROR, np.max), worst),
             ]
-        found.append(at_most(f"{name}: presses without an answer", len(some) - len(answered), 0))
+        found.append(at_most(f"{name}: presses without estimate", len(some) - len(solved), 0))
         if deep:
-            found.append(at_least(f"{name}: mean patch IoU", over(deep, "iou", np.mean), LEAST_IOU))
+            found.append(at_least(f"{name}: mean patch IoU", over(deep, "iou", np.mean), MIN_IOU))
     return found
 
 
@@ -404,13 +403,13 @@ _POINT = (
 
 
 def report_of(grid: Grid, rows: list[Row]) -> Report:
-    """Tables over depth, of every setup, and by object."""
+    """Tables by depth, by setup and by object."""
     label = grid.setups[0].label
     own = [row for row in rows if row.setup == label]
     by = "specimen", "object_name", "noise"
     press = (*(Column(name, name) for name in by), *_ERRORS)
     title = f"Force error over press depth, all membranes and noises; truth: {grid.model} membrane"
-    time = f"Run time, from {100 * SHALLOWEST_SHARE:g} % of the height; front: Pareto front"
+    time = f"Run time, from {100 * MIN_DEPTH_SHARE:g} % of the height; front: Pareto front"
     tables = [
         Table("curves", curves(rows), _CURVE, title),
         Table("points", points(rows), _POINT, time),

@@ -35,11 +35,11 @@ DOTS_PER_INCH = 130  # legible at the width of a page
 
 @dataclass(frozen=True)
 class Case:
-    """One piece of a study's work, which returns rows: dataclasses of one kind.
+    """One case of a study; returns rows, which are dataclasses of one type.
 
-    With a limit it runs in a process of its own, for which `run` must pickle. A case that raises,
-    hangs or dies is left out, and the report says why, unless `broken` makes a row of that and
-    the time in ms.
+    With a time limit it runs in a separate process, and `run` must be picklable. If a case raises,
+    hangs or dies, the report lists it as omitted, unless `broken` makes a row of the reason and the
+    time in ms.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Case:
 
 
 class Column(NamedTuple):
-    """A number or word of each record times a scale, in a format; the header has the unit."""
+    """Column of a table: a field of each record, scaled and formatted; the header has the unit."""
 
     header: str
     name: str
@@ -57,14 +57,13 @@ class Column(NamedTuple):
     scale: float = 1.0
 
     def text(self, record: Record) -> str:
-        """What stands in a line."""
         value = record[self.name]
         return format(self.scale * value if self.scale != 1.0 else value, self.form)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Records under their name in JSON; shown on the terminal where it has columns."""
+    """Records with their name in JSON, and columns for the terminal."""
 
     name: str
     records: Sequence[Record]
@@ -80,7 +79,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Target:
-    """A value with its limit, such as `≤ 0.02`, and whether that is met."""
+    """A value with its limit, such as `≤ 0.02`, and whether it is met."""
 
     name: str
     value: float
@@ -100,11 +99,11 @@ def at_least(name: str, value: float, limit: float) -> Target:
 
 @dataclass(frozen=True)
 class Report:
-    """What a study found."""
+    """Results of a study."""
 
     tables: Sequence[Table] = ()
     targets: Sequence[Target] = ()
-    numbers: Record = field(default_factory=dict)  # what else belongs into the JSON
+    numbers: Record = field(default_factory=dict)  # further content of the JSON
     text: str = ""  # last line on the terminal
     plot: Callable[[Figure], None] | None = None
     rows_name: str = "rows"  # in the JSON
@@ -113,7 +112,7 @@ class Report:
     written: list[Path] = field(default_factory=list)
 
     def to_dict(self) -> Record:
-        """Everything, SI units."""
+        """Content of the JSON, SI units."""
         return {
             **self.numbers,
             "targets": [asdict(target) for target in self.targets],
@@ -123,11 +122,10 @@ class Report:
         }
 
     def to_json(self) -> str:
-        """The same as text."""
         return to_json(self.to_dict())
 
     def to_text(self) -> str:
-        """Tables, targets, skipped cases and written files."""
+        """Tables, targets, omitted cases and written files."""
         parts = [each.to_text() for each in self.tables]
         lines = [
             (t.name, f"{t.value:.3g}", t.limit, "met" if t.met else "NOT met") for t in self.targets
@@ -135,7 +133,7 @@ class Report:
         if lines:
             parts.append(table(("target", "value", "limit", ""), lines))
         wrote = [f"wrote {', '.join(map(str, self.written))}"] if self.written else []
-        ends = [*filter(None, [self.text]), *(f"left out: {o}" for o in self.omitted), *wrote]
+        ends = [*filter(None, [self.text]), *(f"omitted: {o}" for o in self.omitted), *wrote]
         return "\n\n".join([*parts, *filter(None, ["\n".join(ends)])])
 
 
@@ -143,8 +141,8 @@ class Report:
 class Study:
     """Cases, and the report on their rows.
 
-    `parts` is a folder that keeps the rows of finished cases, so that a stopped study goes on
-    there; `settings` are what those must have been made with.
+    The folder `parts` stores the rows of finished cases, from which an interrupted study is
+    continued if its `settings` are the same.
     """
 
     name: str  # of its files
@@ -162,7 +160,7 @@ class Study:
         Raises InputError: the folder has a report already, or parts of a study with other settings.
         """
         for suffix in ("csv", "json", "png"):
-            if out is not None:  # before the long work
+            if out is not None:  # fail before the computation
                 refuse_existing(create_folder(out) / f"{self.name}.{suffix}")
         if self.parts is not None:
             check_same(self.parts, self.settings)
@@ -182,27 +180,27 @@ class Study:
                 if self.fresh:
                     worker.stop()
                 try:
-                    rows += self._kept(case, worker)
-                except Exception as error:  # a study reports what breaks, and goes on
+                    rows += self._cached(case, worker)
+                except Exception as error:  # reported; other cases continue
                     omitted.append(f"{case.name}: {type(error).__name__}: {error}")
         return rows, omitted
 
-    def _kept(self, case: Case, worker: WorkerProcess) -> Sequence[Any]:
-        """Rows from an earlier run, or made now and kept."""
+    def _cached(self, case: Case, worker: WorkerProcess) -> Sequence[Any]:
+        """Rows from an earlier run, or computed and stored."""
         if self.parts is None:
-            return _made(case, worker)
+            return _run(case, worker)
         path = self.parts / f"{case.name.replace(' ', '_').replace('/', '_')}.json"
         if path.exists():
             records = json.loads(path.read_text(encoding="utf-8"))
             numbers = ({k: np.nan if v is None else v for k, v in r.items()} for r in records)
             return [self.row(**each) for each in numbers]
-        rows = _made(case, worker)
+        rows = _run(case, worker)
         if rows:
             write_json(path, [asdict(row) for row in rows])
         return rows
 
 
-def _made(case: Case, worker: WorkerProcess) -> Sequence[Any]:
+def _run(case: Case, worker: WorkerProcess) -> Sequence[Any]:
     if case.limit_s is None:
         return case.run()
     outcome = worker.call(case.run, limit_s=case.limit_s)
@@ -216,16 +214,16 @@ def _made(case: Case, worker: WorkerProcess) -> Sequence[Any]:
 
 
 def check_same(parts: Path, settings: Record) -> None:
-    """Refuse, with an InputError, a folder whose parts are of other settings."""
+    """Raise InputError if the parts in a folder have other settings."""
     path, own = create_folder(parts) / "settings.json", json.loads(to_json(settings))
     if not path.exists():
         write_json(path, own)
     elif json.loads(path.read_text(encoding="utf-8")) != own:
-        raise InputError(f"{path}: is of another study; choose another folder or delete it")
+        raise InputError(f"{path}: belongs to another study; choose another folder or delete it")
 
 
 def write(report: Report, out: Path, name: str) -> list[Path]:
-    """Write NAME.csv, NAME.json and, where there is a plot, NAME.png; the paths."""
+    """Write NAME.csv, NAME.json and, if there is a plot, NAME.png; returns their paths."""
     paths = [out / f"{name}.csv", out / f"{name}.json"]
     write_csv(paths[0], report.rows)
     write_json(paths[1], report.to_dict())
@@ -243,14 +241,14 @@ def write(report: Report, out: Path, name: str) -> list[Path]:
 
 
 def over(rows: Iterable[Any], name: str, average: Callable[[Any], Any] = np.median) -> float:
-    """Average of a field over the rows that have a number; NaN where none has."""
+    """Average of a field over the rows in which it is not NaN; NaN if there are none."""
     values = np.array([getattr(row, name) for row in rows], float)
     values = values[~np.isnan(values)]
     return float(average(values)) if len(values) else np.nan
 
 
 def groups(rows: Iterable[Any], *names: str) -> dict[tuple[Any, ...], list[Any]]:
-    """Rows by the values of some fields, in the order in which these come."""
+    """Rows by the values of some fields, in order of first occurrence."""
     found: dict[tuple[Any, ...], list[Any]] = {}
     for row in rows:
         found.setdefault(tuple(getattr(row, name) for name in names), []).append(row)
@@ -258,7 +256,7 @@ def groups(rows: Iterable[Any], *names: str) -> dict[tuple[Any, ...], list[Any]]
 
 
 Averages = dict[str, tuple[str, Callable[[Any], Any]]]
-"""Names of averages, with the field and how it is averaged."""
+"""Field and averaging function by name."""
 
 
 def averages(*names: str) -> Averages:
@@ -267,7 +265,7 @@ def averages(*names: str) -> Averages:
 
 
 def summaries(rows: Iterable[Any], by: Sequence[str], of: Averages) -> list[Record]:
-    """A record of each group of rows: its fields, its `count`, and averages."""
+    """One record per group of rows: values of the fields `by`, `count`, and averages."""
     return [
         {
             **dict(zip(by, key, strict=True)),
@@ -278,34 +276,34 @@ def summaries(rows: Iterable[Any], by: Sequence[str], of: Averages) -> list[Reco
     ]
 
 
-# Checks of an estimate that share no code with the solver that made it.
+# Checks of an estimate that share no code with the solver.
 
 
 BALANCE = 1e-3  # largest residual of membrane balance and gas law over their largest term
-KKT = {"paper": 5e-2}  # largest, of a solver that stops early; 1e-3 of others
+KKT = {"paper": 5e-2}  # largest KKT residual of solvers with early termination; of others 1e-3
 FORCE_RELATIVE = 0.2  # of the true force; chosen as a gross error
-FORCE_PER_EDGE = 20.0  # relative error per m of mesh edge: coarse meshes are worse
-FORCE_PER_NOISE = 2.5  # of γ0 × noise: the force that noise alone makes
+FORCE_PER_EDGE = 20.0  # relative error per m of mesh edge, for coarse meshes
+FORCE_PER_NOISE = 2.5  # of γ0 × noise: the force by noise alone
 RUBBER_BALANCE = 1e-2
-"""Largest force that the exact membrane's equilibrium misses along a random motion, relative to
-that of the gas: ten times what a node may be off by."""
+"""Largest residual force of the exact membrane along random motions, over that of the gas: ten
+times the tolerance at a node."""
 RUBBER_RELATIVE, RUBBER_PER_EDGE = 0.05, 10.0
-"""Force error of the exact membrane that its sigma does not know of: that of its mesh, relative,
-and per m of mesh edge where that is more."""
-SIGMAS = 4.0  # seldom exceeded by chance in some dozens of cases
-MISFIT = 3.0  # largest of a frame that is called ok, in units of the noise
+"""Force error of the exact membrane by its mesh, which is not part of its sigma: relative, and per
+m of mesh edge; the larger one counts."""
+SIGMAS = 4.0  # rarely exceeded by chance in some dozens of cases
+MISFIT = 3.0  # largest misfit of a frame of status ok, over the noise
 
 
 @dataclass(frozen=True)
 class Band:
-    """How far the force may be off.
+    """Tolerance of the force.
 
-    Where the estimate gives a sigma: four of it, and what the mesh makes wrong. Elsewhere a fifth
-    of the force, or 2 % for every millimetre of mesh edge where that is more, plus γ0 times 2.5 σ
-    of the range: a membrane that moves by σ changes its force by about γ0 σ, whatever its size.
+    With a sigma of the estimate: four sigma, plus the error by the mesh. Without: the larger of a
+    fifth of the force and 2 % per millimetre of mesh edge, plus γ0 times 2.5 σ of the range (a
+    membrane that moves by σ changes its force by about γ0 σ, whatever its size).
     """
 
-    noise_m: float  # σ of range in the frame; at least 0.3 mm is granted for the mesh
+    noise_m: float  # σ of range in the frame; at least 0.3 mm is used, for the mesh
 
     def width_n(self, truth: Truth, pipeline: Pipeline, estimate: Estimate) -> float:
         """Width of the band on either side of the true force, N."""
@@ -320,7 +318,7 @@ class Band:
 
 
 def forward_faults(contact: Contact, gauge_pressure_pa: float) -> list[str]:
-    """Faults of a forward solution, by its residuals."""
+    """Violated conditions of a forward solution."""
     pressure = max(gauge_pressure_pa, float(np.max(contact.contact_pressure_pa)))
     checks = {
         "not finite": np.isfinite(contact.displacement_m).all(),
@@ -331,13 +329,13 @@ def forward_faults(contact: Contact, gauge_pressure_pa: float) -> list[str]:
         "complementarity": contact.complementarity < 1e-8 * pressure,
         "not converged": contact.converged,
     }
-    return [f"forward: {name}" for name, held in checks.items() if not held]
+    return [f"forward: {name}" for name, passed in checks.items() if not passed]
 
 
 def inverse_faults(
     pipeline: Pipeline, result: Result, truth: Truth | None, band: Band, measured_gas: bool = False
 ) -> list[str]:
-    """Faults of a result whose status is `ok` or `no_contact`."""
+    """Violated conditions of a result with status `ok` or `no_contact`."""
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return ["no estimate or no patch"]
@@ -349,18 +347,18 @@ def inverse_faults(
         faults = _linear_equations(pipeline, estimate, patch, measured_gas)
     if truth is None or faults:
         return faults
-    off = float(np.linalg.norm(patch.force_n - truth.force_n))
+    error = float(np.linalg.norm(patch.force_n - truth.force_n))
     width = band.width_n(truth, pipeline, estimate)
-    if off <= width:
+    if error <= width:
         return []
-    true, got = np.linalg.norm(truth.force_n), np.linalg.norm(patch.force_n)
+    true, found = np.linalg.norm(truth.force_n), np.linalg.norm(patch.force_n)
     return [
-        f"called {estimate.status} with {got:.4g} N instead of {true:.4g} N (band {width:.3g} N)"
+        f"status {estimate.status} with {found:.4g} N instead of {true:.4g} N (band {width:.3g} N)"
     ]
 
 
 def _fields(pipeline: Pipeline, estimate: Estimate, patch: Patch, band: Band) -> list[str]:
-    """Finite numbers, a status that fits them, and a certificate and a misfit that fit it."""
+    """Violations: numbers not finite, wrong status, KKT residual or misfit too large."""
     numbers: list[Any] = [
         *(estimate.displacement_m, estimate.contact_pressure_pa, estimate.gas_pressure_change_pa),
         *(estimate.residual_rms_m, estimate.kkt_residual, patch.force_n, patch.area_m2),
@@ -377,14 +375,14 @@ def _fields(pipeline: Pipeline, estimate: Estimate, patch: Patch, band: Band) ->
         return [f"KKT residual {estimate.kkt_residual:.2g} above {limit:g}"]
     if estimate.residual_rms_m > MISFIT * max(band.noise_m, 1e-3):
         misfit = 1e3 * estimate.residual_rms_m
-        return [f"called {estimate.status} with a misfit of {misfit:.2g} mm"]
+        return [f"status {estimate.status} with a misfit of {misfit:.2g} mm"]
     return []
 
 
 def _linear_equations(
     pipeline: Pipeline, estimate: Estimate, patch: Patch, measured_gas: bool
 ) -> list[str]:
-    """Rim, force, balance K u = A (p_v − p_c) and the gas law of Eq. 6, afresh."""
+    """Violations of rim, force, balance K u = A (p_v − p_c) and the gas law of Eq. 6."""
     mesh, faults, gas_law = pipeline.mesh, [], pipeline.model.gas.pressure_change
     u, p_v = estimate.displacement_m, estimate.gas_pressure_change_pa
     unexplained = estimate.unexplained_pressure_pa
@@ -398,9 +396,9 @@ def _linear_equations(
     gas = p_v * mesh.areas[mesh.free]
     contact = (mesh.areas * pressure)[mesh.free]
     largest = max(float(np.abs(x).max(initial=0.0)) for x in (elastic, gas, contact))
-    off = float(np.abs(elastic - gas + contact).max(initial=0.0))
-    if off > BALANCE * max(largest, 1e-300):
-        faults.append(f"balance off by {off / largest:.2g} of its largest term")
+    residual = float(np.abs(elastic - gas + contact).max(initial=0.0))
+    if residual > BALANCE * max(largest, 1e-300):
+        faults.append(f"balance off by {residual / largest:.2g} of its largest term")
     if not measured_gas:
         law, size = gas_law(u), abs(gas_law(np.abs(u)))
         if abs(law - p_v) > BALANCE * max(size, 1e-9):
@@ -415,7 +413,7 @@ def _rubber_equations(
     patch: Patch,
     measured_gas: bool,
 ) -> list[str]:
-    """Equilibrium, gas law and force, by differences of the membrane's energy and volume alone."""
+    """Violations of equilibrium, gas law and force, from the membrane's energy and volume alone."""
     friction, unexplained = estimate.friction_n, estimate.unexplained_pressure_pa
     if estimate.displacement_3d_m is None or friction is None or unexplained is None:
         return []
@@ -424,29 +422,30 @@ def _rubber_equations(
     contact = estimate.contact_pressure_pa / gauge
     inside = 1.0 + p_v / gauge - contact - unexplained / gauge
     moving = np.isin(np.arange(len(rest)), membrane.moving)[:, None]
-    rng, missed, loads, h = np.random.default_rng(0), [], [], 1e-7
+    rng, residuals, loads, h = np.random.default_rng(0), [], [], 1e-7
 
-    def slope(function: Callable[[np.ndarray], float], at: np.ndarray, way: np.ndarray) -> float:
-        return (function(at + h * way) - function(at - h * way)) / (2.0 * h)
+    def slope(function: Callable[[np.ndarray], float], at: np.ndarray, motion: np.ndarray) -> float:
+        return (function(at + h * motion) - function(at - h * motion)) / (2.0 * h)
 
     for _ in range(8):
-        way = moving * rng.standard_normal(rest.shape)
-        loads.append(gauge * slope(membrane.volume, rest, way))
-        held = slope(membrane.energy, rest, way) - loads[-1]
-        pushed = gauge * slope(membrane.volume, x, inside[:, None] * way)
-        missed.append(slope(membrane.energy, x, way) - pushed - np.vdot(friction, way) - held)
+        motion = moving * rng.standard_normal(rest.shape)
+        loads.append(gauge * slope(membrane.volume, rest, motion))
+        at_rest = slope(membrane.energy, rest, motion) - loads[-1]
+        pressure = gauge * slope(membrane.volume, x, inside[:, None] * motion)
+        elastic = slope(membrane.energy, x, motion)
+        residuals.append(elastic - pressure - np.vdot(friction, motion) - at_rest)
     faults = []
-    off, load = np.linalg.norm(missed), np.linalg.norm(loads)
-    if off > RUBBER_BALANCE * load:
-        faults.append(f"balance off by {off / load:.2g} of the gas load")
-    force = [-gauge * slope(membrane.volume, x, contact[:, None] * axis) for axis in np.eye(3)]
-    whole = force + friction.sum(axis=0)
-    told = np.array([patch.force_n, estimate.force_n])
-    if not np.allclose(told, whole, rtol=1e-4, atol=1e-5):
+    residual, load = np.linalg.norm(residuals), np.linalg.norm(loads)
+    if residual > RUBBER_BALANCE * load:
+        faults.append(f"balance off by {residual / load:.2g} of the gas load")
+    normal = [-gauge * slope(membrane.volume, x, contact[:, None] * axis) for axis in np.eye(3)]
+    expected = normal + friction.sum(axis=0)
+    reported = np.array([patch.force_n, estimate.force_n])
+    if not np.allclose(reported, expected, rtol=1e-4, atol=1e-5):
         faults.append("the force differs from the integral of pressure and friction")
     if not measured_gas:
-        grown = membrane.volume(x) - membrane.volume(rest)
-        law = -gas.P0 * grown / (gas.V0 + grown)
+        increase = membrane.volume(x) - membrane.volume(rest)
+        law = -gas.P0 * increase / (gas.V0 + increase)
         if abs(law - p_v) > BALANCE * max(abs(law), 1.0):
             faults.append(f"gas law: p_v {p_v:.4g} Pa instead of {law:.4g} Pa")
     return faults

@@ -51,21 +51,21 @@ from bubbleviz.study.harness import (
     summaries,
 )
 
-# Error of a pose over the directions that the true contact determines, modulo symmetry.
+# Pose error over the directions of motion that the true contact determines, modulo symmetry.
 #
-# A direction is determined when the normals of the true contact, at the true pose and with the
-# sensor's own noise, fix it to 0.4 mm at the patch's edge (`bubbleviz.pose.registration`). No
-# estimate has a part in that.
+# A direction is determined if the normals of the true contact, at the true pose and the sensor's
+# noise, fix it to 0.4 mm at the patch's edge (`bubbleviz.pose.registration`), independently of any
+# estimate.
 
 
-SUCCESS_M, SUCCESS_RAD = 3e-3, np.radians(5.0)  # what a grasp bears; chosen
+SUCCESS_M, SUCCESS_RAD = 3e-3, np.radians(5.0)  # tolerance of a grasp; chosen
 
-_PARALLEL = np.cos(np.radians(45.0))  # faces that look at the membrane
+_MIN_FACING = np.cos(np.radians(45.0))  # between normals of object and membrane in contact
 
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """How far a pose is from the true one, in motion of the patch."""
+    """Difference between a pose and the true one, as motion of the patch."""
 
     error_m: float  # over the determined directions
     error_rad: float
@@ -74,13 +74,13 @@ class PoseErrors:
 
     @property
     def success(self) -> bool:
-        """Within 3 mm and 5° over the determined directions."""
+        """Whether the error is within 3 mm and 5° over the determined directions."""
         return bool(self.error_m <= SUCCESS_M and self.error_rad <= SUCCESS_RAD)
 
 
 @dataclass(frozen=True)
 class TrueContact:
-    """What truly touches, and which motions of the object that determines."""
+    """The true contact, and the motions of the object that it determines."""
 
     T_B_O: np.ndarray  # (4, 4)
     center: np.ndarray  # (3,), of the true patch
@@ -88,8 +88,8 @@ class TrueContact:
     directions: Directions
 
 
-class PoseJudge:
-    """Judges poses of one object, by the precision of the sensor at its own noise."""
+class PoseMetrics:
+    """Computes errors of poses of one object, for the precision of a sensor at its noise."""
 
     def __init__(self, model: ObjectSurface, precision: Precision) -> None:
         self._model, self._precision = model, precision
@@ -98,27 +98,27 @@ class PoseJudge:
     def touching(
         self, mesh: MembraneMesh, displacement_m: np.ndarray, pressure_pa: np.ndarray, T: np.ndarray
     ) -> TrueContact:
-        """The contact of a membrane moved by (n, 3) under pressures (n,), object at T (4, 4)."""
+        """True contact for displacement (n, 3), pressure (n,) and object pose T (4, 4)."""
         touching = np.flatnonzero(pressure_pa > 0.0)
         points = mesh.deformed(displacement_m)[touching]
         areas = mesh.areas[touching]
         center = areas @ points / areas.sum()
         radius = float(np.sqrt(areas @ np.sum((points - center) ** 2, axis=1) / areas.sum()))
         normals = self._model.closest((points - T[:3, 3]) @ T[:3, :3]).normal @ T[:3, :3].T
-        facing = np.einsum("ij,ij->i", normals, mesh.normals[touching]) < -_PARALLEL
+        facing = np.einsum("ij,ij->i", normals, mesh.normals[touching]) < -_MIN_FACING
         J = rows(normals[facing], points[facing], center)
         surface = (J.T * (self._precision.per_area * areas[facing])) @ J
         return TrueContact(T, center, max(radius, LEAST_RADIUS_M), directions(surface, radius))
 
     def errors(self, T_B_O: np.ndarray, true: TrueContact) -> PoseErrors:
-        """Errors of a pose (4, 4); those of the symmetric pose that is closest."""
-        alike = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self._symmetries]
+        """Errors of a pose (4, 4), relative to the closest symmetric equivalent of the true one."""
+        candidates = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self._symmetries]
         arm = np.array([1.0, 1.0, 1.0, *3 * [true.radius_m]])
         found = true.directions
         basis = (arm[:, None] * found.motions)[:, found.determined]
-        scaled = np.array(alike) * arm
+        scaled = np.array(candidates) * arm
         known = scaled @ basis @ basis.T
-        # Symmetric poses are alike in the determined directions: the closest of them in all others.
+        # Symmetric poses are equal in the determined directions; take the closest in the others.
         best = int(np.argmin(np.linalg.norm(known, axis=1) + 0.05 * np.linalg.norm(scaled, axis=1)))
         return PoseErrors(
             error_m=float(np.linalg.norm(known[best, :3])),
@@ -128,40 +128,40 @@ class PoseJudge:
         )
 
 
-START_M, START_RAD = 3e-3, np.radians(8.0)  # how far off starts are
-SHALLOWEST_M, DEEPEST_M = 0.007, 0.012  # of the presses
-FRAMES = 4  # of each press, with noise of their own
-LIMIT_S = 300.0  # of a press whose equilibrium is looked for
+START_M, START_RAD = 3e-3, np.radians(8.0)  # errors of initial poses
+MIN_DEPTH_M, MAX_DEPTH_M = 0.007, 0.012  # of the presses
+FRAMES = 4  # of each press, with different noise
+LIMIT_S = 300.0  # to simulate a press
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What a pose study runs over."""
+    """Parameters of a pose study."""
 
     objects: tuple[str, ...] = (
         *("cylinder", "bar", "torus", "two_spheres", "frustum", "two_legged_toy", "bridge"),
         *("hex_nut", "sphere"),
     )
-    presses: int = 3  # random ones of each object
-    starts: int = 3  # of each press, off by 3 mm and 8°
+    presses: int = 3  # random presses of each object
+    starts: int = 3  # initial poses of each press, with errors of 3 mm and 8°
     noise_relative: float = 0.01
     truth_nodes: int = TRUTH_NODES
     seed: int = 7
 
 
 def quick_grid() -> Grid:
-    """Half a minute's worth."""
+    """A subset that runs in half a minute."""
     return Grid(objects=("cylinder", "two_spheres"), presses=1, starts=2)
 
 
 @dataclass(frozen=True)
 class Row:
-    """The last of some frames of one press, followed from one start.
+    """The last frame of one press, tracked from one initial pose.
 
     `error_m` and `error_rad` are over the directions that the contact's normals determine, `seen_m`
-    and `seen_rad` over those that one image of the exact membrane at the true pose determines, to
-    0.4 mm at the patch's edge and the sensor's noise: where a face with visible edges has slid to.
-    All are modulo symmetry; no pose is an infinite error.
+    and `seen_rad` over those that one image of the exact membrane at the true pose determines (to
+    0.4 mm at the patch's edge, at the sensor's noise), like sliding of a face with visible edges.
+    All are modulo symmetry, and infinite without a pose.
     """
 
     object_name: str
@@ -178,14 +178,14 @@ class Row:
 
 
 def pose_study(sensor: Sensor, grid: Grid) -> Study:
-    """Every press of every object, from every start."""
+    """Every press of every object, from every initial pose."""
     own = SensorModel.of(rubber_sensor(sensor))
     bank = TruthBank(RubberPresses.of(own, grid.truth_nodes), grid.seed, limit_s=LIMIT_S)
     pipeline, cases = Pipeline(own), list[Case]()
     for name in grid.objects:
         bench = _Bench(pipeline, bank, name, grid)
         random = np.random.default_rng([grid.seed, *name.encode()])
-        for depth in random.uniform(SHALLOWEST_M, DEEPEST_M, grid.presses):
+        for depth in random.uniform(MIN_DEPTH_M, MAX_DEPTH_M, grid.presses):
             press = Press(name, float(depth), False)
             run = partial(bench.rows, press, random)
             cases.append(Case(f"{name} {1e3 * depth:.1f} mm", run))
@@ -193,30 +193,30 @@ def pose_study(sensor: Sensor, grid: Grid) -> Study:
 
 
 class _Bench:
-    """Follows one object."""
+    """Tracks one object."""
 
     def __init__(self, pipeline: Pipeline, bank: TruthBank, name: str, grid: Grid) -> None:
         self._pipeline, self._bank, self._grid = pipeline, bank, grid
         self._model = ObjectSurface(study_object(name))
-        self._judge = PoseJudge(self._model, precision_of(pipeline.estimator))
+        self._metrics = PoseMetrics(self._model, precision_of(pipeline.estimator))
 
     def rows(self, press: Press, random: np.random.Generator) -> list[Row]:
-        """Of one press, from every start."""
+        """Rows of one press, from every initial pose."""
         sighting, grid = self._bank.simulate(press), self._grid
         self._pipeline.restart()
         truth, T_B_O = sighting.truth, self._bank.pose(press)
         touched = sighting.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
-        true = self._judge.touching(*touched, T_B_O)
-        seen, rows = self._seen(sighting, true), []
+        true = self._metrics.touching(*touched, T_B_O)
+        observed, rows = self._observed(sighting, true), []
         for number in range(grid.starts):
-            ways = random.standard_normal((2, 3))
-            ways *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(ways, axis=1)[:, None]
-            start = moved(true.T_B_O, ways.ravel(), true.center)
-            self._pipeline.track(self._model.obj, start)
-            rows.append(self._row(sighting, true, seen, number))
+            errors = random.standard_normal((2, 3))
+            errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
+            initial_pose = moved(true.T_B_O, errors.ravel(), true.center)
+            self._pipeline.track(self._model.obj, initial_pose)
+            rows.append(self._row(sighting, true, observed, number))
         return rows
 
-    def _seen(self, sighting: SimulatedPress, true: TrueContact) -> TrueContact:
+    def _observed(self, sighting: SimulatedPress, true: TrueContact) -> TrueContact:
         """The contact with the directions that an image of it determines."""
         depth = self._pipeline.camera.depth_image(sighting.range_m).astype(np.float32)
         result = self._pipeline.process(Frame(0, 0.0, depth), frozenset({"estimate", "patch"}))
@@ -234,7 +234,7 @@ class _Bench:
         return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
 
     def _row(
-        self, sighting: SimulatedPress, true: TrueContact, seen: TrueContact, number: int
+        self, sighting: SimulatedPress, true: TrueContact, observed: TrueContact, number: int
     ) -> Row:
         grid, camera = self._grid, self._pipeline.camera
         noise = DepthNoise(relative=grid.noise_relative)
@@ -250,20 +250,20 @@ class _Bench:
             sighting.press.depth_m,
             "none" if pose is None else pose.status,
             determined=int(true.directions.determined.sum()),
-            seen=int(seen.directions.determined.sum()),
+            seen=int(observed.directions.determined.sum()),
             first_ms=times[0],
             next_ms=float(np.median(times[1:])),
         )
         if pose is None or pose.status != "ok":
             return row
-        errors = self._judge.errors(pose.T_B_O, true)
-        all_seen = self._judge.errors(pose.T_B_O, seen)
+        errors = self._metrics.errors(pose.T_B_O, true)
+        in_image = self._metrics.errors(pose.T_B_O, observed)
         return replace(
             row,
             error_m=errors.error_m,
             error_rad=errors.error_rad,
-            seen_m=all_seen.error_m,
-            seen_rad=all_seen.error_rad,
+            seen_m=in_image.error_m,
+            seen_rad=in_image.error_rad,
         )
 
 
@@ -286,24 +286,24 @@ _COLUMNS = (
 
 
 def report_of(grid: Grid, rows: list[Row]) -> Report:
-    """Errors by object, of directions that normals determine and of all that an image does."""
+    """Errors by object, over the directions that normals and that an image determine."""
     points = summaries(rows, ("object_name",), AVERAGES)
     title = "Rubber; initial poses off by 3 mm and 8°; over determined directions, then over all"
     targets = []
     if rows:
-        off, turned = [row.seen_m for row in rows], max(row.seen_rad for row in rows)
+        errors_m, worst_rad = [row.seen_m for row in rows], max(row.seen_rad for row in rows)
         name = f"{len(rows)} starts"
         targets = [
-            at_most(f"{name}: median error in mm", 1e3 * np.median(off), 0.4),
-            at_most(f"{name}: worst error in mm", 1e3 * max(off), 1.0),
-            at_most(f"{name}: worst error in °", np.degrees(turned), 3.0),
+            at_most(f"{name}: median error in mm", 1e3 * np.median(errors_m), 0.4),
+            at_most(f"{name}: worst error in mm", 1e3 * max(errors_m), 1.0),
+            at_most(f"{name}: worst error in °", np.degrees(worst_rad), 3.0),
         ]
     table = Table("points", points, _COLUMNS, title)
     return Report([table], targets, {"grid": asdict(grid)}, plot=partial(plot, rows))
 
 
 def plot(rows: list[Row], figure: Figure) -> None:
-    """Error against run time, a point for each start."""
+    """Error against run time, one point per initial pose."""
     left, right = figure.subplots(1, 2)
     panels = ((left, "seen_m", 1e3, "mm", 1.0), (right, "seen_rad", _DEGREES, "°", 3.0))
     for axes, name, scale, unit, limit in panels:

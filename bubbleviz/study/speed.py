@@ -1,4 +1,4 @@
-"""Run time by stage, its growth with nodes and pixels, and memory, of a moving press."""
+"""Study of run time by stage, its growth with nodes and pixels, and memory, on a moving press."""
 
 from __future__ import annotations
 
@@ -43,36 +43,36 @@ from bubbleviz.study.harness import (
     groups,
 )
 
-SOURCE_NODES = 1_000  # the simulated press has four times as many, whatever the estimator has
-ROUND = 150  # frames of the moving press
+SOURCE_NODES = 1_000  # the simulation has four times as many, independent of the estimator
+FRAMES = 150  # of the moving press
 STAGES = ("estimate", "solve", "patch", "other")
 """`estimate` without its solves, and `patch` with its pixels."""
 CONTACT_MS = {"contact": 60.0, "recording": 40.0}
-"""Median time in contact that playback at the camera's rate allows, simulated and real, ms."""
+"""Median time in contact for playback at the camera's rate, simulated and real, ms."""
 SMALLEST_FITTED = {"nodes": 800, "pixels": 20_000}
 
 
 @dataclass(frozen=True)
 class Run:
-    """One measurement of a moving press.
+    """One measurement on a moving press.
 
     The sweep is "stream", "nodes", "pixels", "contact" (a ball on the exact membrane) or
-    "recording" (the frames with contact of a file).
+    "recording" (frames with contact of a file).
     """
 
     sweep: str
     setup: Setup = field(default_factory=Setup)
-    pixels: int | None = None  # of a scaled camera; None for the sensor's own
-    frames: int = 10  # from full depth where they are few
+    pixels: int | None = None  # of a scaled camera; None: the sensor's
+    frames: int = 10  # a small number is taken at the largest depth
     limit_s: float = 120.0
     recording: Path | None = None
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a run found. Times of a stage are medians over the warm frames.
+    """Results of a run. Times of a stage are medians over the warm frames.
 
-    `total_*` is depth image in → patch pixels out; `other_ms` what no stage accounts for;
+    `total_*` is depth image in → patch pixels out; `other_ms` is `total_ms` minus all stages;
     `memory_peak_bytes` the increase of the peak while building and running the estimator.
     """
 
@@ -96,8 +96,8 @@ class Row:
     force_error_relative_median: float = np.nan
 
     @property
-    def asked(self) -> str:
-        """Solver that was asked for; the default may take another on large meshes."""
+    def requested_solver(self) -> str:
+        """Requested solver; the default may use another one for large meshes."""
         return self.setup.split("_")[0]
 
 
@@ -106,8 +106,8 @@ def full_runs() -> list[Run]:
     sizes_n = (200, 500, 1_000, 2_000, 5_000, 10_000, 20_000)
     sizes_p = (5_000, 20_000, 38_304, 150_000, 500_000, 1_000_000)
     return [
-        Run("stream", frames=ROUND),
-        Run("stream", Setup("linear"), frames=ROUND),
+        Run("stream", frames=FRAMES),
+        Run("stream", Setup("linear"), frames=FRAMES),
         Run("stream", PAPER, frames=12),
         *(Run("nodes", Setup(None, n), frames=8) for n in sizes_n),
         *(Run("nodes", Setup("paper", n), frames=8, limit_s=60.0) for n in sizes_n[:5]),
@@ -126,7 +126,7 @@ def quick_runs() -> list[Run]:
 
 
 def contact_runs(recording: Path | None, frames: int) -> list[Run]:
-    """The exact membrane and the linear one in contact, simulated and, where there is one, real."""
+    """Exact and linear membrane in contact, simulated and in a recording, if given."""
     setups = [Setup(RUBBER), Setup(LINEAR)]
     runs = [Run("contact", setup, frames=frames, limit_s=300.0) for setup in setups]
     if recording is not None:
@@ -135,7 +135,7 @@ def contact_runs(recording: Path | None, frames: int) -> list[Run]:
 
 
 def speed_study(sensor: Sensor, runs: list[Run]) -> Study:
-    """Run every measurement in a separate process; a failing one gives its reason."""
+    """Run every measurement in a separate process; rows of failed ones have an error."""
     cases = [
         Case(
             f"{run.sweep} {run.setup.label}",
@@ -159,11 +159,11 @@ def measure(sensor: Sensor, run: Run) -> list[Row]:
     scaled = with_pixels(sensor, run.pixels)
     if run.sweep == "contact":  # a ball along the path of the moving press
         scaled = rubber_sensor(scaled)
-        ball, path = load_object("sphere"), default_path(*dome_size(scaled), ROUND)
+        ball, path = load_object("sphere"), default_path(*dome_size(scaled), FRAMES)
         noise = DepthNoise(relative=scaled.camera.noise_relative)
         source = SyntheticSource(scaled, ball, path, noise, nodes=NODE_RATIO * SOURCE_NODES)
     else:
-        source = default_press(with_nodes(scaled, SOURCE_NODES), ROUND)
+        source = default_press(with_nodes(scaled, SOURCE_NODES), FRAMES)
     order = _frames_of(run, len(source))
     frames = [replace(source[k], gas_pressure_pa=None) for k in order]
     return [_measured(run, SensorModel.of(scaled), frames, source, order)]
@@ -183,19 +183,19 @@ def _measured(
     source: SyntheticSource | None,
     order: list[int],
 ) -> Row:
-    results, laps = [], []
+    results, times = [], []
     with PeakMemory() as memory:
         start = time.perf_counter()
         pipeline = run.setup.pipeline(model)
         built = 1e3 * (time.perf_counter() - start)
         for frame in frames:
             results.append(pipeline.process(frame, PRODUCTS))
-            laps.append(_stages(results[-1]))
-    warm = laps[1:] or laps
+            times.append(_stages(results[-1]))
+    warm = times[1:] or times
     if source is None:
         touching = [r.estimate is not None and r.estimate.status == "ok" for r in results]
-        warm = [lap for lap, ok in zip(laps, touching, strict=True) if ok] or warm
-    stages: dict[str, Any] = {k: float(np.median([lap[k] for lap in warm])) for k in warm[0]}
+        warm = [each for each, ok in zip(times, touching, strict=True) if ok] or warm
+    stages: dict[str, Any] = {k: float(np.median([each[k] for each in warm])) for k in warm[0]}
     return Row(
         **stages,
         **(_quality(results, source, order) if source is not None else {}),
@@ -206,8 +206,8 @@ def _measured(
         pixels=model.sensor.camera.width * model.sensor.camera.height,
         frames=len(warm) if source is None else len(frames),
         build_ms=built,
-        cold_ms=laps[0]["total_ms"],
-        total_p95_ms=float(np.percentile([lap["total_ms"] for lap in warm], 95)),
+        cold_ms=times[0]["total_ms"],
+        total_p95_ms=float(np.percentile([each["total_ms"] for each in warm], 95)),
         memory_peak_bytes=memory.increase_bytes,
     )
 
@@ -246,7 +246,7 @@ def _broken(sensor: Sensor, run: Run, error: str, _ms: float) -> Row:
 
 
 def growths(rows: list[Row]) -> list[Record]:
-    """Exponent e of time and memory ∝ size^e, fitted to the larger sizes of every sweep."""
+    """Exponents e of time and memory ∝ size^e, fitted to the larger sizes of every sweep."""
     found = list[Record]()
     for (sweep, solver), own in _sweeps(rows).items():
         own = [row for row in own if getattr(row, sweep) >= 0.9 * SMALLEST_FITTED[sweep]]
@@ -261,8 +261,9 @@ def growths(rows: list[Row]) -> list[Record]:
 
 
 def _sweeps(rows: list[Row]) -> dict[tuple[str, str], list[Row]]:
-    """Rows of each sweep over sizes, by the solver that was asked for."""
-    return groups((r for r in rows if r.sweep in SMALLEST_FITTED and not r.error), "sweep", "asked")
+    """Rows of each sweep over sizes, by requested solver."""
+    completed = (r for r in rows if r.sweep in SMALLEST_FITTED and not r.error)
+    return groups(completed, "sweep", "requested_solver")
 
 
 def targets(rows: list[Row]) -> list[Target]:

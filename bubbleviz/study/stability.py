@@ -21,7 +21,7 @@ from bubbleviz.inverse import RUBBER, EstimatorOptions
 from bubbleviz.membrane import MembraneMesh, mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import Frame
-from bubbleviz.result import Result
+from bubbleviz.result import TRUSTED, Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation import (
@@ -35,12 +35,11 @@ from bubbleviz.simulation import (
 from bubbleviz.study import harness, stability as shapes, stability as stability_cases
 from bubbleviz.study.harness import Band, Report, Study, forward_faults, inverse_faults
 
-# What a stability case does: make a sensor and frames, estimate, and check the answer.
+# A stability case makes a sensor and frames, estimates, and checks the result.
 
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
-TYPICAL_RANGE_M = 0.15  # from camera to dome, m
-ANSWERS = ("ok", "no_contact")
+TYPICAL_RANGE_M = 0.15  # from camera to dome
 PICO_FLEXX = DepthNoise(relative=0.01)
 
 Alter = Callable[[np.ndarray], np.ndarray]
@@ -48,52 +47,52 @@ Must = Literal["solve", "refuse", "either"]
 
 
 class RefusedError(Exception):
-    """The program declined to answer, by a status that says why."""
+    """The estimate has a status that declares it untrusted."""
 
 
 class FailedError(Exception):
-    """A wrong answer was given as a right one."""
+    """A wrong estimate has a trusted status."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case.
+    """One case, whose `run` returns a description of the result.
 
-    It returns what was found in words. It raises `FailedError` for a wrong answer; `RefusedError`,
-    InputError or SolveError where the program refuses.
+    Raises `FailedError` for a wrong result; `RefusedError`, InputError or SolveError if the input
+    is refused.
     """
 
     name: str
     run: Callable[[], str]
-    must: Must = "either"  # an ordinary problem may not be refused, nor nonsense be answered
-    limit_s: float = 120.0  # longer is a hang
-    quick: bool = False  # part of the quick form
+    must: Must = "either"  # ordinary input must be solved, nonsense refused
+    limit_s: float = 120.0  # a longer run counts as a hang
+    quick: bool = False  # part of the quick study
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A press of the pico flexx sensor, with something made extreme.
+    """A press of the pico flexx sensor with an extreme parameter.
 
-    With the solver `rubber` the truth is the exact membrane's even without a pre-stretch.
+    With the solver `rubber` the ground truth is the exact membrane even without a pre-stretch.
     """
 
-    sensor: dict[str, dict[str, Any]] = field(default_factory=dict)  # changes of the file
+    sensor: dict[str, dict[str, Any]] = field(default_factory=dict)  # changes of the sensor file
     object_name: str | Callable[[], RigidObject] = "two_legged_toy"
     depth_m: float = 0.012  # beyond first touch; negative for an object that hovers
-    depths_m: tuple[float, ...] = ()  # of every frame, in place of that one
-    frozen: bool = False  # the camera repeats its first image for ever, noise and all
+    depths_m: tuple[float, ...] = ()  # of every frame, instead of `depth_m`
+    frozen: bool = False  # the camera repeats its first image, including noise
     offset_m: tuple[float, float] = (0.0, 0.0)  # of the object from the axis
     noise: DepthNoise = PICO_FLEXX
-    alter: Alter | None = None  # what happens to the depth image on its way
+    alter: Alter | None = None  # change of the depth image
     repeats: int = 3  # frames of the press; the first is cold
     options: EstimatorOptions = field(default_factory=EstimatorOptions)
     gas_pressure_pa: float | str | None = None  # measured; "true": the simulation's
-    known: bool = True  # the truth still applies to the altered image
+    known: bool = True  # the ground truth applies to the altered image
     truth_nodes: int = 3_200
     make: type[Pipeline] = Pipeline
 
     def __call__(self) -> str:
-        """Run; what was found in words, or an error (see `Case`)."""
+        """Run; returns and raises as `Case`."""
         sensor = varied_sensor(self.sensor)
         source = self._source(sensor)
         raise_faults(forward_faults(source.contact(0), sensor.pneumatics.gauge_pressure_pa))
@@ -104,7 +103,7 @@ class Trial:
             frame = replace(self._frame(source, truth, sensor, index), index=k)
             result = pipeline.process(frame, PRODUCTS)
             status = result.estimate.status if result.estimate else "no estimate"
-            if status not in ANSWERS:
+            if status not in TRUSTED:
                 refusals.append(f"status {status}")
                 continue
             known, measured = truth if self.known else None, self.gas_pressure_pa is not None
@@ -112,11 +111,11 @@ class Trial:
             raise_faults([f"frame {k}: {fault}" for fault in faults])
         if refusals:
             raise RefusedError(refusals[0])
-        return _found(result, known)
+        return _description(result, known)
 
     @property
     def band(self) -> Band:
-        """Band of the force for this noise."""
+        """Tolerance of the force for this noise."""
         noise = self.noise
         return Band(float(np.hypot(noise.relative * TYPICAL_RANGE_M, noise.absolute_m)))
 
@@ -145,24 +144,24 @@ class Trial:
 
 
 def raise_faults(faults: list[str]) -> None:
-    """Raise `FailedError` where there are any."""
+    """Raise `FailedError` if there are any."""
     if faults:
         raise FailedError("; ".join(faults))
 
 
-def _found(result: Result, truth: Truth | None) -> str:
+def _description(result: Result, truth: Truth | None) -> str:
     if result.estimate is None or result.patch is None:
         return ""
-    words = f"{result.estimate.status}, {np.linalg.norm(result.patch.force_n):.4g} N"
+    text = f"{result.estimate.status}, {np.linalg.norm(result.patch.force_n):.4g} N"
     if truth is not None:
-        words += f" of {np.linalg.norm(truth.force_n):.4g} N"
-    return f"{words}, KKT {result.estimate.kkt_residual:.1e}"
+        text += f" of {np.linalg.norm(truth.force_n):.4g} N"
+    return f"{text}, KKT {result.estimate.kkt_residual:.1e}"
 
 
 def varied_sensor(changes: dict[str, dict[str, Any]], name: str = "pico_flexx_75mm") -> Sensor:
     """Preset with some keys changed (None removes one), read back from a TOML file.
 
-    Raises InputError: the file breaks the schema.
+    Raises InputError: the file violates the schema.
     """
     data = copy.deepcopy(load_sensor(name).model_dump(mode="json", exclude_none=True))
     for section, values in changes.items():
@@ -179,7 +178,7 @@ Verdict = Literal["passed", "refused", "failed"]
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Verdict on one case, in how long, and what was found or why not."""
+    """Verdict on one case, with description or reason, and run time."""
 
     name: str
     verdict: Verdict
@@ -188,7 +187,7 @@ class CaseResult:
 
 
 def attempt(case: Case) -> tuple[Verdict, str]:
-    """Run a case here; only errors the API documents are caught."""
+    """Run a case in this process; only documented exceptions are caught."""
     verdict: Verdict = "passed"
     try:
         detail = case.run()
@@ -197,9 +196,9 @@ def attempt(case: Case) -> tuple[Verdict, str]:
     except (RefusedError, InputError, SolveError) as error:
         verdict, detail = "refused", str(error) or type(error).__name__
     if case.must == "solve" and verdict == "refused":
-        return "failed", f"refused what it must solve: {detail}"
+        return "failed", f"refused, but must be solved: {detail}"
     if case.must == "refuse" and verdict == "passed":
-        return "failed", f"answered what it must refuse: {detail}"
+        return "failed", f"solved, but must be refused: {detail}"
     return verdict, detail
 
 
@@ -211,13 +210,13 @@ def attempt_named(name: str) -> list[CaseResult]:
 
 
 def stability_study(pattern: str = "", *, quick: bool = False) -> Study:
-    """Shipped cases with a pattern in their name, each within its limit of time.
+    """Shipped cases whose name contains a pattern, each with its time limit.
 
     Raises InputError: there is none.
     """
     chosen = [c for c in stability_cases.all_cases() if pattern in c.name and c.quick >= quick]
     if not chosen:
-        raise InputError(f"--case {pattern}: no case has this in its name; leave it out")
+        raise InputError(f"--case {pattern}: no name of a case contains this; leave it out")
     cases = [
         harness.Case(
             c.name, partial(attempt_named, c.name), c.limit_s, partial(CaseResult, c.name, "failed")
@@ -240,7 +239,7 @@ def report_of(results: Sequence[CaseResult]) -> Report:
     return Report(numbers=counts, text="\n".join([*lines, text]), rows_name="results")
 
 
-# The stiff and extreme cases of the stability study, by name.
+# The cases of the stability study.
 
 
 PSI = 6_894.757  # Pa (NIST SP 811)
@@ -267,8 +266,8 @@ def _gauge() -> Iterator[Case]:
         pressure = {"gauge_pressure_pa": psi * PSI}
         must: Must = "solve" if 0.1 <= psi <= 1.0 else "either"
         yield Case(f"gauge {psi:g} psi", Trial({"pneumatics": pressure}), must, quick=psi > 5.0)
-        held = {**pressure, "tension_n_per_m": 105.0}
-        yield Case(f"gauge {psi:g} psi, tension 105 N/m", Trial({"pneumatics": held}))
+        fixed_tension = {**pressure, "tension_n_per_m": 105.0}
+        yield Case(f"gauge {psi:g} psi, tension 105 N/m", Trial({"pneumatics": fixed_tension}))
 
 
 def _dome() -> Iterator[Case]:
@@ -374,8 +373,8 @@ def _pixels() -> Iterator[Case]:
     yield Case("every tenth pixel", Trial(alter=shapes.every(10)))
     yield Case("left half of the image", Trial(alter=shapes.left_half))
     for share in (0.5, 0.9):
-        # Blobs of holes come with noise correlated like them, which the sensor file knows not of:
-        # as much of it as the file says may be refused, a fifth of it must be borne.
+        # Holes come with correlated noise, which the sensor file does not describe: at the file's
+        # σ the images may be refused, at a fifth of it they must be solved.
         loud, low = (
             DepthNoise(relative=sigma, holes=share, correlation_px=5.0) for sigma in (0.01, 0.002)
         )
@@ -503,7 +502,7 @@ def _rubber() -> Iterator[Case]:
         height = share * 0.075
         trial = _rubber_trial(membrane={"height_m": height}, depth_m=min(0.012, 0.5 * height))
         yield Case(f"rubber, dome {100 * share:g} % of the rim radius", trial)
-    # Tall, far-stretched domes are past the limit pressure: the gas behind them alone holds them.
+    # Tall, highly stretched domes are beyond the limit pressure; only the enclosed gas is stable.
     for volume in (5e-4, 2.2e-3, 1.0):
         tall = _rubber_trial(1.6, {"height_m": 0.09}, {"chamber_volume_m3": volume})
         yield Case(f"rubber, over-inflated, chamber {volume:g} m³", tall)
@@ -547,7 +546,7 @@ def _rubber_views() -> Iterator[Case]:
 
 
 def _stack(name: str, sections: list[tuple[float, float, float]]) -> RigidObject:
-    """Rectangles of half widths x, y at heights z, joined."""
+    """Convex hull of rectangles of half widths x, y at heights z."""
     signs = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float)
     hull = convex_hull(np.concatenate([signs * section for section in sections]))
     return RigidObject(name, np.array(hull.vertices), np.array(hull.faces, np.int64))
@@ -559,7 +558,7 @@ def _ball(name: str, radius_m: float) -> RigidObject:
 
 
 # Cone of 2 mm radius and 30 mm length with a tip of 0.05 mm; blade 0.2 mm thick; plate wider than
-# the sensor; ball that is wholly inside the dome when pressed deep enough; ball larger than it
+# the sensor; ball small enough to be entirely inside the dome; ball larger than the dome
 needle = partial(_stack, "needle", [(5e-5, 5e-5, 0.0), (2e-3, 2e-3, 0.030)])
 blade = partial(_stack, "blade", [(0.020, 1e-4, 0.0), (0.020, 1e-4, 0.020)])
 plate = partial(_stack, "plate", [(0.15, 0.15, 0.0), (0.15, 0.15, 0.005)])
@@ -576,9 +575,9 @@ def two_far_balls() -> RigidObject:
 
 
 def with_slivers(mesh: MembraneMesh, angle_rad: float, count: int = 12) -> MembraneMesh:
-    """Mesh in which some nodes are moved to an opposite edge until an angle is as small as asked.
+    """Mesh with slivers: some nodes are moved towards the opposite edge, down to an angle.
 
-    Spread over the surface; the moved nodes leave it by no more than the facets do.
+    They are spread over the surface, and leave it by no more than the facets do.
     """
     nodes = mesh.nodes.copy()
     taken = mesh.rim.copy()
@@ -602,7 +601,7 @@ def _only(depth_m: np.ndarray, where: Any) -> np.ndarray:
 
 
 def only_pixels(count: int) -> Alter:
-    """Keep `count` pixels, in the middle of the image and next to each other."""
+    """Keep `count` adjacent pixels in the middle of the image."""
 
     def alter(depth_m: np.ndarray) -> np.ndarray:
         row, column = depth_m.shape[0] // 2, depth_m.shape[1] // 2
@@ -617,12 +616,12 @@ def every(step: int) -> Alter:
 
 
 def left_half(depth_m: np.ndarray) -> np.ndarray:
-    """Without the right half of the image."""
+    """Remove the right half of the image."""
     return _only(depth_m, np.s_[:, : depth_m.shape[1] // 2])
 
 
 def outliers(share: float, error_m: float) -> Alter:
-    """Make a share of the pixels too far by the same error."""
+    """Add an error to a share of the pixels."""
 
     def alter(depth_m: np.ndarray) -> np.ndarray:
         wrong = np.random.default_rng(1).random(depth_m.shape) < share

@@ -26,7 +26,7 @@ def ladder(dome):
 
 @pytest.mark.parametrize("setup", [RUBBER, LINEAR])
 def test_a_press_of_a_millimetre_is_found_and_noise_is_not(setup, dome, ladder):
-    pipeline = setup.pipeline(dome.told(ONE))
+    pipeline = setup.pipeline(dome.model(ONE))
     alarm = Alarm(pipeline, ONE, False, GRID)
     force = np.linalg.norm(ladder.truth(STEP).contact.nodal_force_n.sum(axis=0))
     assert 0.16 < force < 0.22

@@ -64,7 +64,7 @@ def test_invariance_on_simulated_rubber(name, obj, share, noise):
     make = membranes.specimen if "sheet" in name else specimen
     grid = Grid(truth_nodes=900 if short else 2_600)
     own = make(name, load_sensor("pico_flexx_75mm"), grid)
-    bank, told = TruthBank(own.presses, 7), own.told(noise)
+    bank, told = TruthBank(own.presses, 7), own.model(noise)
     if short:
         told = SensorModel.of(told.sensor, nodes=400)
     depth_m = share * float(bank.mesh.nodes[:, 2].max())

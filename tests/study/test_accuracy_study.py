@@ -114,7 +114,7 @@ def test_a_failing_solver_is_left_out_and_named(sensor, tmp_path):
     assert json.loads((tmp_path / "accuracy.json").read_text())["rows"] == []
     assert found.rows == []
     assert "magic" in found.omitted[0]
-    assert "left out: sensor, magic" in found.to_text()
+    assert "omitted: sensor, magic" in found.to_text()
 
 
 def test_a_stopped_study_goes_on(sensor, tmp_path):

@@ -13,7 +13,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import moved, precision_of
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import Press, SyntheticSource, study_object, with_nodes
-from bubbleviz.study.pose import Grid, PoseJudge, pose_study
+from bubbleviz.study.pose import Grid, PoseMetrics, pose_study
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""
@@ -45,7 +45,7 @@ def test_judge_of_a_flat_face(sensor):
     pipeline = Pipeline.of(sensor)
     true_pose = Press("frustum", 0.012, False).pose(pipeline.mesh, 5)
     source = SyntheticSource(sensor, study_object("frustum"), true_pose[None], nodes=1_500)
-    judge = PoseJudge(ObjectSurface(study_object("frustum")), precision_of(pipeline.estimator))
+    judge = PoseMetrics(ObjectSurface(study_object("frustum")), precision_of(pipeline.estimator))
     truth = source.truth(0)
     touched = source.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
     true = judge.touching(*touched, true_pose)
