@@ -102,11 +102,11 @@ class FrameMessages:
         self,
         # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
-        prefix: str = "/bubble",  # what the topic names begin with
-        # name of the depth camera's frame in the headers
-        frame_id: str = "bubble_depth_optical_frame",
+        # what the topic names begin with, and the name of the depth camera's frame in the headers
+        prefix: str = "/bubble",
     ) -> None:
-        self._encoding, self._prefix, self._frame_id = encoding, prefix.rstrip("/"), frame_id
+        self._encoding, self._prefix = encoding, prefix.rstrip("/")
+        self._frame_id = f"{prefix.strip('/').replace('/', '_')}_depth_optical_frame"
 
     @property
     def colour_topic(self) -> str:

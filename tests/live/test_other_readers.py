@@ -5,9 +5,10 @@ from collections import defaultdict
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from wire import STORE
 
 import bubbleviz as bv
-from bubbleviz.recordings import StaticPoses
+from bubbleviz.recordings import Frame, FrameMessages, StaticPoses
 
 TOPICS = {
     "/bubble/depth/camera_info": "sensor_msgs/msg/CameraInfo",
@@ -55,6 +56,15 @@ def test_rosbags_reads_every_topic_and_all_frames_of_reference_are_connected(wat
     T_B_C = poses.pose("bubble_depth_optical_frame", "bubble")
     np.testing.assert_allclose(T_B_C, small_sensor.camera.T_B_C, atol=1e-12)
     assert poses.parents.keys() == {"bubble"}  # the camera may have a parent on the robot
+
+
+def test_each_of_two_sensors_has_a_camera_frame_of_its_own():
+    frame = Frame(0, 0.0, np.full((4, 6), 0.1, np.float32), stamp_ns=1)
+    named = set()
+    for prefix in ("/left", "/robot/right/"):
+        (image,) = FrameMessages(prefix=prefix).of(frame)
+        named.add(STORE.deserialize_cdr(image.payload, image.type).header.frame_id)
+    assert named == {"left_depth_optical_frame", "robot_right_depth_optical_frame"}
 
 
 def test_rerun_decodes_every_topic_and_connects_the_frames_of_reference(watched):
