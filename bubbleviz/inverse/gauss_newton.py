@@ -431,7 +431,9 @@ class GaussNewton:
             first_guess = (
                 step.balanced and not noise_known and not self._contradicts(state.gas, measured_gas)
             )
-            if done or first_guess or (step.balanced and noise_known and not large):
+            searched = rounds > 0 or no_contact or step.contact.pressure.any()
+            known = step.balanced and noise_known and not large and searched
+            if done or first_guess or known:
                 updated = self._updated_noise(step, observed, noise, image_shows_rest)
                 if done and _noise_converged(updated, noise, noises):
                     last = (following or observed).view
