@@ -39,7 +39,7 @@ def bank(sensor):
 
 
 def test_ground_truth_lies_within_its_band(sensor, bank):
-    truth = bank.sighting(Press("sphere", 0.012, False)).truth
+    truth = bank.simulate(Press("sphere", 0.012, False)).truth
     pipeline = Pipeline.of(with_nodes(sensor, 1_500))
     estimate = Estimate(
         "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
@@ -50,7 +50,7 @@ def test_ground_truth_lies_within_its_band(sensor, bank):
 
 
 def test_oracle_is_the_best_threshold_with_iou_at_most_1(bank):
-    sighting = bank.sighting(Press("sphere", 0.012, False))
+    sighting = bank.simulate(Press("sphere", 0.012, False))
     scores = iou_by_threshold(bank, sighting, ONE, 0.0, 0)
     frame = bank.frame(sighting, ONE, 0)
     change = np.abs(np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m))

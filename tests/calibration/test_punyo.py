@@ -75,8 +75,8 @@ def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, fo
 
     The sensor file's sea level contradicts that, and weather does not explain it.
     """
-    result = with_rubber(found, [], held=collect_press(press, found))
-    gauge, file = result.rubber.both
+    result = with_rubber(found, [], press=collect_press(press, found))
+    gauge, file = result.rubber.gauge_candidates
     assert result.rubber.contradicts_file and file.high < gauge.low
     assert result.rubber.gauge.low <= file.value + 1.0 and gauge.value < result.rubber.gauge.high
     assert result.rubber.gauge_from == "press"

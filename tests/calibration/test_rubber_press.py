@@ -117,8 +117,8 @@ def with_press(pressed):
 def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     """The sensor file's atmosphere is 0.9 kPa too much."""
     rubber, stretch = with_press.rubber, truth[3]
-    assert rubber.prestretch_rests_on == "the press in press"
-    assert rubber.gauge_rests_on == "the press in press; the sensor file"
+    assert rubber.prestretch_source == "the press in press"
+    assert rubber.gauge_source == "the press in press; the sensor file"
     assert rubber.gauge.low < G < rubber.gauge.high
     assert rubber.gauge.value == pytest.approx(G, rel=0.05)
     assert rubber.gauge.half_width < 0.12 * G
@@ -146,8 +146,12 @@ def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press
             gas_pressure_pa=held.gas_pressure_pa[part],
             statistics=measure_depth(held.depth_m[part], held.camera.range_per_depth),
         )
-        shapes, _ = with_rubber(found, [], held=half).rubber.both
-        assert with_press.rubber.both[0].low < shapes.value < with_press.rubber.both[0].high
+        shapes, _ = with_rubber(found, [], press=half).rubber.gauge_candidates
+        assert (
+            with_press.rubber.gauge_candidates[0].low
+            < shapes.value
+            < with_press.rubber.gauge_candidates[0].high
+        )
 
 
 @pytest.mark.long

@@ -70,7 +70,7 @@ def rim_at(found, height_m, sigma_m):
 
 
 def with_seen_share(found, share):
-    return replace(found, surfaces=replace(found.surfaces, seen=share))
+    return replace(found, surfaces=replace(found.surfaces, visible_share=share))
 
 
 @pytest.mark.parametrize(

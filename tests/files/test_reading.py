@@ -41,7 +41,7 @@ def test_missing_array_is_refused(data, tmp_path):
 
 
 def test_decompression_bomb_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("bubbleviz.files.reading.MOST_BYTES", 1 << 20)
+    monkeypatch.setattr("bubbleviz.files.reading.MAX_ARRAY_BYTES", 1 << 20)
     np.savez_compressed(tmp_path / "bomb.npz", mask=np.zeros(2 << 20, np.uint8))
     monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("unpacked"))
     with pytest.raises(ValueError, match="larger than 1 MiB"):

@@ -47,10 +47,10 @@ class WindowSession:
         from bubbleviz_ui.engine.controller import Controller
         from bubbleviz_ui.main_window import MainWindow
         from bubbleviz_ui.model.session_state import SessionState
-        from bubbleviz_ui.view3d.render_view import quality_here
+        from bubbleviz_ui.view3d.render_view import detect_quality
 
         self.application = application()
-        quality = quality_here()
+        quality = detect_quality()
         self.interrupt.end(self.application)
         self.state = state = SessionState()
         self.controller = Controller(state)
@@ -149,13 +149,13 @@ class WindowSession:
             return False
         return self._source_opened(session_saver.open_source(saved))
 
-    def _source_opened(self, asked: bool) -> bool:
+    def _source_opened(self, opening: bool) -> bool:
         """Wait for the source of a session if one was requested; whether it is open now."""
         from bubbleviz_ui.engine.solver import Opened
 
-        if asked:
+        if opening:
             self.wait_for(lambda: bool(self._answers), "opening")
-        return asked and isinstance(self._answers[0], Opened)
+        return opening and isinstance(self._answers[0], Opened)
 
     def wait_for(self, done: Callable[[], bool], what: str) -> None:
         """Run the event loop until `done()`; KeyboardInterrupt after ^C."""

@@ -159,7 +159,7 @@ def test_images_and_view_mark_the_same_probed_place(drive):
 def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, monkeypatch):
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts
-    assert not any(name.startswith("look") for name in counts)
+    assert not any(name.startswith("diagnose") for name in counts)
     panel = opened(driver, "depth")
     panel.boxes["depth"].trigger()  # all may be hidden
     assert driver.state.settings.images == frozenset()

@@ -173,16 +173,16 @@ def test_only_chosen_plots_are_computed_and_their_contents(drive):
     assert counts["estimate"] == before["estimate"] and counts["patch"] == before["patch"]
     panel.boxes["residual"].trigger()
     driver.wait(lambda: counts["estimate"] > before["estimate"])
-    assert counts["patch"] == before["patch"] and counts["look kappa_curve"] == 0
+    assert counts["patch"] == before["patch"] and counts["diagnose kappa_curve"] == 0
     panel.boxes["force"].trigger()
     panel.boxes["kappa"].trigger()
-    driver.wait(lambda: counts["patch"] > before["patch"] and counts["look kappa_curve"] > 0)
+    driver.wait(lambda: counts["patch"] > before["patch"] and counts["diagnose kappa_curve"] > 0)
     driver.window.panels["plots"].hide()
     driver.wait(lambda: "plots" not in driver.state.settings.panels)
     driver.seek(77)  # requests of frame 76 are done by then
-    looked = counts["look kappa_curve"], counts["estimate"]
+    looked = counts["diagnose kappa_curve"], counts["estimate"]
     driver.seek(78)
-    assert (counts["look kappa_curve"], counts["estimate"]) == looked
+    assert (counts["diagnose kappa_curve"], counts["estimate"]) == looked
     # κ curve, and no clipped text
     driver.seek(CONTACT)
     panel = opened(driver, *driver.window.plots.boxes)

@@ -134,7 +134,7 @@ def test_flow_image_is_shown_and_not_computed_while_hidden(drive, rubber):
     driver, source = opened(drive, rubber)
     driver.state.change(images=frozenset({"flow"}))
     driver.seek(1)
-    assert source.decoded == 0 and not {"flow", "look flow"} & set(driver.pipeline.counts)
+    assert source.decoded == 0 and not {"flow", "diagnose flow"} & set(driver.pipeline.counts)
     driver.show("images")
     driver.wait(lambda: "images" in driver.state.settings.panels)
     driver.wait(lambda: bool(driver.window.images.cells))

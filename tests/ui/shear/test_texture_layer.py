@@ -39,7 +39,7 @@ def test_colour_image_on_the_membrane_and_in_the_images_panel(drive, sensor):
     driver, source = opened(drive, sensor)
     driver.state.change(images=frozenset({"depth", "colour"}))
     driver.seek(3)
-    assert source.decoded == 0 and driver.pipeline.counts["look colour"] == 0
+    assert source.decoded == 0 and driver.pipeline.counts["diagnose colour"] == 0
     driver.state.change(layers=frozenset({"membrane", "texture"}))
     driver.wait(lambda: driver.result.texture is not None)
     driver.wait_until_shown()

@@ -6,7 +6,7 @@ import pytest
 from bubbleviz.errors import InputError
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
-from bubbleviz_ui.view3d.render_view import FAST, SMOOTH, VARIABLE, quality_for, quality_here
+from bubbleviz_ui.view3d.render_view import FAST, SMOOTH, VARIABLE, detect_quality, quality_for
 from bubbleviz_ui.window_session import application
 
 SOFTWARE = (
@@ -44,14 +44,14 @@ def test_software_renderer_is_fast_gpu_smooth_unless_overridden(renderer):
 def test_quality_from_the_driver_or_the_environment_variable(monkeypatch):
     application()
     monkeypatch.delenv(VARIABLE, raising=False)
-    found = quality_here()
+    found = detect_quality()
     assert found.renderer and found == quality_for(found.renderer)
     for wanted in (FAST, SMOOTH):
         monkeypatch.setenv(VARIABLE, wanted.name)
-        assert quality_here().name == wanted.name
+        assert detect_quality().name == wanted.name
     monkeypatch.setenv(VARIABLE, "best")
     with pytest.raises(InputError, match=f"{VARIABLE} is 'best'; set it to fast or smooth"):
-        quality_here()
+        detect_quality()
 
 
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)

@@ -288,10 +288,10 @@ class CollectBox(QGroupBox):
 
     def _show(self) -> None:
         collector, state = self.collector, self._calibration.controller.state
-        why_none = NO_FRAMES.get(state.badge, "")
+        why_not = NO_FRAMES.get(state.badge, "")
         if state.facts is not None and state.facts.is_empty:
-            why_none = NOTHING_OPEN
-        self.button.setEnabled(not why_none)
+            why_not = NOTHING_OPEN
+        self.button.setEnabled(not why_not)
         kept = self._calibration.work.collected
         again = "Collect" if kept is None else "Collect again:"
         self.button.setText(f"{again} {count_of(self.count.value(), 'frame')}")
@@ -299,10 +299,10 @@ class CollectBox(QGroupBox):
         self.stop.setVisible(collector.active)
         self.cancel.setVisible(collector.active)
         if not collector.active:
-            there = "" if kept is None else f"{count_of(len(kept), 'frame')} collected"
+            collected = "" if kept is None else f"{count_of(len(kept), 'frame')} collected"
             if kept is not None:
-                there += "." if kept.name == self._calibration.name else f" from {kept.name}."
-            self.message.setText(f"{there} {why_none}".strip())
+                collected += "." if kept.name == self._calibration.name else f" from {kept.name}."
+            self.message.setText(f"{collected} {why_not}".strip())
             return
         text = f"{len(collector.frames)} of {self.count.value()} frames"
         tension = collector.tension
@@ -312,4 +312,4 @@ class CollectBox(QGroupBox):
             text += f" · γ0 so far {shown} ({share})"
         if kept is not None:
             text += f" · until then the {count_of(len(kept), 'frame')} collected before are in use"
-        self.message.setText(f"{text} {collector.message} {why_none}".strip())
+        self.message.setText(f"{text} {collector.message} {why_not}".strip())

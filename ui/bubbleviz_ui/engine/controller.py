@@ -55,7 +55,7 @@ class Analysis(QObject):
         products = plot_products(self._state.settings)
         self._begin(products, self._state.history.missing(products), cached_only=False)
 
-    def _find_patches_again(self) -> None:
+    def _recompute_patches(self) -> None:
         """Recompute patches outdated by another κ, from cached estimates."""
         if self.busy and not self._cached_only:
             self.start()
@@ -78,7 +78,7 @@ class Analysis(QObject):
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if names & PATCH_SETTINGS:
-            self._find_patches_again()
+            self._recompute_patches()
 
     def _begin(
         self, products: frozenset[Product], frames: np.ndarray, *, cached_only: bool
@@ -332,10 +332,10 @@ class Controller(QObject):
     def _on_opened(self, opened: Opened) -> None:
         self.opening.finish(opened.request)
         self._present(playing=opened.request.playing)
-        settings, asked = self.state.settings, opened.request.demand
-        if not asked.covers(Demand.of(settings)):
+        settings, requested = self.state.settings, opened.request.demand
+        if not requested.covers(Demand.of(settings)):
             self._request_frame()
-        elif asked.patch_rule != settings.patch_rule:
+        elif requested.patch_rule != settings.patch_rule:
             self.client.request_patch()
 
     def _present(self, *, playing: bool) -> None:

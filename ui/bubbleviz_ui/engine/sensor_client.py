@@ -145,10 +145,10 @@ class SensorClient(QObject):
 
     def request_patch(self) -> None:
         """Request the patch of the shown result at the current κ."""
-        result, asked = self.result, self.demand
-        if result is None or result.estimate is None or "patch" not in asked.products:
+        result, requested = self.result, self.demand
+        if result is None or result.estimate is None or "patch" not in requested.products:
             return
-        demand = asked.with_diagnostics(asked.diagnostics & {"components"})
+        demand = requested.with_diagnostics(requested.diagnostics & {"components"})
         demand = replace(demand, options=self._options)
         function = partial(self.solver.patch, result, demand)
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
@@ -185,11 +185,11 @@ class SensorClient(QObject):
         self._remember(opened.frame, opened.numbers, self.demand)
         self.opened_source.emit(opened)
 
-    def _take_frame(self, asked_s: float, solved: Solved) -> None:
+    def _take_frame(self, requested_s: float, solved: Solved) -> None:
         now = time.perf_counter()
         self.solve_rate.tick(now)
         index, numbers = solved.result.frame.index, solved.numbers
-        numbers = replace(numbers, latency_ms=1e3 * (now - asked_s))
+        numbers = replace(numbers, latency_ms=1e3 * (now - requested_s))
         self._remember(index, numbers, solved.demand)
         self._show(solved)
         self.solved.emit(solved, False)
@@ -224,15 +224,15 @@ class SensorClient(QObject):
 
     def _take_cold_solve(self, solved: Solved) -> None:
         self.solve_rate.tick(time.perf_counter())
-        shown, new, asked = self.result, solved.result, solved.demand
-        self._remember(new.frame.index, solved.numbers, asked)
+        shown, new, requested = self.result, solved.result, solved.demand
+        self._remember(new.frame.index, solved.numbers, requested)
         same = shown is not None and shown.frame.index == new.frame.index
         wanted = self._shown_demand.products | self.demand.diagnostics
         # else another frame, or more products of this one, are shown by now
-        if shown is not None and same and wanted <= asked.products | OBJECT_PRODUCTS:
+        if shown is not None and same and wanted <= requested.products | OBJECT_PRODUCTS:
             pose, by_object = shown.pose, shown.object_patch
             self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
-            self._shown_demand = replace(self._shown_demand, options=asked.options)
+            self._shown_demand = replace(self._shown_demand, options=requested.options)
             self.inspection = _inspection(new)
             self._cold_solved = self._diagnosed_frame = shown.frame
         self.solved.emit(solved, False)

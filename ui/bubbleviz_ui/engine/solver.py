@@ -116,11 +116,11 @@ class EstimateCache:
             del self._sizes[oldest]
 
 
-def _bytes(held: object) -> int:
+def _bytes(value: object) -> int:
     """Memory of all arrays in a nested dataclass."""
-    if isinstance(held, np.ndarray):
-        return held.nbytes
-    return sum(map(_bytes, vars(held).values())) if is_dataclass(held) else 0
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    return sum(map(_bytes, vars(value).values())) if is_dataclass(value) else 0
 
 
 LIVE_TIMEOUT_S, POLL_S = 0.05, 0.005

@@ -91,8 +91,8 @@ class ExportDialog(QDialog):
     @property
     def chosen_frames(self) -> range:
         """The selected frames."""
-        all_of_them = self.frames.currentData() == ALL
-        return self._exporting.frames(all_of_them=all_of_them, step=self.step.value())
+        all_frames = self.frames.currentData() == ALL
+        return self._exporting.frames(all_frames=all_frames, step=self.step.value())
 
     def show_all(self) -> None:
         """Update the offered frames and all texts."""

@@ -90,7 +90,7 @@ POLL_S = 0.1
 class VideoExport(QObject):
     """Draws frames one by one, and passes the pictures to `write`, which runs in a thread."""
 
-    _taken = Signal()
+    _picture_written = Signal()
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class VideoExport(QObject):
         self._pictures: Queue[np.ndarray] = Queue(MAX_QUEUED)
         self._before = self._state.frame
         self._active = True
-        self._taken.connect(self._draw_next, Qt.ConnectionType.QueuedConnection)
+        self._picture_written.connect(self._draw_next, Qt.ConnectionType.QueuedConnection)
         controller.shown.connect(self._draw_next)
         self._state.set_playing(False)
         QTimer.singleShot(0, self._draw_next)
@@ -137,7 +137,7 @@ class VideoExport(QObject):
         with open_mp4(self._path, self._fps) as writer:
             for done in range(count):
                 writer.add(self._picture(progress, done / count))
-                self._taken.emit()
+                self._picture_written.emit()
         return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:g} per second"
 
     def _picture(self, progress: Progress, done: float) -> np.ndarray:
@@ -230,11 +230,11 @@ class Exporting(QObject):
             return "A live source is exported from its recording: record it (Ctrl+R), then open it."
         return ""
 
-    def frames(self, *, all_of_them: bool, step: int = 1) -> range:
+    def frames(self, *, all_frames: bool, step: int = 1) -> range:
         """Every `step`-th frame of the played range, or of all frames."""
         count = 0 if self._state.facts is None else self._state.facts.frames
         first, last = self._state.play_range or (0, count - 1)
-        return range(0, count, step) if all_of_them else range(first, last + 1, step)
+        return range(0, count, step) if all_frames else range(first, last + 1, step)
 
     def fps(self, step: int) -> float:
         """Frame rate of a video at the speed of playback."""

@@ -95,8 +95,8 @@ class Discovery(QObject):
     def _look(self) -> None:
         if self._source is not None:
             problem = self._source.problem
-            told = f"{problem} ({self._source.name})" if problem else ""
-            self.found.emit(self._source.topics, told)
+            message = f"{problem} ({self._source.name})" if problem else ""
+            self.found.emit(self._source.topics, message)
 
 
 def _begin(text: str, sensor: Sensor) -> LiveSource:

@@ -180,7 +180,7 @@ class StageTimes:
         self._times: dict[str, deque[float]] = {
             name: deque(maxlen=MEDIAN_FRAMES) for name in STAGES
         }
-        self._seen: object = None
+        self._last_times: object = None
 
     def clear(self) -> None:
         """Forget all times, for another source."""
@@ -189,9 +189,9 @@ class StageTimes:
 
     def take(self, result: Result) -> None:
         """Record the times of a frame, once."""
-        if result.times_ms is self._seen:
+        if result.times_ms is self._last_times:
             return  # the same solve with another patch
-        self._seen = result.times_ms
+        self._last_times = result.times_ms
         for stage, time_ms in result.times_ms.items():
             if stage in self._times:
                 self._times[stage].append(time_ms)
@@ -200,7 +200,7 @@ class StageTimes:
         self, settings: Settings, counts: Mapping[str, int], *, analysing: bool = False
     ) -> list[StageTime]:
         """One row per stage, idle ones included."""
-        asked = names_by_stage(settings, analysing=analysing)
+        requested = names_by_stage(settings, analysing=analysing)
         lines = []
         for stage, title in STAGES.items():
             times = self._times[stage]
@@ -211,7 +211,7 @@ class StageTimes:
                     times[-1] if times else None,
                     median(times) if times else None,
                     counts.get(stage, 0),
-                    () if stage == "total" else tuple(asked.get(stage, ())),
+                    () if stage == "total" else tuple(requested.get(stage, ())),
                 )
             )
         return lines
@@ -220,11 +220,11 @@ class StageTimes:
 def names_by_stage(settings: Settings, *, analysing: bool = False) -> dict[str, list[str]]:
     """Names of the layers and panels that request each stage."""
     nothing = replace(settings, layers=frozenset(), panels=frozenset())
-    asked: dict[str, list[str]] = {}
+    requested: dict[str, list[str]] = {}
 
     def note(name: str, needed: Iterable[Product]) -> None:
         for stage in stages(frozenset(needed)) - DIAGNOSTICS.keys():
-            asked.setdefault(stage, []).append(name)
+            requested.setdefault(stage, []).append(name)
 
     for name in sorted(settings.layers):
         note(name, needed_products(replace(nothing, layers=frozenset({name}))))
@@ -232,4 +232,4 @@ def names_by_stage(settings: Settings, *, analysing: bool = False) -> dict[str, 
         note(name, needed_products(replace(nothing, panels=frozenset({name}))))
     if analysing:
         note(ANALYSIS, plot_products(settings))
-    return asked
+    return requested

@@ -30,7 +30,7 @@ QUANTITIES = (
 """Names of the arrays, with their units."""
 
 MEASURED_FORCE = "measured_force_n"
-OF_PATCH = ("area_m2", "center_x_m", "center_y_m", "center_z_m")
+PATCH_QUANTITIES = ("area_m2", "center_x_m", "center_y_m", "center_z_m")
 UNKNOWN, FREE, CONTACT, UNTRUSTED = -1, 0, 1, 2
 """Contact state of a frame; `UNTRUSTED`: the estimate failed or is implausible."""
 _FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
@@ -76,14 +76,14 @@ class FrameHistory:
             self._has[frame] |= _SHEAR
         if known.has_patch and patch:
             self._put(frame, known, ("force_n", "force_half_width_n", "area_m2"))
-            for name, value in zip(OF_PATCH[1:], known.center_m, strict=True):
+            for name, value in zip(PATCH_QUANTITIES[1:], known.center_m, strict=True):
                 self.values[name][frame] = value
             self._has[frame] |= _PATCH
             self.contact[frame] = _contact(known)
 
     def forget_patches(self) -> None:
         """Drop the patch numbers after a change of the threshold."""
-        for name in OF_PATCH:
+        for name in PATCH_QUANTITIES:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
         self._outdated |= (self._has & _PATCH) > 0

@@ -13,7 +13,7 @@ from PySide6.QtCore import QObject, Signal
 MessageKind = Literal["notice", "warning", "error"]
 OPENING = "opening"
 """Topic of failures to open or connect."""
-MOST_KEPT = 1000
+MAX_MESSAGES = 1000
 """Bounds the memory if a source fails at every frame."""
 
 
@@ -44,7 +44,7 @@ class Messages(QObject):
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
-        self.all: deque[UserMessage] = deque(maxlen=MOST_KEPT)  # Oldest first
+        self.all: deque[UserMessage] = deque(maxlen=MAX_MESSAGES)  # Oldest first
 
     def add(self, message: UserMessage) -> None:
         """Log a message and emit `added`."""

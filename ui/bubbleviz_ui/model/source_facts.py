@@ -61,8 +61,8 @@ class SourceFacts:
 
     def same_source(self, other: SourceFacts) -> bool:
         """Whether both describe the same frames; the sensor may differ."""
-        mine, its = (facts.path or facts.title for facts in (self, other))
-        return mine == its and self.frames == other.frames
+        own, others = (facts.path or facts.title for facts in (self, other))
+        return own == others and self.frames == other.frames
 
     @property
     def rate_hz(self) -> float:

@@ -174,8 +174,9 @@ class UndoRecorder:
         return frozenset(numbers), self._current_gesture()
 
     def _current_gesture(self) -> int:
-        now, held = time.monotonic(), QGuiApplication.mouseButtons() != Qt.MouseButton.NoButton
-        if not held and now - self._changed_s > GESTURE_S:
+        now = time.monotonic()
+        button_down = QGuiApplication.mouseButtons() != Qt.MouseButton.NoButton
+        if not button_down and now - self._changed_s > GESTURE_S:
             self._gesture += 1
         self._changed_s = now
         return self._gesture

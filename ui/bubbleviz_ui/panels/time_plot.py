@@ -236,8 +236,8 @@ class Band:
         known = np.isfinite(low)
         for run in np.split(np.arange(len(low)), np.flatnonzero(np.diff(known)) + 1):
             if len(run) > 1 and known[run[0]]:
-                there = np.concatenate([times[run], times[run][::-1]])
-                path.addPolygon(polygon(there, np.concatenate([low[run], high[run][::-1]])))
+                outline_s = np.concatenate([times[run], times[run][::-1]])
+                path.addPolygon(polygon(outline_s, np.concatenate([low[run], high[run][::-1]])))
         self.fill.setPath(path)
 
 

@@ -160,9 +160,9 @@ class RangeStrip(QWidget):
             shade.setAlpha(110)
             painter.fillRect(QRectF(left, 3, max(right - left, 1.0), 10), shade)
             for end, x in enumerate((left, right)):
-                held = self.hasFocus() and self._valid_handle() == (number, end)
+                selected = self.hasFocus() and self._valid_handle() == (number, end)
                 painter.fillRect(
-                    QRectF(x - 2, 0, 4, HEIGHT), QColor(colours.accent if held else theme.FORCE)
+                    QRectF(x - 2, 0, 4, HEIGHT), QColor(colours.accent if selected else theme.FORCE)
                 )
         painter.end()
 

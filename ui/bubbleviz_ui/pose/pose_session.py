@@ -264,11 +264,11 @@ class PoseSession(QObject):
         except InputError:  # of a session file edited by hand
             self.start = None
 
-    def _on_object_changed(self, followed: ObjectChange) -> None:
-        asked = (followed.object_name, followed.unit)
-        if self.obj is None or asked != self._loaded:  # keep the identity of the same object
-            self.obj, self._loaded = followed.obj, asked
-        if followed.fitted:
+    def _on_object_changed(self, change: ObjectChange) -> None:
+        requested = (change.object_name, change.unit)
+        if self.obj is None or requested != self._loaded:  # keep the identity of the same object
+            self.obj, self._loaded = change.obj, requested
+        if change.fitted:
             self.busy = False
         self.changed.emit()
 

@@ -242,13 +242,13 @@ class SensorPanel(QWidget):
             self._form.setRowVisible(label, not editing)
         self._form.setRowVisible(self.recording, bool(recording) and not editing)
         self.recording.setText(recording)
-        for button, there in (
+        for button, visible in (
             (self.edit, not editing),
             (self.reload, not editing),
             (self.save, editing),
             (self.cancel, editing),
         ):
-            button.setVisible(there)
+            button.setVisible(visible)
             button.setEnabled(sensor is not None)
         if sensor is None:
             return
@@ -263,8 +263,8 @@ class SensorPanel(QWidget):
             self.name.setCursorPosition(0)
         for row in self.rows.values():
             row.show_value(sensor, editing=editing)
-            there = bool(row.interval.text()) and not editing
-            self._form.setRowVisible(row.interval, there)
+            visible = bool(row.interval.text()) and not editing
+            self._form.setRowVisible(row.interval, visible)
 
     def _show_file(self, sensor: Sensor) -> None:
         path, short = str(sensor.resolve(sensor.file).absolute()), file_text(sensor)

@@ -194,11 +194,11 @@ class SessionSaver(QObject):
     def apply_settings(self, saved: SavedSession, file: Path | None = None) -> None:
         """Apply settings and layout of a session."""
         window, saved = self._window, with_absolute_paths(saved, file)
-        settings, gone = saved.settings, missing(saved).get("object")
+        settings, missing_object = saved.settings, missing(saved).get("object")
         self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
-        if gone is not None:
+        if missing_object is not None:
             settings = replace(settings, pose_object=None)
-            self._problems.append(f"object {gone} is missing")
+            self._problems.append(f"object {missing_object} is missing")
         with window.undo_recorder.unrecorded():
             window.state.change(**vars(settings))
             if saved.geometry:
@@ -221,8 +221,8 @@ class SessionSaver(QObject):
         Returns bool: Whether it is being opened.
         """
         saved = with_absolute_paths(saved, file)
-        gone = missing(saved)
-        lacks = [f"{k} {name} is missing" for k, name in gone.items() if k != "object"]
+        missing_files = missing(saved)
+        lacks = [f"{k} {name} is missing" for k, name in missing_files.items() if k != "object"]
 
         def begin() -> None:
             if first is not None:
@@ -233,14 +233,14 @@ class SessionSaver(QObject):
         source: Source | None = None
         if saved.source == SYNTHETIC.name:
             source = SYNTHETIC
-        elif saved.source is not None and "recording" not in gone:
-            truth = None if saved.truth is None or "truth" in gone else Path(saved.truth)
+        elif saved.source is not None and "recording" not in missing_files:
+            truth = None if saved.truth is None or "truth" in missing_files else Path(saved.truth)
             source = Source.of_recording(Path(saved.source), truth)
         if source is None:
             begin()
             self._restore_without_source(saved)
             return False
-        sensor = None if "sensor" in gone else saved.sensor
+        sensor = None if "sensor" in missing_files else saved.sensor
         return self._window.controller.opening.open(
             source,
             self._sensor_opener(source, sensor),

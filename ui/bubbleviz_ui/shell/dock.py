@@ -65,11 +65,11 @@ class Dock(QDockWidget):
             self._at_hint = False
             window.resizeDocks([self], [self.sizeHint().height()], Qt.Orientation.Vertical)
         if visible and self._maximises and isinstance(window, QMainWindow):
-            area, mine = window.dockWidgetArea(self), [self, *window.tabifiedDockWidgets(self)]
+            area, own_tabs = window.dockWidgetArea(self), [self, *window.tabifiedDockWidgets(self)]
             others = [
                 dock
                 for dock in window.findChildren(QDockWidget)
-                if window.dockWidgetArea(dock) == area and dock not in mine and dock.isVisible()
+                if window.dockWidgetArea(dock) == area and dock not in own_tabs and dock.isVisible()
             ]
             heights = [window.height(), *(1 for _ in others)]
             window.resizeDocks([self, *others], heights, Qt.Orientation.Vertical)

@@ -100,17 +100,17 @@ class GrowingRanges:
 
     def __init__(self, units: Units) -> None:
         self._units = units
-        self._held = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+        self._ranges = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
         self._peaks_pa: dict[tuple[object, int], float] = {}
         self._shown_pa: dict[object, float] = {}
 
     def set_sensor(self, sensor: Sensor) -> None:
         """Reset for another source; frames shown of other sensors stay covered."""
         start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
-        self._held = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
+        self._ranges = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
         self._peaks_pa = {}
 
-    def include(self, who: object, result: Result) -> None:
+    def include(self, sensor_key: object, result: Result) -> None:
         """Extend the scales to the result shown of a sensor."""
         pressure, residual, force = 0.0, 0.0, 0.0
         estimate, patch = result.trusted_estimate, result.trusted_patch
@@ -120,29 +120,30 @@ class GrowingRanges:
                 pressure = float(estimate.contact_pressure_pa.max(initial=0.0))
         if patch is not None:
             force = float(np.linalg.norm(patch.force_n))
-        held, self._shown_pa[who] = self._held, pressure
-        self._held = Ranges(
+        ranges, self._shown_pa[sensor_key] = self._ranges, pressure
+        self._ranges = Ranges(
             _grown(
-                held.pressure_pa, self._peak_without_outliers((who, result.frame.index), pressure)
+                ranges.pressure_pa,
+                self._peak_without_outliers((sensor_key, result.frame.index), pressure),
             ),
-            _grown(held.residual_m, residual),
-            _grown(held.force_n, force),
+            _grown(ranges.residual_m, residual),
+            _grown(ranges.force_n, force),
         )
 
-    def forget(self, who: object) -> None:
+    def forget(self, sensor_key: object) -> None:
         """Drop the result shown of a sensor."""
-        self._shown_pa.pop(who, None)
+        self._shown_pa.pop(sensor_key, None)
 
     def of(self, settings: Settings) -> Ranges:
         """Current scales."""
-        pressure = self._held.pressure_pa
+        pressure = self._ranges.pressure_pa
         for shown in self._shown_pa.values():
             pressure = _grown(pressure, shown)
-        units, held = self._units, self._held
+        units, ranges = self._units, self._ranges
         return Ranges(
             settings.pressure_max_pa or _round_in(units.pressure, pressure),
-            settings.residual_max_m or _round_in(units.length, held.residual_m),
-            held.force_n,
+            settings.residual_max_m or _round_in(units.length, ranges.residual_m),
+            ranges.force_n,
         )
 
     def _peak_without_outliers(self, frame: tuple[object, int], peak_pa: float) -> float:
@@ -154,8 +155,8 @@ class GrowingRanges:
         return highest[0][1] if len(highest) > OUTLIERS else 0.0
 
 
-def _grown(held: float, seen: float) -> float:
-    return rounded_up(seen) if math.isfinite(seen) and seen > held else held
+def _grown(end: float, value: float) -> float:
+    return rounded_up(value) if math.isfinite(value) and value > end else end
 
 
 def _round_in(unit: Unit, si: float) -> float:

@@ -78,9 +78,9 @@ class MembraneLayer(Layer):
             self._map = picture.settings.colour_map
             self._table.values = pressure_colours(self._map)
         unexplained = None if estimate is None else estimate.unexplained_pressure_pa
-        there = unexplained is not None and bool(unexplained.any())
-        self._hatching.SetVisibility(there)
-        if unexplained is not None and there:
+        visible = unexplained is not None and bool(unexplained.any())
+        self._hatching.SetVisibility(visible)
+        if unexplained is not None and visible:
             self._unexplained.copy_from(self.canvas.surface.triangles_at(unexplained > 0.0))
 
     def set_visible(self, visible: bool) -> None:
@@ -174,10 +174,10 @@ class ComparedLayer(Layer):
         """Draw the patches of A and B, unless they belong to another frame."""
         shown, larger = picture.result.frame.index, picture.settings.exaggeration
         for outline, one in zip(self._outlines, self._measured, strict=True):
-            there = one if isinstance(one, ComparedResult) else None
-            if there is not None and there.result.frame.index != shown:
-                there = None
-            outline.draw(there, larger)
+            measured = one if isinstance(one, ComparedResult) else None
+            if measured is not None and measured.result.frame.index != shown:
+                measured = None
+            outline.draw(measured, larger)
 
 
 class _Outline:

@@ -16,7 +16,7 @@ from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, add_mark, cells, draw_in_front, pairs
 from bubbleviz_ui.view3d.render_view import View
 
-FOUND, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
+DETERMINED, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
 OPACITY = 0.45  # so that the membrane shows behind it
 
 
@@ -28,7 +28,7 @@ class ObjectLayer(Layer):
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
-        self.add(self._poly, color=FOUND, opacity=OPACITY, ambient=0.3).SetPickable(False)
+        self.add(self._poly, color=DETERMINED, opacity=OPACITY, ambient=0.3).SetPickable(False)
         self._has_mesh = False
         # (4, 4) pose at which it is drawn; None while it is hidden
         self.T_B_O: np.ndarray | None = None
@@ -54,10 +54,10 @@ class ObjectLayer(Layer):
 
     def show_pose(self, pose: Pose, stage: int) -> None:
         """Draw it at a stage of a pose, coloured by how well that is determined."""
-        known = FOUND if pose.determined.all() else UNDETERMINED
+        known = DETERMINED if pose.determined.all() else UNDETERMINED
         self.put(shown_pose(pose, stage), known if pose.status == "ok" else LOST)
 
-    def put(self, T_B_O: np.ndarray | None, colour: str = FOUND) -> None:
+    def put(self, T_B_O: np.ndarray | None, colour: str = DETERMINED) -> None:
         """Draw it at a pose (4, 4); None hides it."""
         self.T_B_O = T_B_O if T_B_O is not None and np.isfinite(T_B_O).all() else None
         if self.T_B_O is not None:

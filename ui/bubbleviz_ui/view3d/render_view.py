@@ -71,8 +71,8 @@ class RenderQuality:
     def points(self) -> dict[str, Any]:
         """Arguments of `View.add_mesh` for points."""
         balls = self.round_points
-        looks = {"style": "points", "render_points_as_spheres": balls, "lighting": balls}
-        return looks | (_BRIGHT if balls else {})
+        arguments = {"style": "points", "render_points_as_spheres": balls, "lighting": balls}
+        return arguments | (_BRIGHT if balls else {})
 
     @property
     def text(self) -> str:
@@ -103,7 +103,7 @@ def quality_for(renderer: str, wanted: str = "") -> RenderQuality:
     return replace(known.get(wanted, by_renderer), renderer=renderer)
 
 
-def quality_here() -> RenderQuality:
+def detect_quality() -> RenderQuality:
     """Quality for this machine's renderer, or the one set by `BUBBLEVIZ_RENDERING`.
 
     Raises InputError: The variable has an unknown value.
