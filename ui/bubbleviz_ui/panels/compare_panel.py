@@ -225,8 +225,8 @@ class OtherRecording(QWidget):
         if file is not None:
             open_other = partial(load_sensor, file)
         how = self._solved_how = self._how
-        first = partial(solve, source, lambda: sensor, *how, self.worker.progress)
-        second = partial(solve, other, open_other, *how, self.worker.progress)
+        first = partial(solve, source, lambda: sensor, *how, self.worker.progress, keep=False)
+        second = partial(solve, other, open_other, *how, self.worker.progress, keep=True)
         self.start.setEnabled(False)
         self.result.setText("opening …")
         self.worker.submit(lambda: (first(), second()), self._on_solved, self._on_failed)

@@ -32,8 +32,10 @@ def solve(
     options: EstimatorOptions,
     rule: FrameOptions,
     progress: Progress,
+    *,
+    keep: bool,  # The results, too, for the membrane: some 100 kB a frame
 ) -> Run:
-    """Results of all frames of a source that is opened anew; in a thread."""
+    """Numbers of all frames of a source that is opened anew; in a thread."""
     sensor = open_sensor()
     with closing(source.open(sensor)) as opened, OneBlasThread():
         frames = Frames(opened)
@@ -42,7 +44,7 @@ def solve(
         run = Run(pipeline.model, {"recording": source.title}, {})
         step = partial(_titled, progress, source.title)
         for result in solved(frames, FrameSolver(pipeline, PRODUCTS, rule, zero), step):
-            run.add(result, keep=True)
+            run.add(result, keep=keep)
     return run
 
 
