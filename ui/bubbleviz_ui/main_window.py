@@ -392,7 +392,7 @@ class MainWindow(QMainWindow):
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.source_changed.connect(self._on_source)
         self.state.frozen_changed.connect(self._show_title)
-        self.state.connection_changed.connect(self._show_title)
+        self.state.connection_changed.connect(self._on_connection)
         self._numbers_timer.timeout.connect(self._write_numbers)
         self.state.playing_changed.connect(self._write_numbers)
         self.state.frozen_changed.connect(self._write_numbers)
@@ -447,6 +447,10 @@ class MainWindow(QMainWindow):
     def _on_source(self, facts: SourceFacts) -> None:
         self._show_title()
         self.status.show_source(facts, self._sensor_title(facts))
+
+    def _on_connection(self) -> None:
+        self._show_title()
+        self.scene.set_outdated(self.state.badge in ("stale", "reconnecting"))
 
     def _show_title(self) -> None:
         facts, badge = self.state.facts, self.state.badge

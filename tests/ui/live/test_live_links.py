@@ -3,6 +3,7 @@
 import os
 
 from live_bench import IMAGE, connected_bench, messages_by_type, record_dents, sensor_file
+from window_driver import text_actors
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
@@ -50,6 +51,10 @@ def test_failed_and_ended_connections_give_messages(open_bench, tmp_path):
     live.wait(lambda: live.shown_frame == 0)
 
 
+def readout_opacity(bench):
+    return text_actors(bench)[0].GetTextProperty().GetOpacity()
+
+
 def test_killed_robot_is_detected_and_reconnects(open_bench):
     """Once or three times; `python -m benchmarks.window restarts` does it twenty times."""
     bench = open_bench()
@@ -66,10 +71,12 @@ def test_killed_robot_is_detected_and_reconnects(open_bench):
     for turn in range(1, 1 + (FULL if "TEST_ALL" in os.environ else SHORT)):
         bench.wait(lambda: "live" not in bench.window.live.state.text())
         assert any(word in bench.window.live.state.text() for word in ("stale", "reconnecting"))
+        assert readout_opacity(bench) < 1.0
         with robot(port, 10_000 * turn):
             bench.wait_for_frames(3)
             bench.wait(lambda: "live" in bench.window.live.state.text())
             assert len(bench.state.facts.gaps) >= turn
+            assert readout_opacity(bench) == 1.0
     path = bench.stop()
     assert set(arrived) <= {message.log_time for message in messages_by_type(path)[IMAGE]}
     assert STALE_AFTER_S + UPDATE_MS / 1000.0 < 1.0

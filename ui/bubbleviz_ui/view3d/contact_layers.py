@@ -329,6 +329,9 @@ SEPARATOR = "   "
 HATCHED = "hatched: pressure without evidence of contact, not in the force"
 
 
+OUTDATED_OPACITY = 0.4
+
+
 class ReadoutLayer(Layer):
     """Headline and details in the upper left corner."""
 
@@ -350,6 +353,11 @@ class ReadoutLayer(Layer):
         self._head.SetInput("" if doubtful else head)
         self._alarm.SetInput(head if doubtful else "")
         self._details = rest
+
+    def set_outdated(self, outdated: bool) -> None:
+        """Dim the text while the live source sends no new frames."""
+        for actor in (self._head, self._rest, self._alarm):
+            actor.GetTextProperty().SetOpacity(OUTDATED_OPACITY if outdated else 1.0)
 
     def _fit(self) -> None:
         """Fit the text left of the colour bars: smaller headline, wrapped details."""

@@ -223,6 +223,11 @@ class Scene:
         self._drawn.layer(ComparedLayer).set_measured(measured)
         self.apply(self._settings)
 
+    def set_outdated(self, outdated: bool) -> None:
+        """Dim the numbers while the live source sends no new frames."""
+        self._drawn.layer(ReadoutLayer).set_outdated(outdated)
+        self._view.refresh()
+
     def apply(self, settings: Settings) -> None:
         """Redraw the last result with other settings."""
         self._settings = settings
