@@ -25,8 +25,8 @@ def connect(
     sensor : str, path or Sensor
         Sensor file or preset; `auto` waits for the first image and takes the preset of its size.
     timeout_s : float, optional
-        Longest wait for a frame while iterating the stream, and in `estimate` and `track`, s; None
-        waits for ever.
+        Longest time without a frame while iterating the stream, and in `estimate` and `track`, s;
+        None waits for ever.
 
     Returns
     -------

@@ -95,7 +95,7 @@ class FrameResult:
 
     @property
     def age_s(self) -> float:
-        """Time since the image was taken, s; NaN for recordings.
+        """Time from the image until now, when this is read, s; NaN for recordings.
 
         From its stamp or, if the clocks differ, from its arrival.
         """
@@ -124,6 +124,11 @@ class FrameResult:
     def force_magnitude_n(self) -> float:
         """Magnitude of the force, N."""
         return float(np.linalg.norm(self.force_n))
+
+    @property
+    def force_magnitude_half_width_n(self) -> float:
+        """Half of the 95 % interval of the magnitude, N; NaN without contact."""
+        return self.estimate.force_half_width_n
 
     @property
     def torque_nm(self) -> np.ndarray:

@@ -247,35 +247,36 @@ class LiveStream:
             return frame
 
     def status(self) -> Status:
-        last = self._last_frame_ns
-        silent = None if last is None else max(time.time_ns() - last, 0) * 1e-9
         problem = self._problem()
         if problem:  # of several sources, which
             problem = f"{problem} ({self.name})"
-        return status_of(self.source.link, silent, problem)
+        return status_of(self.source.link, self._silent_s(), problem)
+
+    def _silent_s(self) -> float | None:
+        """Time since the last frame arrived, s; None before the first."""
+        last = self._last_frame_ns
+        return None if last is None else max(time.time_ns() - last, 0) * 1e-9
 
     def each(
         self,
         # waits so long, s, for a frame and makes something of it; None when none came
         take: Callable[[float], _T | None],
-        # how long a frame after the first may take, s; None waits for ever
+        # longest time since the last frame arrived, s; None waits for ever
         timeout_s: float | None = STOPPED_AFTER_S,
     ) -> Iterator[_T]:
         """What is made of the newest frame, over and over, until the source ends.
 
         Raises StreamStoppedError: None came in that time.
         """
-        wait_s = LOOK_S if timeout_s is None else timeout_s
         while True:
             ended = self.ended  # first: a frame may come before the end is seen
-            asked_s = time.monotonic()
-            made = take(wait_s)
-            waited = time.monotonic() - asked_s >= wait_s
+            silent_s = self._silent_s() or 0.0
+            made = take(LOOK_S if timeout_s is None else max(timeout_s - silent_s, 0.0))
             if made is not None:
                 yield made
             elif ended:
                 return
-            elif timeout_s is not None and waited and self._last_frame_ns is not None:
+            elif timeout_s is not None and (self._silent_s() or 0.0) >= timeout_s:
                 raise StreamStoppedError(
                     f"{self.silence()}; check the camera and its connection, or give a longer "
                     "timeout_s"

@@ -75,6 +75,17 @@ def test_estimate_uses_the_timeout_of_its_stream(gaps, sensor):
         assert [found.time_s for found in bv.estimate(stream)][-1] > 2.0 * GAP_S
 
 
+def test_timeout_counts_from_the_last_frame(gaps, sensor, eventually):
+    """A loop that was busy while the camera failed does not wait once more."""
+    with bv.connect(f"replay:{gaps}", sensor, timeout_s=0.8 * GAP_S) as stream:
+        frames = iter(stream)
+        while next(frames).index < BEFORE - 1:
+            pass
+        eventually(lambda: stream.status().silent_s >= 0.8 * GAP_S)
+        with pytest.raises(StreamStoppedError, match=r"no depth image for 2\.[0-4] s"):
+            next(frames)
+
+
 def test_killed_robot_ends_the_loop(sensor):
     """Until then every result has the time of its image, and after it its age grows.
 

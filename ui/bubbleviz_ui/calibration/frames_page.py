@@ -145,7 +145,7 @@ class FramesPage(Page):
         self.replace.clicked.connect(self._on_replace)
         self.find_again.clicked.connect(
             lambda: calibration.edit(
-                "Find contact-free frames", ranges=None, reached=self._step_reached()
+                "Find contact-free frames", ranges=None, last_step=self._step_reached()
             )
         )
 
@@ -153,7 +153,7 @@ class FramesPage(Page):
         self.calibration.reach(Step.FRAMES, self.next_title)
 
     def set_ranges(self, ranges: Ranges, what: str) -> None:
-        self.calibration.edit(what, ranges=ranges, reached=self._step_reached())
+        self.calibration.edit(what, ranges=ranges, last_step=self._step_reached())
 
     def is_done(self, answer: Answer) -> bool:
         return answer.work.settings.last_step >= Step.FRAMES
