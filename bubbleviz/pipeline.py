@@ -31,7 +31,7 @@ from bubbleviz.inverse import (
 )
 from bubbleviz.membrane import build_rubber, rest_stress, varied_rubber
 from bubbleviz.plugins import plugin, plugin_names
-from bubbleviz.recordings import Frame, SeenColour, Texture
+from bubbleviz.recordings import Frame, FrameColour, Texture
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
@@ -427,7 +427,7 @@ class Pipeline:
         if not estimate.trusted:
             return result
         nodes = self.mesh.deformed(estimate.motion_m)
-        texture = Texture.of(SeenColour.of(result.frame), nodes, self.camera)
+        texture = Texture.of(FrameColour.of(result.frame), nodes, self.camera)
         return replace(result, texture=texture)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:

@@ -13,7 +13,7 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import CheckRow, SensorCheck, check_sensor
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, KeptFrames, Recording, find_contact_free, shown_name
+from bubbleviz.recordings import AUTO, CachedFrames, Recording, find_contact_free, shown_name
 from bubbleviz.sensor_model import SensorModel
 
 _TEMPERATURE = "sensor_msgs/msg/Temperature"
@@ -75,7 +75,7 @@ def check(
     """
     chosen = as_frames(frames)
     name, own, intrinsics = sensor_for(chosen, sensor)
-    source = KeptFrames(chosen)
+    source = CachedFrames(chosen)
     with OneBlasThread():
         if isinstance(contact_free, str):
             contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")

@@ -27,7 +27,7 @@ from bubbleviz.calibration import (
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, restore_on_error
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import FrameSource, KeptFrames
+from bubbleviz.recordings import CachedFrames, FrameSource
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
 
@@ -214,7 +214,7 @@ def identify(
     if out is not None:  # fail before the computation
         output_files(out, None if report is None else Path(report), overwrite=overwrite)
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
-    source = KeptFrames(open(frames) if isinstance(frames, str | Path) else frames)
+    source = CachedFrames(open(frames) if isinstance(frames, str | Path) else frames)
     if isinstance(contact_free, str):
         contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
     settings = Settings(
@@ -239,7 +239,7 @@ def identify(
 
 
 def _source(frames: FrameSource | str | Path) -> FrameSource | Path:
-    return Path(frames) if isinstance(frames, str | Path) else KeptFrames(frames)
+    return Path(frames) if isinstance(frames, str | Path) else CachedFrames(frames)
 
 
 def _known_press(

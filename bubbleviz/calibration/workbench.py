@@ -33,7 +33,7 @@ from bubbleviz.calibration.validation import Validation
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
-from bubbleviz.recordings import FrameSource, KeptFrames, Recording, find_contact_free
+from bubbleviz.recordings import CachedFrames, FrameSource, Recording, find_contact_free
 from bubbleviz.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -272,7 +272,7 @@ def _opened(frames: FrameSource | Path) -> Iterator[FrameSource]:
         yield frames
         return
     with Recording(frames) as recording:
-        yield KeptFrames(recording)
+        yield CachedFrames(recording)
 
 
 def _known(value: T | None) -> T:

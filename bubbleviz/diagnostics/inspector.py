@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.inverse import Component, areas_above, components, mean_pressure
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import SeenColour
+from bubbleviz.recordings import FrameColour
 from bubbleviz.result import Estimate, Result
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Inspection:
     # `used`, bool; `flow`, length of the motion in the colour image by blocks, pixels
     images: dict[str, np.ndarray] = field(default_factory=dict)
     ends: dict[str, tuple[float, float]] = field(default_factory=dict)  # of each colour scale
-    colour: SeenColour | None = None
+    colour: FrameColour | None = None
     no_flow: str = ""  # why there is no flow image; empty where `reference` says why
     reference: str = ""  # reference frame of shear, as text; empty if not requested
     kappa_curve: KappaCurve | None = None
@@ -119,7 +119,7 @@ def inspection(
                 parts = components(pipeline.mesh, estimate, patch)
         elif product == "colour_image":
             texture = result.texture  # already decoded
-            colour = SeenColour.of(result.frame) if texture is None else texture.colour
+            colour = FrameColour.of(result.frame) if texture is None else texture.colour
         else:
             name = product.removesuffix("_image")
             image = _image(name, result, pipeline.model)

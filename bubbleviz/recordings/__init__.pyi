@@ -48,17 +48,18 @@ from .depth_topics import (
 from .frame import (
     FROZEN_AFTER as FROZEN_AFTER,
     NO_COLOUR as NO_COLOUR,
+    CachedFrames as CachedFrames,
     EqualImages as EqualImages,
     Frame as Frame,
     FrameSource as FrameSource,
     Gap as Gap,
     HeldFrames as HeldFrames,
-    KeptFrames as KeptFrames,
     TimeAxis as TimeAxis,
     find_gaps as find_gaps,
     shown_name as shown_name,
     usual_step as usual_step,
 )
+from .frame_colour import FrameColour as FrameColour, Texture as Texture, placed as placed
 from .image_folder import (
     INTRINSICS as INTRINSICS,
     ImageFolder as ImageFolder,
@@ -100,7 +101,6 @@ from .recording import (
     open_recording as open_recording,
 )
 from .recording_writer import RecordingWriter as RecordingWriter
-from .seen_colour import SeenColour as SeenColour, Texture as Texture, placed as placed
 from .sensor_matching import (
     AUTO as AUTO,
     WEATHER_PA as WEATHER_PA,

@@ -1,4 +1,4 @@
-"""A recording as topics of messages, whatever the file format.
+"""A recording as topics of messages, for all file formats.
 
 rosbags is imported with the first recording: the window starts without it.
 """
@@ -25,10 +25,10 @@ from bubbleviz.recordings.bag_storage import (
     check_unpacked,
     decompress,
 )
-from bubbleviz.recordings.message_decoding import LATEST_NS, header_stamp_ns
+from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, header_stamp_ns
 
 UNREADABLE = -1  # in place of the stamp of a message without a header
-MOST_BAD = 100  # messages at the beginning of a topic that are tried for the first one
+MAX_UNREADABLE = 100  # messages at the beginning of a topic that are tried for the first one
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Bag:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.note = ""  # what is missing of the recording, in words; empty when it is whole
+        self.note = ""  # text: what is missing of the recording; empty when it is complete
         self._storages: list[Storage] = []
         self._open_files = ExitStack()
         if not exists(self.path):
@@ -129,7 +129,7 @@ class Bag:
         return storage
 
     def _opened(self, reader: Any) -> Any:
-        """A reader of rosbags, open until the bag is closed."""
+        """Open a reader of rosbags; it is closed with the bag."""
         reader.open()
         self._open_files.callback(reader.close)
         return reader
@@ -153,7 +153,7 @@ class Bag:
 
 @cache
 def _folder_reader() -> Any:
-    """Reader by rosbags of folders: of their metadata, and of files compressed as a whole."""
+    """Folder reader of rosbags: reads the metadata and decompresses compressed files."""
     from rosbags.rosbag2.reader import DirectoryReader
 
     class NamedFile:
@@ -182,7 +182,7 @@ class Messages:
         self._storages = [storage for storage, _ in parts]
         numbered = [np.insert(rows, 3, part, axis=1) for part, (_, rows) in enumerate(parts)]
         rows = np.concatenate(numbered or [np.empty((0, 4), np.int64)])
-        rows[:, 0] = rows[:, 0].clip(0, LATEST_NS)
+        rows[:, 0] = rows[:, 0].clip(0, MAX_STAMP_NS)
         self._rows = rows[np.argsort(rows[:, 0], kind="stable")]
         self.log_ns = self._rows[:, 0].copy()  # (n,) int64, when each message was recorded, ns
 
@@ -211,7 +211,7 @@ class Messages:
 
     def first(self, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
         """The first readable message that satisfies a condition; else message 0, or its error."""
-        for k in range(min(len(self), MOST_BAD)):
+        for k in range(min(len(self), MAX_UNREADABLE)):
             with suppress(InputError):
                 message = self.message(k)
                 if wanted(message):

@@ -19,10 +19,10 @@ from typing import Any, BinaryIO, NamedTuple, Protocol
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor
 
-# Chunks of a bag as files, read and decompressed only as far as asked for.
+# Chunks of a bag as files, read and decompressed only up to the requested byte.
 #
-# The libraries' readers decompress a whole chunk for each message: to open a recording, which needs
-# sixteen bytes of each, would take as long as to read all of it.
+# The libraries' readers decompress a whole chunk for each message: opening a recording, which needs
+# 16 bytes of each message, would take as long as reading all of it.
 
 
 if sys.version_info >= (3, 14):
@@ -41,7 +41,7 @@ _FIRST_PIECE = 1 << 15  # B of a chunk to read for a header, which is enough in 
 
 
 class FilePart:
-    """Bytes `start` … `start + size` of a file that others read, too, as a file of its own."""
+    """Bytes `start` … `start + size` of a shared file, as a file of its own."""
 
     memory = 0
 
@@ -65,7 +65,7 @@ class LazyChunk:
         packed: FilePart,  # the compressed bytes
         codec: str,
         *,
-        size: int = MAX_SIZE,  # decompressed size, or more where the file does not tell
+        size: int = MAX_SIZE,  # decompressed size, or an upper limit if the file has none
         crc: int = 0,  # CRC-32 of the decompressed bytes, 0 for none; checked once all are there
     ) -> None:
         if codec not in _DECOMPRESSORS:
@@ -89,7 +89,7 @@ class LazyChunk:
     def read(self, count: int) -> bytes:
         stop = min(self._at + count, self.size)
         if stop > len(self._out):
-            # where most of it is wanted take all, which also checks the CRC
+            # if most of it is needed read all, which also checks the CRC
             self._fill(self.size if 2 * stop > self.size else stop)
         part = bytes(memoryview(self._out)[self._at : stop])
         self._at += len(part)
@@ -108,7 +108,7 @@ class LazyChunk:
 
 
 class ChunkCache:
-    """The chunks used last: a frame and its neighbours, not the recording."""
+    """The chunks used last: enough for a frame and its neighbours."""
 
     _MAX_CHUNKS = 8
     _MAX_MEMORY = 64 << 20
@@ -119,7 +119,7 @@ class ChunkCache:
 
     @contextmanager
     def at(self, number: int, offset: int) -> Iterator[FilePart | LazyChunk]:
-        """Chunk `number` at an offset; forgotten if reading it fails, for it may be damaged."""
+        """Chunk `number` at an offset; dropped from the cache if reading fails."""
         if number not in self._chunks:
             self._chunks[number] = self._load(number)
             self._evict()
@@ -149,7 +149,7 @@ def decompress(data: bytes) -> bytes:
 
 
 def check_unpacked(folder: Path) -> None:
-    """Refuse files compressed as a whole that would fill the disk they are unpacked to."""
+    """Refuse compressed files that would fill the disk when unpacked."""
     left = shutil.disk_usage(tempfile.gettempdir()).free // 2
     for file in folder.glob("*.zstd"):
         with zstd.open(file, "rb") as unpacked:
@@ -166,7 +166,7 @@ _MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin lik
 
 
 class Storage(Protocol):
-    """One file of a bag. Anything it raises means the file is damaged.
+    """One file of a bag; any exception means that the file is damaged.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class Storage(Protocol):
     def entries(self, channel: int) -> np.ndarray:
         """Log time in ns and position of the messages of a channel, in any order, (n, 3) int64.
 
-        A position is a chunk and an offset; what they mean is the storage's business.
+        A position is a chunk and an offset, as this storage defines them.
         """
 
     def read(self, chunk: int, offset: int, limit: int | None = None) -> tuple[bytes, int]:
@@ -187,7 +187,7 @@ class Storage(Protocol):
 
 
 def table_of(rows: Any) -> np.ndarray:
-    """Rows of three whole numbers, perhaps none, as an array (n, 3)."""
+    """Rows of three integers as an array (n, 3); n may be 0."""
     return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
 
@@ -196,7 +196,7 @@ class Ros1Storage:
 
     def __init__(
         self,
-        reader: Any,  # open; tells the index
+        reader: Any,  # open; has the index
     ) -> None:
         self.connections = reader.connections
         self._reader = reader
@@ -255,7 +255,7 @@ class SqliteStorage:
 
 
 def _check_whole(path: Path) -> None:
-    """SQLite itself notices a missing end only when it reads there."""
+    """Raise if the file is cut short, which SQLite notices only when it reads beyond the end."""
     with path.open("rb") as stream:
         header = stream.read(32)
     page_size, pages = struct.unpack_from(">H10xI", header, 16)
@@ -263,14 +263,14 @@ def _check_whole(path: Path) -> None:
         raise ValueError("the file is truncated")
 
 
-# Random access to an MCAP file through its chunk and message indexes, or what is left of them.
+# Random access to an MCAP file through its chunk and message indexes, even if incomplete.
 
 
 MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
 _SCHEMA_OP, _CHANNEL_OP, _MESSAGE_OP, _CHUNK_OP, _INDEX_OP = range(3, 8)
 _UNCHUNKED = -1  # in place of a chunk's number
-_MOST_MESSAGES = 10_000_000  # of a topic in a file without an index: four days at 30 Hz
+_MAX_MESSAGES = 10_000_000  # of a topic in a file without an index: four days at 30 Hz
 
 
 class _Connection(NamedTuple):
@@ -290,8 +290,8 @@ class _ChunkPlace(NamedTuple):
 class McapStorage:
     """Messages of one MCAP file by position.
 
-    A file without its end (its recorder was killed, the disk was full) or without message indexes
-    is walked record by record: that reads no chunk but those without an index or with new topics.
+    A truncated file (its recorder was killed, the disk was full) or one without message indexes is
+    scanned record by record, reading only the chunks without an index or with new topics.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -316,7 +316,7 @@ class McapStorage:
         ]
 
     def _take_summary(self, file: BinaryIO, counts: dict[int, int]) -> bool:
-        """Take chunks, topics and counts from the end of a file; whether they are all there."""
+        """Read chunks, topics and counts from the end of a file; returns whether all are there."""
         from mcap.reader import SeekingReader  # loaded with the first MCAP file
 
         file.seek(0)  # where the library looks for what an MCAP file begins with
@@ -389,7 +389,7 @@ class McapStorage:
         return self._bytes(offset + 15, count)
 
     def _walk(self, stop: int) -> None:
-        """Find chunks, topics and messages where the file does not list them at its end."""
+        """Scan for chunks, topics and messages if the file does not list them at its end."""
         walked, end, cut = len(MAGIC), len(MAGIC), self.is_cut
         for opcode, at, length in _records(self._file, walked, stop):
             walked = at + 9 + length
@@ -414,7 +414,7 @@ class McapStorage:
             except Exception:
                 if not cut or number < len(self._places) - 1:
                     raise
-                self._places.pop()  # a file can have room for a chunk before it has the chunk
+                self._places.pop()  # the file can be longer than the data written so far
                 end = start
         self.lost_bytes = self._file.size - end if cut else 0
 
@@ -427,7 +427,7 @@ class McapStorage:
                     self._note(data, number, opcode, at)
 
     def _note(self, data: FilePart | LazyChunk, number: int, opcode: int, at: int) -> None:
-        """Take note of what a record says of topics and messages."""
+        """Collect topics and messages from a record."""
         from mcap.data_stream import ReadDataStream  # only for files without an index
         from mcap.records import Channel, Schema
 
@@ -445,12 +445,12 @@ class McapStorage:
             _, _, to, _, log, _ = _MESSAGE.unpack(data.read(_MESSAGE.size))
             rows = self._found.setdefault(to, array("q"))
             rows.extend((min(log, 2**63 - 1), number, at))
-            if len(rows) > 3 * _MOST_MESSAGES:
-                raise ValueError(f"more than {_MOST_MESSAGES} messages on a topic")
+            if len(rows) > 3 * _MAX_MESSAGES:
+                raise ValueError(f"more than {_MAX_MESSAGES} messages on a topic")
 
 
 def _records(data: FilePart | LazyChunk, at: int, stop: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, offset and length of the records that are whole, up to the first that is not."""
+    """Opcode, offset and length of the records before the first incomplete one."""
     while True:
         data.seek(at)
         head = data.read(9)

@@ -22,24 +22,24 @@ from bubbleviz.recordings.depth_topics import (
     of_type,
 )
 
-# Poses of frames of reference that do not move, as `/tf_static` tells them.
+# Static poses between frames of reference, from `/tf_static`.
 
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC_TRANSFORMS = "/tf_static"
 
-_MOST_POSES = 10_000  # kept, the last ones
-_MOST_LINKS = 100  # between a frame of reference and its root; more are a loop
+_MAX_POSES = 10_000  # kept, the last ones
+_MAX_LINKS = 100  # between a frame of reference and its root; more are a loop
 
 
 def are_static_poses(topic: str, kind: str) -> bool:
-    """Whether messages of a topic and type tell them."""
+    """Whether a topic of this name and type has static poses."""
     return topic == STATIC_TRANSFORMS and kind == TRANSFORMS
 
 
 @dataclass(frozen=True)
 class StaticPoses:
-    """What is known so far."""
+    """Tree of the static poses received so far."""
 
     # of each frame of reference the one above it, and its pose (4, 4) in that
     parents: Mapping[str, tuple[str, np.ndarray]] = field(default_factory=dict)
@@ -50,11 +50,11 @@ class StaticPoses:
             for each in message.transforms
         }
         known = {name: pose for name, pose in self.parents.items() if name not in told}
-        latest = list({**known, **told}.items())[-_MOST_POSES:]
+        latest = list({**known, **told}.items())[-_MAX_POSES:]
         return StaticPoses(dict(latest))
 
     def pose(self, frame: str, base: str) -> np.ndarray | None:
-        """T_base_frame (4, 4); None where the two are not connected, or not named."""
+        """T_base_frame (4, 4); None if the two are not connected or have no name."""
         frame, base = _bare(frame), _bare(base)
         if not frame or not base:
             return None
@@ -65,9 +65,9 @@ class StaticPoses:
         return None
 
     def _chain(self, frame: str) -> dict[str, np.ndarray]:
-        """Pose of a frame in itself and in each of those above it."""
+        """Pose of a frame in itself and in each of its ancestors."""
         found = {frame: np.eye(4)}
-        for _ in range(_MOST_LINKS):
+        for _ in range(_MAX_LINKS):
             if frame not in self.parents:
                 break
             above, pose = self.parents[frame]
@@ -117,7 +117,7 @@ def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None
 
 
 def size_of(message: Any) -> tuple[int, int] | None:
-    """Width and height of a colour or grey image, pixels; None of anything else."""
+    """Width and height of a colour or grey image, pixels; None for other messages."""
     try:
         return EncodedImage.of(message).size
     except ValueError:
@@ -133,7 +133,7 @@ def belongs_to(colour: str, depth: str) -> bool:
 
 
 def is_called_colour(topic: str) -> bool:
-    """Whether the name of a topic says that its images are in colour."""
+    """Whether the name of a topic contains a word for colour."""
     return any(word in topic.lower() for word in _COLOUR_WORDS)
 
 
@@ -161,7 +161,7 @@ def is_own(info: str, colour: str, depth: str) -> bool:
 def colour_camera(
     intrinsics: Intrinsics | None, T_D_C: np.ndarray | None, *, own: bool
 ) -> ColourCamera:
-    """Camera of what is known of it; what is not is said, as intrinsics that are not its own."""
+    """Colour camera from camera info and poses, with a note on what is missing or assumed."""
     remarks = []
     if intrinsics is None:
         remarks.append("no camera info for this image size")
@@ -175,7 +175,7 @@ def colour_camera(
 
 
 def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
-    """T_D_C (4, 4) by what was recorded of it; None where that does not connect the two."""
+    """T_D_C (4, 4) from the recorded poses; None if they do not connect the two cameras."""
     if any(_REALSENSE_STREAM.fullmatch(topic.name) for topic in (colour, depth)):
         return _pose_by_extrinsics(bag, colour, depth)
     poses = StaticPoses()

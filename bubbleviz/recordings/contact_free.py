@@ -12,10 +12,10 @@ from bubbleviz.recordings.depth_statistics import LAG, MIN_FRAMES, robust_sigma
 from bubbleviz.recordings.frame import FrameSource
 from bubbleviz.wording import count_of
 
-SIGNIFICANT = 6.0  # standard deviations: noise does not get there in a recording's lifetime
+SIGNIFICANT = 6.0  # standard deviations, which noise practically never exceeds
 
 _TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
-_COVERED = 0.01  # share of the view that a contact must move to count
+_COVERED = 0.01  # share of the image that a contact must change to count
 _SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
 
 
@@ -24,20 +24,20 @@ class ContactFree:
     """The leading contact-free frames of a recording."""
 
     frames: range  # indices 0 … end − 1
-    # (F,), how many standard deviations the most changed 1 % of the view is from rest, per frame
+    # (F,), change from rest of the most changed 1 % of the image, standard deviations
     depth_score: np.ndarray
     # (F,), the same for the gas pressure; None where the recording has none
     pressure_score: np.ndarray | None
-    ended_by: str  # what saw the contact first; `recording`: none came
+    ended_by: str  # the measurement that first showed contact; `recording`: none did
 
 
 def find_contact_free(source: FrameSource, progress: Progress = quiet) -> ContactFree:
     """Leading frames in which neither the depth nor the gas pressure has left its rest state.
 
-    The recording must start without contact: a contact that is there from the first frame and
-    never changes cannot be told from the dome's own shape.
+    The recording must start without contact: a contact present from the first frame that never
+    changes cannot be distinguished from the dome's shape.
 
-    Raises InputError: fewer than 5 frames before something moves.
+    Raises InputError: fewer than 5 frames before the first change.
     """
     tiles, pressures = _summaries(source, progress)
     depth_score = _score(tiles)
@@ -76,7 +76,7 @@ def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.
 def tile_depths(depth: np.ndarray) -> np.ndarray:
     """Interquartile mean of the depth in each 8×8 tile, m; NaN where half of it has no return.
 
-    As safe from false returns as the median, and not tied to the camera's quantum.
+    As robust to false returns as the median, without its quantisation.
     """
     rows, columns = (side // _TILE_PX * _TILE_PX for side in depth.shape)
     blocks = depth[:rows, :columns].reshape(rows // _TILE_PX, _TILE_PX, -1, _TILE_PX)
@@ -98,12 +98,12 @@ def _score(values: np.ndarray) -> np.ndarray:
     differences = values[lag:] - values[:-lag]
     sigma = np.array([robust_sigma(column, center=0.0) for column in differences.T]) / np.sqrt(2.0)
     typical = float(np.median(sigma))
-    # Quantised columns may never change at all: they are no better than their like, and a
-    # simulated one that never does is no better than its digits.
+    # Quantised columns may never change at all: their spread is at least the typical one, and
+    # never below the numerical resolution.
     sigma = np.maximum(sigma, max(typical, np.finfo(float).eps * float(np.abs(values).max())))
     end = MIN_FRAMES
     score = np.zeros(len(values))
-    for _ in range(4):  # the rest state from more and more frames, as they prove to be at rest
+    for _ in range(4):  # the rest state from ever more frames, as they are found to be at rest
         rest = np.median(values[:end], axis=0)
         score = np.quantile(np.abs(values - rest) / sigma, 1.0 - _COVERED, axis=1)
         found = max(MIN_FRAMES, _first_change(score))
@@ -114,7 +114,7 @@ def _score(values: np.ndarray) -> np.ndarray:
 
 
 def _first_change(score: np.ndarray) -> int:
-    """First frame of a sustained departure from rest; the number of frames where there is none."""
+    """First frame of a sustained change from rest; the number of frames if there is none."""
     high = score > SIGNIFICANT
     runs = np.lib.stride_tricks.sliding_window_view(high, min(_SUSTAINED, len(high))).all(axis=1)
     starts = np.flatnonzero(runs)
@@ -123,6 +123,6 @@ def _first_change(score: np.ndarray) -> int:
     end = int(starts[0])
     before = max(0, end - 2 * LAG)
     usual = float(score[: max(before, 1)].max())
-    while end > before and score[end - 1] > usual:  # its beginning, before it was certain
+    while end > before and score[end - 1] > usual:  # back to the onset, before it was significant
         end -= 1
     return end

@@ -14,14 +14,14 @@ from bubbleviz.recordings.frame import Frame
 
 
 def temporal_correlation(
-    deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN where there is none
+    deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN for no return
     # (H, W), spread of the same deviations, m; pixels with 0 or NaN are left out
     sigma: np.ndarray,
 ) -> np.ndarray:
-    """Correlation of the pixels' noise at lags of 0, 1, … frames, up to where it is gone.
+    """Correlation of the pixels' noise at lags of 0, 1, … frames, up to its first zero.
 
-    Deviations from a mean over the same correlated frames are too small and too little
-    correlated: the variance of that mean is missing from every covariance, and is put back.
+    Corrected for bias: deviations from the mean of the same frames lack the variance of that mean
+    in every covariance.
     """
     frames = len(deviations)
     noise = _standardised(deviations, sigma)[:, ~np.isnan(deviations).any(axis=0) & (sigma > 0)]
@@ -30,16 +30,16 @@ def temporal_correlation(
     lags = range(max(1, frames // 2))
     measured = np.array([np.mean(noise[: frames - k] * noise[k:]) for k in lags])
     measured /= measured[0]
-    # Cut before correcting: the corrected tail hovers about zero and would sum to anything.
+    # Cut before correcting: the corrected tail fluctuates about zero and has an arbitrary sum.
     measured = measured[: _first_not_positive(measured)]
     missing = mean_inflation(measured) / frames
     return (measured + missing) / (1.0 + missing)
 
 
 def mean_inflation(rho: np.ndarray) -> float:
-    """Variance of a mean over that of the same mean of white noise: 1 + 2 Σ ρ ≥ 1.
+    """Variance of a mean relative to that for white noise: 1 + 2 Σ ρ ≥ 1.
 
-    Summed up to the first lag that is not positive, beyond which an estimate is only noise.
+    Summed up to the first lag that is not positive, beyond which estimates are only noise.
     """
     return 1.0 + 2.0 * float(np.sum(rho[1 : _first_not_positive(rho)]))
 
@@ -56,9 +56,9 @@ def error_of_mean(series: np.ndarray) -> float:
 
 
 def spatial_correlation(
-    deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN where there is none
+    deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN for no return
     sigma: np.ndarray,  # (H, W), spread of the same deviations, m
-    stride: int = 1,  # every how many-th frame to use (neighbours in time say the same)
+    stride: int = 1,  # use every n-th frame (neighbours in time are redundant)
     reach: int = 32,  # largest distance, pixels; less where the image is small
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns."""
@@ -85,7 +85,7 @@ def _lagged_products(image: np.ndarray, axis: int, reach: int) -> np.ndarray:
 
 
 def correlated_samples(rho: np.ndarray) -> float:
-    """Samples of a plane worth one independent: the spatial correlation (M,) summed over it."""
+    """Correlated samples per independent one: spatial correlation (M,) summed over the plane."""
     distance = np.arange(1, _first_not_positive(rho))
     return 1.0 + float(np.sum(2.0 * np.pi * distance * rho[distance]))
 
@@ -112,7 +112,7 @@ TUKEY_TUNING = 4.685  # tuning of Tukey's biweight at which it is 95 % efficient
 
 def robust_sigma(
     residuals: np.ndarray,  # any shape; NaN is left out
-    center: float | None = None,  # what deviations are taken from; the median where it is not given
+    center: float | None = None,  # reference of the deviations; default: the median
 ) -> float:
     """Standard deviation estimated from the median absolute deviation, in the input's unit."""
     values = residuals[np.isfinite(residuals)]
@@ -129,13 +129,13 @@ def tukey_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def tukey_slopes(residuals: np.ndarray, sigma: float) -> np.ndarray:
-    """Derivative of residual × weight of Tukey's biweight: what a sample's shift moves it by."""
+    """Derivative of residual × weight of Tukey's biweight with respect to the residual."""
     square = (residuals / max(TUKEY_TUNING * sigma, np.finfo(float).tiny)) ** 2
     return np.where(square < 1.0, (1.0 - square) * (1.0 - 5.0 * square), 0.0)
 
 
 def tukey_loss(squares: np.ndarray) -> np.ndarray:
-    """Tukey's loss of (residual/σ)² (k,) with two derivatives, (3, k), as scipy's fits ask it."""
+    """Tukey's loss of (residual/σ)² (k,) with two derivatives, (3, k), in scipy's form."""
     left = 1.0 - np.minimum(squares / TUKEY_TUNING**2, 1.0)
     return np.stack(
         [TUKEY_TUNING**2 / 3.0 * (1.0 - left**3), left**2, -2.0 / TUKEY_TUNING**2 * left]
@@ -143,7 +143,7 @@ def tukey_loss(squares: np.ndarray) -> np.ndarray:
 
 
 def upper_fence(values: np.ndarray, deviations: float) -> float:
-    """Value that so many robust standard deviations above the median of log(values) give.
+    """Value a number of robust standard deviations above the median of log(values).
 
     For positive, skewed quantities such as a standard deviation over the pixels of an image.
     """
@@ -153,10 +153,10 @@ def upper_fence(values: np.ndarray, deviations: float) -> float:
     return float(np.exp(np.median(logs) + deviations * robust_sigma(logs)))
 
 
-LAG = 5  # frames: apart enough for the camera's temporal filter to have forgotten
+LAG = 5  # frames; longer than the memory of the camera's temporal filter
 MIN_FRAMES = 5  # frames below which neither a median nor a spread per pixel means anything
 
-_CLIP_SIGMA = 3.0  # samples further from the median than this are not noise of the same kind
+_CLIP_SIGMA = 3.0  # samples further from the median are outliers
 
 
 @dataclass(frozen=True)
@@ -179,14 +179,14 @@ class DepthStatistics:
 
     @property
     def effective_frames(self) -> float:
-        """Independent frames that would give the mean as small a variance."""
+        """Number of independent frames with the same variance of the mean."""
         return self.frames / mean_inflation(self.temporal_correlation)
 
     @property
     def regular_validity(self) -> float:
-        """Share of frames with a return below which a pixel is worse than its like.
+        """Share of frames with a return below which a pixel is irregular.
 
-        Nine tenths of what is usual, less what chance takes from so few frames.
+        Nine tenths of the usual share, less the sampling error for this number of frames.
         """
         returning = self.validity[self.validity > 0.5]
         usual = float(np.median(returning)) if returning.size else 1.0
@@ -197,8 +197,8 @@ class DepthStatistics:
     def correlation_length_px(self) -> float:
         """Distance at which the spatial correlation has fallen to 1/e, in pixels.
 
-        The reach of the camera's matching window and filters: what is closer to an edge than
-        this mixes both sides of it.
+        The range of the camera's matching window and filters: pixels closer to an edge than this
+        mix both sides of it.
         """
         rho = self.spatial_correlation
         below = np.flatnonzero(rho < np.exp(-1.0))
@@ -209,7 +209,7 @@ class DepthStatistics:
 
     @property
     def correlated_pixels(self) -> float:
-        """Pixels that share one independent sample: the correlation summed over the plane."""
+        """Pixels per independent sample: the correlation summed over the plane."""
         return correlated_samples(self.spatial_correlation)
 
 
@@ -252,7 +252,8 @@ def measure_depth(
     quantum = _quantum(depth)
     mean, sigma, deviations = _clipped_moments(depth, quantum)
     temporal = temporal_correlation(deviations, sigma)
-    share = 1.0 - mean_inflation(temporal) / len(depth)  # spread lost to the mean it is taken from
+    # of the variance, as the mean of the same samples is removed
+    share = 1.0 - mean_inflation(temporal) / len(depth)
     noise = np.sqrt(sigma**2 / max(share, 1.0 / len(depth)) + quantum**2 / 12.0)
     spatial = spatial_correlation(deviations, sigma, stride=max(1, len(depth) // 20))
     return DepthStatistics(
@@ -281,9 +282,9 @@ def _quantum(depth: np.ndarray) -> float:
 def _clipped_moments(
     depth: np.ndarray, quantum: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and spread of the samples near each pixel's median, and the deviations kept.
+    """Mean and spread of the samples near each pixel's median, and their deviations.
 
-    The median alone would keep the quantisation's error; the mean alone, the outliers.
+    The median alone would have a quantisation error; the mean alone would include outliers.
     """
     counts = np.isfinite(depth).sum(axis=0)
     median = _median(depth, counts)

@@ -26,7 +26,7 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 
 RESULTS = "/bubbleviz/"
-"""What the topics of our own results begin with: no measurement, though of the same types."""
+"""Prefix of the topics of bubbleviz's results, which are not measurements."""
 MARKERS = f"{RESULTS}markers"  # topic of markers and notes, `STRING`, logged when they were made
 STRING = "std_msgs/msg/String"
 
@@ -36,7 +36,7 @@ _REALSENSE_DEPTH = re.compile(r"(/device_\d+/sensor_\d+)/Depth_\d+/image/data")
 
 
 def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
-    """Unit of the depth images that the RealSense library recorded; None for those of others."""
+    """Unit of depth images recorded by the RealSense library; None for others."""
     found = _REALSENSE_DEPTH.fullmatch(depth.name)
     if found is None:
         return None
@@ -44,14 +44,14 @@ def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
     for topic in bag.topics:
         if topic.name.replace(" ", "_") == name and topic.count:  # older libraries wrote a space
             return float(bag.messages(topic).message(0).data)
-    return 1e-3  # what every model but the D405 begins with
+    return 1e-3  # default of every model but the D405
 
 
 def find_depth(bag: Bag, name: str | None = None) -> Topic:
     """Topic of the depth images: `name`, or the first image topic with a depth encoding.
 
-    A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Where none has
-    depth, compressed depth images are, and point clouds after them.
+    A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Next come
+    compressed depth images, then point clouds.
     """
     candidates = of_type(bag, IMAGE, name)
     candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
@@ -90,7 +90,7 @@ def _first(bag: Bag, topic: Topic) -> Any:
 
 
 def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
-    """Topics of a message type that have messages, all or the one of that name."""
+    """Topics of a message type that have messages: all, or the named one."""
     return [
         topic
         for topic in bag.topics
@@ -101,9 +101,9 @@ def of_type(bag: Bag, kind: str, name: str | None = None) -> list[Topic]:
 
 
 def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") -> Topic | None:
-    """Topic of a message type, that nearest to `near` by name.
+    """Topic of a message type: `name`, or the one most similar to `near` in name.
 
-    None where there is none, InputError where `name` is not one.
+    None if there is none; InputError if `name` is not such a topic.
     """
     topics = of_type(bag, kind, name)
     topics.sort(key=lambda topic: common_prefix(topic.name, near), reverse=True)
@@ -115,9 +115,9 @@ def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") 
 def find_intrinsics(
     bag: Bag, images: Topic, size: tuple[int, int] | None, name: str | None = None
 ) -> tuple[str, Intrinsics | None]:
-    """Topic and intrinsics of the CameraInfo beside images that has their size (width, height).
+    """Topic and intrinsics of the CameraInfo that belongs to images of a size (width, height).
 
-    An empty topic where the recording has no CameraInfo for this camera.
+    An empty topic if the recording has no CameraInfo for this camera.
     """
     if name is not None:
         first_of_type(bag, CAMERA_INFO, name)
@@ -130,9 +130,9 @@ def find_intrinsics(
 
 
 def nearest_info(infos: Mapping[str, Any], images: str, size: tuple[int, int] | None) -> str:
-    """Topic, of camera infos or intrinsics by topic, that is nearest to one of images by name.
+    """Topic of the camera infos or intrinsics that is most similar to the images' in name.
 
-    Empty where none is of the size of the images.
+    Empty if none has the size of the images.
     """
     fitting = [topic for topic, info in infos.items() if (info.width, info.height) == size]
     return max(fitting, key=lambda topic: common_prefix(topic, images), default="")

@@ -14,7 +14,7 @@ from bubbleviz.errors import InputError
 
 NO_COLOUR = "no colour images in this source"
 SAME_CLOCK_NS = 5_000_000_000
-"""Stamps further than this from the arrival are of another clock: age is counted from arrival."""
+"""Stamps further than this from the arrival are from another clock: age counts from arrival."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,16 +40,16 @@ class Frame:
     arrival_ns : int
         When a live frame arrived here, ns since 1970; 0 for a recording's.
     find_colour : callable or None
-        Finds the colour image whose stamp is nearest to this frame's plus a time in s; nothing is
-        read before it is asked for.
+        Finds the colour image whose stamp is nearest to this frame's plus a time in s, and reads it
+        only then.
     colour_delay_s : float
         Stamp of a colour image minus that of the depth image of the same moment, s: negative where
         colour leads depth. Live streams and `Pipeline` set the sensor's; else 0.
     no_colour : str
         Why there is no `find_colour`, in a few words.
     gas_sigma_pa : float
-        Standard deviation of the zero of the gas pressure, Pa: the weather's where that of the
-        sensor file's day is not known to hold, see `PressureZero`.
+        Standard deviation of the zero of the gas pressure, Pa: the weather's if the zero was not
+        measured in this recording, see `PressureZero`.
     """
 
     index: int
@@ -72,9 +72,9 @@ class Frame:
 
     @property
     def taken_ns(self) -> int | None:
-        """When a live image was taken, ns since 1970 by this computer's clock; None for others.
+        """Time a live image was taken, ns since 1970 on the local clock; None for others.
 
-        By its stamp or, where that is of another clock, by its arrival.
+        Its stamp or, if that is from another clock, its arrival.
         """
         if not self.arrival_ns:
             return None
@@ -93,12 +93,12 @@ class Frame:
 
 
 class FrameSource(Protocol):
-    """Frames by index: a recording, or a simulation that makes them when asked.
+    """Frames by index: a recording, or a simulation that renders them on demand.
 
     Attributes
     ----------
     name : str
-        What the window's title shows.
+        Name in the window title.
     """
 
     name: str
@@ -128,7 +128,7 @@ FROZEN_AFTER = 30  # equal images in a row, a second of most cameras; chosen
 class EqualImages:
     """Counts depth images in a row that are equal to the last bit.
 
-    The noise of a camera that works never repeats; one that hangs sends its last image on and on.
+    The noise of a working camera never repeats; a hung camera repeats its last image.
     """
 
     def __init__(self) -> None:
@@ -139,7 +139,7 @@ class EqualImages:
     def take(self, depth_m: np.ndarray) -> None:
         """Compare an image (H, W) with the previous one; images without returns are ignored."""
         last, self._last = self._last, depth_m
-        some = depth_m[::16, ::16]  # tells nearly all that differ
+        some = depth_m[::16, ::16]  # differs in nearly all cases
         same = last is not None and np.array_equal(last[::16, ::16], some, equal_nan=True)
         same = same and np.array_equal(last, depth_m, equal_nan=True)  # type: ignore[arg-type]
         self._row = self._row + 1 if same and np.isfinite(depth_m).any() else 1
@@ -156,24 +156,24 @@ class EqualImages:
         )
 
 
-# A source that is gone over several times, read once.
+# A source that is iterated several times but read once.
 
 
-KEPT_BYTES = 512 << 20
-"""Depth images kept: 436 of 640×480 pixels."""
+CACHE_BYTES = 512 << 20
+"""Memory for cached depth images: 436 of 640×480 pixels."""
 
 
-class KeptFrames:
-    """Keeps the frames of a source as they are read, until memory is used up.
+class CachedFrames:
+    """Caches the frames of a source as they are read, up to a memory limit.
 
-    The first frames are kept, as several steps of a calibration look at those without contact;
-    frames beyond are read again.
+    The first frames are cached, since several calibration steps use the contact-free ones; later
+    frames are read again.
     """
 
     def __init__(
         self,
         source: FrameSource,  # not closed with this
-        limit_bytes: int = KEPT_BYTES,  # of depth images
+        limit_bytes: int = CACHE_BYTES,  # of depth images
     ) -> None:
         self._source, self._limit, self._left = source, limit_bytes, limit_bytes
         self._frames: dict[int, Frame] = {}
@@ -204,10 +204,7 @@ class KeptFrames:
 
 
 class HeldFrames:
-    """A source of frames that are in memory.
-
-    Raises InputError: there are none.
-    """
+    """A source of frames in memory; InputError if there are none."""
 
     def __init__(self, frames: Sequence[Frame], name: str = "") -> None:
         if not frames:
@@ -226,10 +223,10 @@ class HeldFrames:
         return self._frames[index]
 
     def close(self) -> None:
-        """Frames in memory need no closing."""
+        """Do nothing."""
 
 
-# Where frames are missing in a recording, and where the others lie along its time.
+# Gaps in a recording, and the positions of its frames on a time axis.
 
 
 @dataclass(frozen=True)
@@ -244,8 +241,8 @@ def find_gaps(
 ) -> tuple[Gap, ...]:
     """Gaps between consecutive frames.
 
-    A step of about n + 1 periods misses n frames. A late frame is not a missing one: the steps
-    beside it are short by as much, so two on either side count, less their whole periods.
+    A step of about n + 1 periods misses n frames. A late frame is not missing: the neighbouring
+    steps are shorter by its delay, so two on either side count, less their whole periods.
     """
     steps = np.diff(times_s)
     median = usual_step(steps)
@@ -269,7 +266,7 @@ def usual_step(steps: np.ndarray) -> float | None:
 class TimeAxis:
     """Places of frames from 0 to 1, linear in their times.
 
-    Where time does not go on, as in a replay that began again, a frame follows after a usual step.
+    Where time does not increase, as in a restarted replay, a frame follows after a usual step.
     """
 
     def __init__(

@@ -20,19 +20,19 @@ from bubbleviz.files import as_input_error, checked, read_npy, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame, usual_step
-from bubbleviz.recordings.message_decoding import LATEST_NS, metres, project_points
+from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, metres, project_points
 from bubbleviz.recordings.recorded_colour import ColourAround
 from bubbleviz.recordings.time_series import Moment, Series, values_at
 from bubbleviz.wording import count_of
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 INTRINSICS = ("intrinsics.toml", "intrinsics.json")
-"""Where those of the images in a folder are looked for in it."""
-NEAREST_M, FARTHEST_M = 1e-3, 10.0
-"""Median depth that a camera inside a bubble can have, with ample room: else the unit is wrong."""
-LEAST_PA, MOST_PA = 20e3, 1e6
-"""Absolute gas pressure that a bubble can have: else it is of another unit, or a gauge pressure."""
-FOLDERS = ("color", "colour", "rgb")  # what a folder of colour images beside depth images is called
+"""Files in the folder that may have its intrinsics."""
+MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 10.0
+"""Range of the median depth of a camera inside a bubble, with ample margin: else wrong unit."""
+MIN_GAS_PA, MAX_GAS_PA = 20e3, 1e6
+"""Range of the absolute gas pressure of a bubble: else another unit, or a gauge pressure."""
+FOLDERS = ("color", "colour", "rgb")  # names of a subfolder of colour images
 _COLOUR_ENCODINGS = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _MILLIMETRE = 1e-3
 _NANOSECONDS = 1e17  # stamps beyond it are in ns since 1970, below it in s
@@ -41,10 +41,10 @@ _NANOSECONDS = 1e17  # stamps beyond it are in ns since 1970, below it in s
 class ImageFolder:
     """Frames of the images in a folder, in the order of the numbers in their names.
 
-    Those of a folder `color` (`colour`, `rgb`) in it, JPEG or PNG, are the colour images of the
-    depth images with the same last number; `intrinsics.toml` or `.json` there is of their camera.
+    A subfolder `color` (`colour`, `rgb`) has the colour images, JPEG or PNG, of the depth images
+    with the same last number, and `intrinsics.toml` or `.json` of their camera.
 
-    Raises InputError: no images, or images and times do not fit together.
+    Raises InputError: no images, or images and times do not match.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class ImageFolder:
         folder: str | Path,
         *,
         intrinsics: Intrinsics | None = None,  # None: the sensor file's will count
-        times_s: np.ndarray | None = None,  # (F,), on the clock of what else was measured
+        times_s: np.ndarray | None = None,  # (F,), on the clock of the other measurements
         # in place of times. Without either the names are stamps, in s or ns.
         rate_hz: float | None = None,
         # of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given
@@ -80,7 +80,7 @@ class ImageFolder:
         if len(stamps) != len(self._files):
             images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
             raise InputError(f"{folder}: {images} but {times}")
-        if not (np.abs(stamps) < 1e-9 * LATEST_NS).all():
+        if not (np.abs(stamps) < 1e-9 * MAX_STAMP_NS).all():
             raise InputError(
                 f"{folder}: a time is implausible; give seconds since 1970 or since the start"
             )
@@ -120,7 +120,7 @@ class ImageFolder:
         )
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing."""
 
     def _stamp_ns(self, index: int) -> int:
         return round(float(self._clock_s[index]) * 1e9)
@@ -163,7 +163,7 @@ class ImageFolder:
                 f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}"
             )
         usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
-        with np.errstate(over="ignore", invalid="ignore"):  # beyond a depth camera's: no return
+        with np.errstate(over="ignore", invalid="ignore"):  # out of range: no return
             depth = (pixels * (self._scale or usual)).astype(np.float32)
         if (depth < 0).sum() > (depth > 0).sum():
             raise InputError(f"{path}: most depths are negative; turn their sign, z points forward")
@@ -196,8 +196,8 @@ class ImageFolder:
             )
         depth = self._depth(self._files[0])
         returns = depth[np.isfinite(depth)]
-        middle = float(np.median(returns)) if returns.size else NEAREST_M
-        if not NEAREST_M <= middle <= FARTHEST_M:
+        middle = float(np.median(returns)) if returns.size else MIN_DEPTH_M
+        if not MIN_DEPTH_M <= middle <= MAX_DEPTH_M:
             raise InputError(
                 f"{self._files[0]}: a median depth of {middle:.4g} m is implausible for a bubble; "
                 "give the metres per unit of its values"
@@ -220,7 +220,7 @@ class ImageFolder:
 
 
 def is_image_folder(path: str | Path) -> bool:
-    """Whether a path is a folder with images in it, which can be listed."""
+    """Whether a path is a readable folder with images."""
     path = Path(path)
     try:
         return path.is_dir() and any(each.suffix.lower() in SUFFIXES for each in path.iterdir())
@@ -255,7 +255,7 @@ def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
     """
     table = _columns(path, 2)
     usual = float(np.median(table[:, 1]))
-    if not LEAST_PA <= usual <= MOST_PA:
+    if not MIN_GAS_PA <= usual <= MAX_GAS_PA:
         raise InputError(
             f"{path}: {usual:.5g} Pa is not a plausible absolute gas pressure; convert it to "
             "absolute Pa"
@@ -280,7 +280,7 @@ class _Camera(BaseModel):
 
 
 def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
-    if not (np.abs(table[:, 0]) < 1e-9 * LATEST_NS).all() or np.any(np.diff(table[:, 0]) <= 0.0):
+    if not (np.abs(table[:, 0]) < 1e-9 * MAX_STAMP_NS).all() or np.any(np.diff(table[:, 0]) <= 0.0):
         raise InputError(f"{path}: the times do not increase, or are not in seconds")
     return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
 
@@ -324,7 +324,7 @@ def _read(path: Path) -> np.ndarray:
             return read_npy(file, path.stat().st_size)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of tags that Pillow skips
-            # by content and not by name: other formats run other programs, as EPS does
+            # by content, not by name: some formats run other programs, such as EPS
             with Image.open(file, formats=("PNG", "TIFF")) as image:
                 if max(image.size) > MAX_SIDE:
                     raise ValueError(

@@ -14,7 +14,7 @@ from bubbleviz.files import cannot_write, refuse_existing, sync
 from bubbleviz.recordings.message_encoding import Message, ros2_types
 
 CHUNK_BYTES = 4 << 20
-"""Messages of a chunk before compression: it is closed early, by `sync`, where the data is slow."""
+"""Size of a chunk before compression; `sync` closes it earlier if data is slow."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,8 @@ class Kept:
 class McapFile:
     """A rosbag2 recording in the making: `X.mcap`, or a folder with one in it and its metadata.
 
-    Unlike other outputs it is there under its own name from the first message on: what is written
-    is never lost, and an unfinished file is one that `Recording` and `mcap recover` open up to its
-    last whole chunk.
+    Unlike other outputs it has its final name from the first message on: nothing written is lost,
+    and `Recording` and `mcap recover` open an unfinished file up to its last complete chunk.
 
     Raises InputError: the path exists or cannot be written.
     """
@@ -39,7 +38,7 @@ class McapFile:
         path: str | Path,  # `X.mcap` for one bare file, any other name for a rosbag2 folder
         *,
         name: str = "",  # of the file in a folder, without its suffix; the folder's when empty
-        # messages of a chunk before compression: all of it is read for any of them
+        # size before compression; reading one message reads its whole chunk
         chunk_bytes: int = CHUNK_BYTES,
         # LZ4 takes a quarter of the time; a file of depth images is some 1.7 times as large
         compression: Literal["zstd", "lz4"] = "zstd",
@@ -59,8 +58,8 @@ class McapFile:
         except OSError as error:
             raise cannot_write(self.path, error) from error
         self.count = 0  # messages written
-        self.synced_bytes = 0  # size up to which the file survives whatever happens
-        self.kept = Kept()  # what a full disk leaves of it
+        self.synced_bytes = 0  # size that is safely on disk
+        self.kept = Kept()  # what remains of it if the disk fills up
         self._first_ns = self._last_ns = 0
         self._channels: dict[tuple[str, str], int] = {}
         self._counts: dict[tuple[str, str], int] = {}
@@ -132,7 +131,7 @@ class McapFile:
         descriptor = self._stream.fileno()
         os.ftruncate(descriptor, self.kept.size_bytes)
         self.synced_bytes = self.kept.size_bytes
-        with Path(os.devnull).open("wb") as nowhere:  # for what is buffered: closing writes it
+        with Path(os.devnull).open("wb") as nowhere:  # closing writes the buffer, here to nowhere
             os.dup2(nowhere.fileno(), descriptor)
         self._stream.close()
 

@@ -16,7 +16,7 @@ DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
 }
 """Encodings of a depth image: `16UC1` in mm, `32FC1` in m."""
 COMPRESSED = "compressedDepth"
-"""What the format of a `sensor_msgs/CompressedImage` of depth says, and its topic ends with."""
+"""Format of a `sensor_msgs/CompressedImage` of depth, and last part of its topic."""
 REALSENSE_ENCODING = "mono16"
 """Of the depth images that the RealSense library records, in units of the device."""
 
@@ -33,9 +33,9 @@ _MODELS: dict[str, DistortionModel] = {
 }
 
 
-LATEST_NS = 2**31 * 1_000_000_000 - 1  # the latest time that a message's stamp can hold
-FARTHEST_M = 1e4
-"""No depth camera sees further, not even in millimetres that were taken for metres."""
+MAX_STAMP_NS = 2**31 * 1_000_000_000 - 1  # the latest time that a message's stamp can hold
+MAX_DEPTH_M = 1e4
+"""Beyond any depth camera, even with millimetres mistaken for metres."""
 
 
 def decode_depth(
@@ -44,9 +44,9 @@ def decode_depth(
 ) -> np.ndarray:
     """z-depth of an image message, shape (H, W), float32, m; NaN where no return.
 
-    0, NaN, inf, negative values and more than `FARTHEST_M` all mean no return.
+    0, NaN, inf, negative values and more than `MAX_DEPTH_M` all mean no return.
 
-    Raises ValueError: encoding, size and data of the image do not fit together; says how.
+    Raises ValueError: encoding, size and data of the image do not match.
     """
     if hasattr(message, "format"):
         return _decode_compressed(message)
@@ -76,8 +76,8 @@ def encoding_of(message: Any) -> str:
 def _decode_compressed(message: Any) -> np.ndarray:
     """As `decode_depth`: 12 bytes of configuration, then a PNG of 16 bits.
 
-    Its numbers q are mm for `16UC1`; of `32FC1` they are the inverse, q = A/z + B with A and B of
-    the configuration, so that near depths are finer.
+    Its pixels q are mm for `16UC1`; for `32FC1`, q = A/z + B with A and B of the configuration,
+    which resolves near depths better.
     """
     from PIL import Image, UnidentifiedImageError  # few recordings have such images
 
@@ -105,19 +105,19 @@ def metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
     """Depth in m, float32, NaN for what is no distance."""
     with np.errstate(invalid="ignore"):  # signalling NaNs
         depth = raw * np.float32(unit_m)
-    depth[~((depth > 0) & (depth < FARTHEST_M))] = np.nan
+    depth[~((depth > 0) & (depth < MAX_DEPTH_M))] = np.nan
     return depth
 
 
 def has_returns(depth_m: np.ndarray) -> bool:
-    """Whether any pixel of a depth image (H, W) saw anything: a covered camera sees none."""
+    """Whether any pixel of a depth image (H, W) has a return: a covered camera has none."""
     return bool(np.isfinite(depth_m).any())
 
 
 def decode_intrinsics(message: Any) -> Intrinsics | None:
     """Intrinsics of a `sensor_msgs/CameraInfo`; None where it says the camera is uncalibrated.
 
-    Raises ValueError: a distortion model that is not known, or numbers that are no camera's.
+    Raises ValueError: unknown distortion model, or impossible numbers.
     """
     matrix = np.asarray(message.K if hasattr(message, "K") else message.k, dtype=np.float64)
     coefficients = np.asarray(message.D if hasattr(message, "D") else message.d, dtype=np.float64)
@@ -131,9 +131,9 @@ def decode_intrinsics(message: Any) -> Intrinsics | None:
 
 
 def distortion_of(name: str, coefficients: np.ndarray) -> tuple[DistortionModel, tuple[float, ...]]:
-    """Distortion model by a name that ROS or the RealSense library gives it, and coefficients.
+    """Distortion model by its name in ROS or the RealSense library, and coefficients.
 
-    Raises ValueError: it is not known, or a coefficient is not finite.
+    Raises ValueError: unknown model, or a coefficient is not finite.
     """
     if not np.isfinite(coefficients).all():
         raise ValueError("distortion coefficients are not finite")
@@ -175,7 +175,7 @@ def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
     else:
         order = "<" if payload[1] & 1 else ">"  # CDR encapsulation
         sec, nanosec = struct.unpack_from(f"{order}iI", payload, 4)
-    return min(max(int(sec) * 1_000_000_000 + int(nanosec), 0), LATEST_NS)
+    return min(max(int(sec) * 1_000_000_000 + int(nanosec), 0), MAX_STAMP_NS)
 
 
 # Point clouds to depth images.
@@ -187,11 +187,10 @@ _FLOATS = {7: "f4", 8: "f8"}  # numpy type by the datatype of a PointField
 def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
     """z-depth of a `sensor_msgs/PointCloud2` in the camera's optical frame, (H, W) float32, m.
 
-    An organised cloud is an image already. Points without order are put where the camera sees
-    them, the nearest one where several meet.
+    An organised cloud is an image already. Points of an unorganised cloud are projected, the
+    nearest one in each pixel.
 
-    Raises ValueError: fields, size and data do not fit together, or a cloud without order has no
-    camera.
+    Raises ValueError: fields, size and data do not match, or an unorganised cloud has no camera.
     """
     points = _points(message)
     if int(message.height) > 1:
@@ -233,7 +232,7 @@ def _points(message: Any) -> np.ndarray:
 
 
 def project_points(points: np.ndarray, camera: Intrinsics) -> np.ndarray:
-    """Depth image (H, W) float32 of points (n, 3): the nearest one where several meet, else NaN."""
+    """Depth image (H, W) float32 of points (n, 3): the nearest one in each pixel, else NaN."""
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
     seen = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 0)]
     column, row = np.rint(camera.project(seen)).T

@@ -1,4 +1,4 @@
-"""Frames to the ROS 2 messages that carry them, serialised as CDR."""
+"""Frames to ROS 2 messages, serialised as CDR."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bubbleviz.recordings.bag import typestore
 from bubbleviz.recordings.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.recordings.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame
-from bubbleviz.recordings.message_decoding import LATEST_NS, header_stamp_ns
+from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, header_stamp_ns
 
 Encoding = Literal["32FC1", "16UC1"]
 
@@ -24,13 +24,13 @@ NAMES = {
     PRESSURE: "pressure",
     WRENCH: "wrench",
 }
-"""Topic of each kind of message, behind the prefix."""
+"""Topic of each message type, after the prefix."""
 COLOUR_NAMES = {
     IMAGE: "color/image_raw",
     COMPRESSED_IMAGE: "color/image_raw/compressed",
     CAMERA_INFO: "color/camera_info",
 }
-"""The same of what the colour camera sees."""
+"""The same for the colour camera."""
 
 
 class Message(NamedTuple):
@@ -39,20 +39,20 @@ class Message(NamedTuple):
     type: str
     payload: bytes  # CDR with its encapsulation header; of a live source it may be garbage
     stamp_ns: int = 0  # header stamp, ns; 0 where it is unset or cannot be read
-    arrival_ns: int = 0  # when it arrived here, ns since 1970; 0 for one that did not
+    arrival_ns: int = 0  # arrival of a live message, ns since 1970; else 0
     sequence: int | None = None  # the publisher's own count, where the transport has one
-    # how often the source began again from its start: a replayed recording's stamps go back
+    # how often the source restarted: the stamps of a looped replay go back
     round: int = 0
 
     def later(self, later_ns: int) -> Message:
         """The same message, stamped later.
 
-        Its bytes too, where they begin with the stamp; a static transform's stays as it is.
+        Also in its bytes, if they begin with the stamp; static transforms do not change.
         """
         old, stamp_ns = self.payload, self.stamp_ns + later_ns
         if header_stamp_ns(old, ros1=False) != self.stamp_ns:
             return self._replace(stamp_ns=stamp_ns)
-        stamp = struct.pack("<iI", *divmod(min(stamp_ns, LATEST_NS), 1_000_000_000))
+        stamp = struct.pack("<iI", *divmod(min(stamp_ns, MAX_STAMP_NS), 1_000_000_000))
         payload = b"".join((old[:4], stamp, memoryview(old)[12:]))
         return self._replace(payload=payload, stamp_ns=stamp_ns)
 
@@ -95,7 +95,7 @@ def serialise(message: Any, kind: str) -> bytes:
 class FrameMessages:
     """Makes the messages of frames: depth and, where there are, camera info and other measurements.
 
-    Of the colour image the bytes are those that were recorded.
+    The colour image keeps its recorded bytes.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class FrameMessages:
     def of(self, frame: Frame, stamp_ns: int | None = None) -> Iterator[Message]:
         """Messages of a frame, stamped `stamp_ns`, its own stamp, or its `time_s` where that is 0.
 
-        The depth image comes last: what belongs to it is there when it arrives.
+        The depth image comes last: the data that belong to it have arrived before it.
         """
         stamp = stamp_ns or frame.stamp_ns or max(round(frame.time_s * 1e9), 1)  # 0: unset
         header = make_header(stamp, self._frame_id)
@@ -135,7 +135,7 @@ class FrameMessages:
     def of_colour(self, colour: ColourImage, stamp: int) -> Iterator[Message]:
         """Image, its own camera info, and the colour camera's pose where it is not the depth's.
 
-        Where that is not known, the image is in a frame of reference that nothing places.
+        If that is not known, the image has a frame of reference of unknown pose.
         """
         camera, frame_id = colour.camera, self._frame_id
         if not (camera.placed and np.array_equal(camera.T_D_C, np.eye(4))):

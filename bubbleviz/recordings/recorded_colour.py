@@ -23,10 +23,10 @@ class ColourAround:
     images: Series[ColourImage]
     moment: Moment
     time_s: float  # of the frame
-    within_ns: int  # an image further off is none of that moment
+    within_ns: int  # an image further off does not belong to that moment
 
     def __call__(self, after_s: float) -> ColourImage | None:
-        """Of the images there were when this was made."""
+        """Nearest image among those present when this object was made."""
         found = self.images.nearest(self.moment.later(round(1e9 * after_s)), self.within_ns)
         if found is None:
             return None

@@ -57,9 +57,9 @@ SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that m
 class Recording:
     """Frames of a rosbag2 (folder, `.mcap`, `.db3`), a ROS 1 `.bag` or one of a RealSense.
 
-    Frames are ordered by the header stamps of the depth images. When any of them is unset, the log
-    times take their place for all frames. Where they begin again, as a looped replay's do, one lap
-    follows the other. Any thread may read; one reads at a time.
+    Frames are ordered by the header stamps of the depth images, or by the log times if any stamp is
+    unset. Where stamps restart, as in a looped replay, one lap follows the other. Thread-safe; one
+    thread reads at a time.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Recording:
     ) -> None:
         self._lock = threading.Lock()
         self.bag = Bag(path)  # the recording by topics
-        # what the user should know about it, or what lies beside it; empty for nothing
+        # text: what the user should know about the recording; may be empty
         self.remark = self.bag.note
         self.path = self.bag.path
         self.name = self.path.name or str(self.path)  # file name
@@ -149,8 +149,8 @@ class Recording:
     def bad_frames(self) -> tuple[int, ...]:
         """Frames whose message is too short to hold an image: theirs has no return anywhere.
 
-        Of a recording of more than 4096 images, all stamped when they were logged, a sample is
-        looked at; another bad frame is told when it is read.
+        If more than 4096 images were stamped when they were logged, only a sample is checked; other
+        bad frames are reported when they are read.
         """
         return tuple(sorted(self._bad))
 
@@ -180,7 +180,7 @@ class Recording:
             )
 
     def _moment(self, index: int) -> Moment:
-        """Of a frame; by its key, which is its stamp where there is one lap."""
+        """Moment of a frame, by its key; with one lap the key is the stamp."""
         return Moment(int(self._keys[index]), int(self._log_ns[index]))
 
     def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
@@ -261,7 +261,7 @@ class Recording:
         raw = self.depth_topic.type == IMAGE
         least = self.size[0] * self.size[1] * _PIXEL_BYTES.get(self.encoding, 0) if raw else 0
         bad = (headers == UNREADABLE) | (sizes < least)
-        if raw:  # of those cut by less than their headers are long, only reading tells
+        if raw:  # those cut by less than a header's length are found only by reading
             shorter = np.flatnonzero(~bad & (sizes < np.median(sizes)))
             bad[shorter] = [not self._is_whole(k) for k in shorter.tolist()]
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
@@ -285,14 +285,14 @@ class Recording:
 
 
 def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
-    """What message `k` says; NaN where it is too short to say anything."""
+    """Values of message `k`; NaN if it is too short."""
     if messages.header(k)[0] == UNREADABLE:
         return np.full(1 if kind == PRESSURE else 6, np.nan)
     return VALUES[kind](messages.message(k))
 
 
 _ROS_SUFFIXES = {"", ".mcap", ".db3", ".bag", ".yaml"}
-"""No plug-in is looked for where a recording has one of these: that takes some 10 ms."""
+"""A recording with one of these needs no search for plug-ins, which takes some 10 ms."""
 
 
 def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
@@ -308,7 +308,7 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
     Raises
     ------
     InputError
-        It cannot be opened, or a topic was chosen of a format without topics.
+        It cannot be opened, or a topic was given for a format without topics.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -331,9 +331,9 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
 def _headers(images: Messages) -> tuple[np.ndarray, np.ndarray]:
     """Header stamps of the images, ns, and the sizes of their messages.
 
-    Stamps are 0 where unset and `UNREADABLE` where there is no header. Each costs the decompression
-    of the chunk's first blocks (0.1 ms). In a long recording whose sampled stamps all are the log
-    times to the nanosecond, the others are taken to be, too, and their sizes to be as large.
+    Stamps are 0 if unset and `UNREADABLE` without a header. Reading one decompresses the chunk's
+    first blocks (0.1 ms). If all sampled stamps of a long recording equal the log times to the
+    nanosecond, all others are assumed to, and to have the same size.
     """
     if len(images) > SAMPLED_ABOVE:
         sample = np.linspace(0, len(images) - 1, 64).astype(int)
@@ -352,8 +352,8 @@ def measured_force(
 ) -> np.ndarray:
     """|F| of recorded wrenches less their bias, N.
 
-    The axes of a force/torque sensor are rarely documented, so only the size can be compared. Its
-    bias is the median over the contact-free frames.
+    The axes of a force/torque sensor are rarely documented, so only the magnitude can be compared.
+    Its bias is the median over the contact-free frames.
 
     Returns
     -------

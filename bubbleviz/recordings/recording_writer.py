@@ -13,15 +13,15 @@ from bubbleviz.recordings.mcap_file import McapFile
 from bubbleviz.recordings.message_encoding import Encoding, FrameMessages
 
 CHUNK_BYTES = 1 << 20
-"""About a depth image before compression: reading one frame decompresses little else."""
+"""Size of about one depth image, so that reading a frame decompresses little else."""
 
 
 class RecordingWriter:
     """Writes frames as a recording that `Recording` and every ROS 2 tool reads.
 
-    Use it as a context manager: the recording appears whole when the block ends, and not at all
-    when it raises. Topics are made for what the frames have: depth and, where there are, camera
-    info, gas pressure, wrench and colour images.
+    Use it as a context manager: the recording appears complete when the block ends, and not at all
+    if it raises. Topics depend on what the frames have: depth, and possibly camera info, gas
+    pressure, wrench and colour images.
 
     Raises InputError: the path exists or cannot be written, or no frame was written.
     """

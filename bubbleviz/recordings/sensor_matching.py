@@ -14,7 +14,7 @@ from bubbleviz.recordings.recording import Recording, open_recording
 from bubbleviz.sensor import Sensor, load_sensor
 
 WEATHER_PA = 5e3
-"""Change of the atmospheric pressure at one place, Pa: records lie 5 kPa around the mean."""
+"""Variation of the atmospheric pressure at one place, Pa: the extremes are ±5 kPa."""
 AUTO = "auto"  # sensor name that stands for the preset whose camera has the recording's image size
 
 
@@ -62,7 +62,7 @@ def fitting_sensor(source: FrameSource, name: str | Path | Sensor | None) -> tup
 
 
 def gas_warning(
-    measured_pa: float | None,  # absolute, Pa, of any frame: a press adds hundreds of pascals
+    measured_pa: float | None,  # absolute, Pa, of any frame: a press adds only hundreds of Pa
     known_pa: float,  # without contact, as the sensor file has it, Pa
     where: str = "in the recording",  # it was measured
 ) -> str:
@@ -84,7 +84,7 @@ def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sens
 
 def preset_of_size(
     size: tuple[int, int],  # width and height, pixels
-    images: str,  # what has that size, to name in an error
+    images: str,  # name of the images in an error
 ) -> str:
     """Name of the one sensor preset whose camera has images of this size.
 
@@ -107,13 +107,13 @@ def preset_of_size(
 def _check_camera_info(recording: Recording) -> None:
     """Refuse when the only camera info in the depth topic's namespace is of another image size.
 
-    The reader passes over camera infos of other sizes, as a colour camera's; one beside the depth
-    images means that they were cropped or scaled and the intrinsics no longer hold.
+    The reader ignores camera infos of other sizes, such as a colour camera's; one in the namespace
+    of the depth images means that these were cropped or scaled, so that it no longer holds.
     """
     if recording.intrinsics is not None:
         return
     topic_name = PurePosixPath(recording.depth_topic.name)
-    if topic_name.name == COMPRESSED:  # below the topic of the images as they were
+    if topic_name.name == COMPRESSED:  # a subtopic of the raw images'
         topic_name = topic_name.parent
     namespace = topic_name.parent
     for topic in of_type(recording.bag, CAMERA_INFO):

@@ -1,9 +1,9 @@
 """Data of a frame by time: measured values are interpolated, the nearest image is taken.
 
-The rules are the same in a recording and live: a recording is a stream that has ended. Live, a
-`GrowingSeries` is filled as messages arrive; of a recording `recorded_series` reads only what is
-asked for. Implausible stamps are told from a clock that was set by what is known of them: live by
-those that came before (`StampClock`), in a recording by all (`Laps`, `plausible_times`).
+The rules are the same in a recording and live. A live `GrowingSeries` is filled as messages arrive;
+a `recorded_series` reads on demand. Invalid stamps are distinguished from a clock that was set by
+comparison with the previous stamps (live: `StampClock`) or with all (recorded: `Laps`,
+`plausible_times`).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.message_decoding import pressure_of, wrench_of
 
 NEAREST_NS = 100_000_000
-"""Beyond the first and the last value the nearest one counts, within this time."""
+"""Before the first and after the last value the nearest one is used, up to this distance."""
 SILENT_NS = 10 * NEAREST_NS
-"""From a topic that has been silent for so long nothing is expected soon."""
+"""Frames do not wait for a topic without messages for this time."""
 REORDERED_NS = 1_000_000_000
-"""A network swaps messages of a second at most; further back the clock was set, or it is a replay
-that began again."""
+"""A network reorders messages by at most a second; a larger step back means that the clock was set
+or a replay restarted."""
 FORWARD_NS = 10_000_000_000
-"""A stamp may gain this on the time between two arrivals: a network that stood still and caught up.
-Beyond it the clock was set, or the stamp is garbage."""
+"""Stamps may advance by this much more than arrivals, after a network delay. Beyond it the clock
+was set, or the stamp is invalid."""
 TRUSTED_AFTER = 3
-"""Stamps in a row that must agree with each other to be believed against the ones before."""
+"""Consistent stamps in a row that outweigh the ones before."""
 GARBAGE_NS = 3_600_000_000_000
-"""In a recording a stamp that is further off the others, one hour, is from an unset clock."""
+"""A recorded stamp more than one hour off the others is from an unset clock."""
 _VALUES_KEPT = 10_000
 
 T = TypeVar("T")
@@ -62,9 +62,9 @@ class Series(Generic[T]):
 
     def __init__(
         self,
-        # rising in each lap. Where they do not rise, the messages around the place found count.
+        # increasing in each lap; elsewhere the neighbours that bisection finds are used
         times_ns: Times,
-        # what message k holds: of values an array, ValueError when they are not finite
+        # content of message k; of values an array, ValueError if they are not finite
         item: Callable[[int], T],
         *,
         by_arrival: bool = False,  # whether the times are arrivals, as of a topic without stamps
@@ -78,7 +78,7 @@ class Series(Generic[T]):
         return len(self._times)
 
     def nearest(self, moment: Moment, within_ns: int) -> tuple[int, int] | None:
-        """Message nearest to a moment, and by how much it is later, ns; None further off."""
+        """Message nearest to a moment, and its delay, ns; None if all are further off."""
         k, t = self._place(moment)
         offs = {j: int(self._times[j]) - t for j in (k - 1, k) if 0 <= j < len(self)}
         found = min(offs, key=lambda j: abs(offs[j]), default=None)
@@ -87,29 +87,29 @@ class Series(Generic[T]):
     def at(self: Series[np.ndarray], moment: Moment) -> np.ndarray | None:
         """Values at a moment, interpolated linearly.
 
-        Beyond the first and the last message, also of a lap, the nearest within 0.1 s, else None.
+        Outside the messages of a lap the nearest within 0.1 s, else None.
         """
         k, t = self._place(moment)
         if not 0 < k < len(self) or (self._laps is not None and self._laps[k - 1] != self._laps[k]):
             found = self.nearest(moment, NEAREST_NS)
-            return None if found is None else _told(self.item(found[0]))
+            return None if found is None else _finite(self.item(found[0]))
         ta, tb = int(self._times[k - 1]), int(self._times[k])
-        if not ta < t < tb:  # at one of them; or the times do not rise
-            return _told(self.item(k - 1 if abs(t - ta) <= abs(t - tb) else k))
+        if not ta < t < tb:  # equal to one of them, or times not increasing
+            return _finite(self.item(k - 1 if abs(t - ta) <= abs(t - tb) else k))
         weight = (t - ta) / (tb - ta)
-        return _told((1.0 - weight) * self.item(k - 1) + weight * self.item(k))
+        return _finite((1.0 - weight) * self.item(k - 1) + weight * self.item(k))
 
     def _time_of(self, moment: Moment) -> int:
         return moment.arrival_ns if self.by_arrival else moment.stamp_ns
 
     def _place(self, moment: Moment) -> tuple[int, int]:
-        """First message that is not before a moment, and the moment on the clock of this topic."""
+        """First message at or after a moment, and the moment on the clock of this topic."""
         t = self._time_of(moment)
         return bisect_left(self._times, t), t
 
 
-def _told(values: np.ndarray) -> np.ndarray | None:
-    """Values of a message, or of two; None where one could not be read, which is NaN then."""
+def _finite(values: np.ndarray) -> np.ndarray | None:
+    """Values; None if any is NaN, as of an unreadable message."""
     return values if np.isfinite(values).all() else None
 
 
@@ -132,92 +132,92 @@ def values_at(series: Mapping[str, Series[np.ndarray]], moment: Moment) -> dict[
 Verdict = Literal["ok", "jump", "duplicate", "out_of_order", "bad"]
 
 
-class Judged(NamedTuple):
-    """A verdict, and the time on the publisher's clock to use, ns."""
+class Judgement(NamedTuple):
+    """A verdict, and the time to use on the publisher's clock, ns."""
 
     verdict: Verdict
     time_ns: int
 
 
-class _Seen(NamedTuple):
+class _Stamped(NamedTuple):
     stamp: int
     arrival: int
     times: int
 
 
 class StampClock:
-    """Follows the stamps of one topic and tells the few that are garbage from a clock that was set.
+    """Checks the stamps of one topic: distinguishes invalid ones from a clock that was set.
 
-    A single stamp from 1970 or 2100 is `bad` and changes nothing. Three in a row that follow each
-    other are the publisher's new clock.
+    A single stamp from 1970 or 2100 is `bad` and changes nothing. Three consistent ones in a row
+    are the publisher's new clock.
     """
 
     def __init__(self) -> None:
-        self._last: _Seen | None = None
-        self._suspect: _Seen | None = None
+        self._last: _Stamped | None = None
+        self._suspect: _Stamped | None = None
 
-    def judge(self, stamp_ns: int, arrival_ns: int) -> Judged:
+    def judge(self, stamp_ns: int, arrival_ns: int) -> Judgement:
         """Verdict on the next message; `bad` ones are timed by their arrival."""
         last = self._last
         if last is None:
             if stamp_ns <= 0:
-                return Judged("bad", arrival_ns)
+                return Judgement("bad", arrival_ns)
             return self._accept("ok", stamp_ns, arrival_ns)
         step = stamp_ns - last.stamp
         if step == 0:
-            return Judged("duplicate", stamp_ns)
+            return Judgement("duplicate", stamp_ns)
         late = arrival_ns - last.arrival < REORDERED_NS  # else it is a clock that was set back
         if -REORDERED_NS < step < 0 and late:
-            return Judged("out_of_order", stamp_ns)
+            return Judgement("out_of_order", stamp_ns)
         if stamp_ns > 0 and _follows(stamp_ns, arrival_ns, last):
             return self._accept("ok", stamp_ns, arrival_ns)
         if stamp_ns > 0 and self._trusted(stamp_ns, arrival_ns):
             return self._accept("jump", stamp_ns, arrival_ns)
-        return Judged("bad", last.stamp + max(arrival_ns - last.arrival, 0))
+        return Judgement("bad", last.stamp + max(arrival_ns - last.arrival, 0))
 
-    def _accept(self, verdict: Verdict, stamp: int, arrival: int) -> Judged:
-        self._last, self._suspect = _Seen(stamp, arrival, 0), None
-        return Judged(verdict, stamp)
+    def _accept(self, verdict: Verdict, stamp: int, arrival: int) -> Judgement:
+        self._last, self._suspect = _Stamped(stamp, arrival, 0), None
+        return Judgement(verdict, stamp)
 
     def _trusted(self, stamp: int, arrival: int) -> bool:
         before = self._suspect
         follows = before is not None and _follows(stamp, arrival, before)
         count = before.times + 1 if before is not None and follows else 1
-        self._suspect = _Seen(stamp, arrival, count)
+        self._suspect = _Stamped(stamp, arrival, count)
         return count >= TRUSTED_AFTER
 
 
-def _follows(stamp: int, arrival: int, before: _Seen) -> bool:
+def _follows(stamp: int, arrival: int, before: _Stamped) -> bool:
     return 0 < stamp - before.stamp <= max(arrival - before.arrival, 0) + FORWARD_NS
 
 
 class GrowingSeries(Series[T]):
-    """The messages of a live topic that arrived last.
+    """The latest messages of a live topic.
 
     As in a recording, a topic whose first message has no stamp is timed by arrivals.
     """
 
     def __init__(
         self,
-        kept_ns: int,  # how long before the newest message they are kept
+        kept_ns: int,  # age relative to the newest message up to which they are kept
     ) -> None:
         self._stamps, self._items = list[int](), list[T]()
         super().__init__(self._stamps, self._items.__getitem__)
         self._clock, self._kept_ns = StampClock(), kept_ns
 
     def add(self, stamp_ns: int, arrival_ns: int, item: T) -> Verdict:
-        """Keep a message, in place of one of the same time; the verdict on its stamp."""
+        """Add a message, or replace one of the same time; returns the verdict on its stamp."""
         if not self._stamps:
             self.by_arrival = stamp_ns == 0
-        judged = Judged("ok", arrival_ns)
+        judged = Judgement("ok", arrival_ns)
         if not self.by_arrival:
             judged = self._clock.judge(stamp_ns, arrival_ns)
         if judged.verdict == "jump":
-            self._let_go(len(self))
+            self._drop(len(self))
         k = bisect_left(self._stamps, judged.time_ns)
         same = slice(k, k + (self._stamps[k : k + 1] == [judged.time_ns]))
         self._stamps[same], self._items[same] = [judged.time_ns], [item]
-        self._let_go(bisect_left(self._stamps, self._stamps[-1] - self._kept_ns))
+        self._drop(bisect_left(self._stamps, self._stamps[-1] - self._kept_ns))
         return judged.verdict
 
     def covers(self, moment: Moment) -> bool:
@@ -226,11 +226,11 @@ class GrowingSeries(Series[T]):
         return not 0 < behind <= SILENT_NS
 
     def snapshot(self, show: Callable[[T], U]) -> Series[U]:
-        """What is here now, each message shown by a function, as a series that does not grow."""
+        """Immutable copy of the current series, each message mapped by a function."""
         items = tuple(self._items)
         return Series(tuple(self._stamps), lambda k: show(items[k]), by_arrival=self.by_arrival)
 
-    def _let_go(self, count: int) -> None:
+    def _drop(self, count: int) -> None:
         del self._stamps[:count], self._items[:count]
 
 
@@ -238,10 +238,10 @@ class GrowingSeries(Series[T]):
 
 
 class Laps:
-    """Laps of a replay that began again while it was recorded, so that its stamps come again.
+    """Laps of a replay that restarted while it was recorded, so that its stamps repeat.
 
-    The stamps tell what belongs together in a lap: messages arrive in bursts, and those of one
-    topic later than those of another. The log times only tell where in the recording a lap lies.
+    Within a lap, messages are matched by stamps, since they arrive in bursts and with delays that
+    differ among topics. The log times only place a lap in the recording.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ class Laps:
     """
 
     def __init__(self, stamps_ns: np.ndarray, log_ns: np.ndarray) -> None:
-        # (n,) int, lap of each image; all 0 where no replay began again
+        # (n,) int, lap of each image; all 0 if no replay restarted
         self.number = _lap_numbers(stamps_ns)
         self._starts_ns = _start_of_laps(stamps_ns, log_ns, self.number)
         self._apart_ns = int(np.ptp(stamps_ns)) + SILENT_NS
@@ -271,11 +271,11 @@ class Laps:
         return times
 
     def keys(self, stamps_ns: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """Stamps (k,), moved so far apart from lap to lap that no two laps are near each other."""
+        """Stamps (k,), shifted per lap so that laps do not overlap."""
         return stamps_ns + number * self._apart_ns
 
     def number_of(self, stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray | None:
-        """Lap of each message of another topic, (k,); None where its stamps do not begin again."""
+        """Lap of each message of another topic, (k,); None if its stamps do not repeat."""
         own = _lap_numbers(stamps_ns)
         starts = _start_of_laps(stamps_ns, log_ns, own)
         if len(starts) == 1:  # of another clock
@@ -287,7 +287,7 @@ class Laps:
 
 
 def _lap_numbers(stamps_ns: np.ndarray) -> np.ndarray:
-    """Lap of each message: another begins where stamps go back far, or to one that was there."""
+    """Lap of each message: a new one begins where stamps go back far, or to an earlier stamp."""
     numbers = np.zeros(len(stamps_ns), np.int64)
     if (np.diff(stamps_ns) >= 0).all():
         return numbers
@@ -309,19 +309,19 @@ def _start_of_laps(stamps_ns: np.ndarray, log_ns: np.ndarray, number: np.ndarray
 
 
 def plausible_times(stamps_ns: np.ndarray, log_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps and log times (n,), those replaced that are more than an hour off the others.
+    """Stamps and log times (n,), with those replaced that are more than an hour off the others.
 
     Where stamp and log time disagree by more than an hour, the one nearer to the median of its kind
-    is kept: a clock that was lost for a moment, the camera's or the recorder's, would otherwise
-    begin the recording in 1970, or end it in 2100. Stamps that are 0, unset, stay so.
+    is kept: else a temporary fault of the camera's or the recorder's clock would start the
+    recording in 1970 or end it in 2100. Unset stamps (0) stay so.
     """
-    told = stamps_ns > 0
-    if not told.any():
+    stamped = stamps_ns > 0
+    if not stamped.any():
         return np.maximum(stamps_ns, 0), log_ns
     ahead = stamps_ns - log_ns
-    usual = int(np.median(ahead[told]))
-    apart = told & (np.abs(ahead - usual) > GARBAGE_NS)
-    off_stamp = np.abs(stamps_ns - int(np.median(stamps_ns[told])))
+    usual = int(np.median(ahead[stamped]))
+    apart = stamped & (np.abs(ahead - usual) > GARBAGE_NS)
+    off_stamp = np.abs(stamps_ns - int(np.median(stamps_ns[stamped])))
     off_log = np.abs(log_ns - int(np.median(log_ns)))
     by_log = (stamps_ns == UNREADABLE) | (apart & (off_stamp >= off_log))
     stamps = np.where(by_log, log_ns + usual, stamps_ns)
@@ -330,14 +330,14 @@ def plausible_times(stamps_ns: np.ndarray, log_ns: np.ndarray) -> tuple[np.ndarr
 
 def recorded_series(
     messages: Messages,
-    item: Callable[[int], T],  # what message k holds
+    item: Callable[[int], T],  # content of message k
     *,
     # whether frames are timed by their log times; topics without stamps are in any case
     by_log: bool = False,
     # those of the depth images, where there is more than one: moments then have their keys
     laps: Laps | None = None,
 ) -> Series[T]:
-    """Series of a topic of a recording, not empty, of which only what is asked for is read."""
+    """Series of a topic of a recording, not empty, read on demand."""
     item = lru_cache(_VALUES_KEPT)(item)
     if not by_log and messages.stamp_ns(0) != 0:
         if laps is None:
@@ -349,7 +349,7 @@ def recorded_series(
 
 
 class _Stamps:
-    """Header stamps of messages, each read once when asked for."""
+    """Header stamps of messages, read on demand and cached."""
 
     def __init__(self, messages: Messages) -> None:
         self._messages, self._read = messages, dict[int, int]()

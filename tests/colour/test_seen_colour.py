@@ -9,7 +9,7 @@ import pytest
 from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, Intrinsics
 from bubbleviz.files import SYNTHETIC_SENSOR
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import SeenColour, Texture
+from bubbleviz.recordings import FrameColour, Texture
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import default_press
 
@@ -29,7 +29,7 @@ def test_point_projects_to_the_pixel_of_its_ray():
     camera = DepthCamera(DEPTH, T_B_C)
     pixels = np.array([0, 70, 1500, 3071])
     points = camera.points(np.full((48, 64), 0.09, np.float32), pixels)
-    texture = Texture.of(SeenColour(RGB, ColourCamera(DEPTH)), points, camera)
+    texture = Texture.of(FrameColour(RGB, ColourCamera(DEPTH)), points, camera)
     rows, columns = np.divmod(pixels, 64)
     np.testing.assert_allclose(texture.place[:, 0], (columns + 0.5) / 64, atol=1e-6)
     np.testing.assert_allclose(texture.place[:, 1], (rows + 0.5) / 48, atol=1e-6)
@@ -42,13 +42,13 @@ def test_second_camera_projects_from_its_own_pose():
     T_D_C = np.array([[0.0, -1, 0, 0.015], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     camera = DepthCamera(DEPTH, np.eye(4))
     points = np.array([[0.02, 0.01, 0.1], [0.015, 0.0, 0.08], [0.5, 0, 0.1], [0, 0, -0.1]])
-    colour = SeenColour(np.zeros((60, 80, 3), np.uint8), ColourCamera(own, T_D_C))
+    colour = FrameColour(np.zeros((60, 80, 3), np.uint8), ColourCamera(own, T_D_C))
     texture = Texture.of(colour, points, camera)
     # its x is the depth camera's y, its y is minus x
     expected = [[(40 + 7 + 0.5) / 80, (30 - 3.5 + 0.5) / 60], [40.5 / 80, 30.5 / 60]]
     np.testing.assert_allclose(texture.place[:2], expected, atol=1e-12)
     assert texture.seen.tolist() == [True, True, False, False]
-    assert not colour.aligned(camera) and SeenColour(RGB, ColourCamera(DEPTH)).aligned(camera)
+    assert not colour.aligned(camera) and FrameColour(RGB, ColourCamera(DEPTH)).aligned(camera)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_second_camera_projects_from_its_own_pose():
 )
 def test_missing_data_are_reported(find, words):
     frame = default_press(load_sensor(SYNTHETIC_SENSOR))[0]
-    seen = SeenColour.of(replace(frame, find_colour=find))
+    seen = FrameColour.of(replace(frame, find_colour=find))
     texture = Texture.of(seen, np.zeros((3, 3)), DepthCamera(DEPTH, T_B_C))
     assert texture.reason == words and not texture.seen.any()
 

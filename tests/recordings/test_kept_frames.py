@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bubbleviz.recordings import Frame, KeptFrames
+from bubbleviz.recordings import CachedFrames, Frame
 
 
 class Source:
@@ -31,7 +31,7 @@ class Source:
 
 def test_frames_are_read_once_until_memory_is_used_up():
     source = Source()
-    kept = KeptFrames(source, limit_bytes=2 * 80)
+    kept = CachedFrames(source, limit_bytes=2 * 80)
     for _ in range(3):
         assert [kept[k].depth_m[0, 0] for k in range(len(kept))] == [0, 1, 2, 3]
     assert source.reads == {0: 1, 1: 1, 2: 3, 3: 3}

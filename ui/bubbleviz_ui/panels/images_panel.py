@@ -15,7 +15,7 @@ from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics import Probed
-from bubbleviz.recordings import SeenColour
+from bubbleviz.recordings import FrameColour
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES
@@ -201,7 +201,7 @@ class ImageCell:
 class ColourCell(ImageCell):
     """An image cell without a scale; shows the reason if there is no image."""
 
-    def show_colour(self, seen: SeenColour | None) -> None:
+    def show_colour(self, seen: FrameColour | None) -> None:
         """Show a colour image; None if it was not requested yet."""
         if seen is None or seen.rgb is None:
             self.clear()

@@ -1,4 +1,4 @@
-"""The colour image of a frame and, painted on the membrane, its texture."""
+"""The colour image of a frame, and its mapping to the membrane as a texture."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from bubbleviz.recordings.frame import Frame
 
 
 @dataclass(frozen=True)
-class SeenColour:
+class FrameColour:
     rgb: np.ndarray | None = None  # (H, W, 3) uint8
     camera: ColourCamera = field(default_factory=ColourCamera)
-    reason: str = ""  # why there is no image, in a few words; empty where there is one
+    reason: str = ""  # why there is no image; empty if there is one
 
     @classmethod
-    def of(cls, frame: Frame) -> SeenColour:
+    def of(cls, frame: Frame) -> FrameColour:
         if frame.find_colour is None:
             return cls(reason=frame.no_colour)
         try:
@@ -26,7 +26,7 @@ class SeenColour:
             if found is None:
                 return cls(reason="no colour image at this time")
             return cls(found.rgb(), found.camera)
-        except InputError:  # the depth image is there, and does not depend on it
+        except InputError:  # the depth image can be used without it
             return cls(reason="the colour image cannot be decoded")
 
     def aligned(self, depth: DepthCamera) -> bool:
@@ -39,15 +39,15 @@ class SeenColour:
 class Texture:
     """A colour image mapped to the deformed membrane."""
 
-    colour: SeenColour
-    # (n, 2), where in the image each node is: shares of its width from the left and of its height
-    # from the top
+    colour: FrameColour
+    # (n, 2), position of each node in the image: fractions of the width and of the height, from the
+    # upper left corner
     place: np.ndarray
     seen: np.ndarray  # (n,) bool, nodes inside the image
-    reason: str = ""  # why there is nothing to paint, in a few words; empty where there is
+    reason: str = ""  # why there is no texture; empty if there is one
 
     @classmethod
-    def of(cls, colour: SeenColour, nodes_m: np.ndarray, depth: DepthCamera) -> Texture:
+    def of(cls, colour: FrameColour, nodes_m: np.ndarray, depth: DepthCamera) -> Texture:
         camera = placed(colour.camera, depth)
         if colour.rgb is None or camera is None:
             nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)
@@ -56,7 +56,7 @@ class Texture:
         points = (nodes_m - T[:3, 3]) @ T[:3, :3]
         before = points[:, 2] > 0.0
         points[~before] = (0.0, 0.0, 1.0)
-        place = (own.project(points) + 0.5) / (own.width, own.height)  # whole at pixel centres
+        place = (own.project(points) + 0.5) / (own.width, own.height)  # pixel centres are integers
         return cls(colour, place, before & np.all((place >= 0.0) & (place <= 1.0), axis=1))
 
 
