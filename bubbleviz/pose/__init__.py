@@ -1,4 +1,4 @@
-"""Where an object is that touches the membrane: dual-stage registration and tracking."""
+"""Pose of an object that touches the membrane: dual-stage registration and tracking."""
 
 import lazy_loader
 

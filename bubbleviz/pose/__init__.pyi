@@ -1,5 +1,5 @@
 from .dual_stage import (
-    StartFinder as StartFinder,
+    InitialPoseFinder as InitialPoseFinder,
     touching_directions as touching_directions,
 )
 from .image_fit import (
@@ -31,7 +31,7 @@ from .pressed_membrane import (
     contact_samples as contact_samples,
 )
 from .registration import (
-    LEAST_RADIUS_M as LEAST_RADIUS_M,
+    MIN_RADIUS_M as MIN_RADIUS_M,
     ContactPoints as ContactPoints,
     Directions as Directions,
     Precision as Precision,

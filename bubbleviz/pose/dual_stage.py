@@ -36,21 +36,21 @@ class Solution:
     first: Fit
     pose: Fit
     ms: tuple[float, float]  # wall time of the stages
-    motion: Motion  # pose and velocity with what this frame adds
-    # (6, 6), covariance of the pose by errors of the model, which last from frame to frame
-    lasting: np.ndarray
+    motion: Motion  # pose and velocity after this frame
+    # (6, 6), covariance of the pose by model errors, which are correlated from frame to frame
+    persistent: np.ndarray
 
     def as_pose(self, contact: ContactPoints) -> Pose:
-        """What consumers see."""
+        """Convert to the public result."""
         found = directions(self.pose.surface, contact.radius_m)
-        on, count = self.pose.looked, len(contact.points)
+        on, count = self.pose.distance, len(contact.points)
         return Pose(
             status="ok",
             T_B_O=self.pose.T_B_O,
             stage_one=_stage(self.first, self.ms[0]),
             stage_two=_stage(self.pose, self.ms[1]),
             center_m=contact.center,
-            covariance=self.motion.covariance[:6, :6] + self.lasting,
+            covariance=self.motion.covariance[:6, :6] + self.persistent,
             motions=found.motions,
             deviation_m=found.deviation_m,
             determined=found.determined,
@@ -66,12 +66,12 @@ def _stage(fit: Fit, ms: float) -> Stage:
 
 @dataclass(frozen=True)
 class _Found:
-    """A fit, the prediction widened by what contradicts it, and the frame's own information."""
+    """A fit, the prediction with a consistent covariance, and the information of this frame."""
 
     fit: Fit
     predicted: Motion
     information: np.ndarray  # (6, 6)
-    lasting: np.ndarray  # as of `Solution`
+    persistent: np.ndarray  # as of `Solution`
 
 
 _START = np.diag(START_DEVIATION**-2.0)
@@ -92,80 +92,80 @@ class Solver:
 
     @cached_property
     def _image(self) -> ImageFit:
-        """Against the depth image; built when there is a first pose."""
+        """Fit to the depth image; built with the first pose."""
         own, options = self._estimator, self._options.image
         model = self._registration.model
         pressed = PressedMembrane(self._membrane, own.bubble.gas, model, options.press)
         return ImageFit(own.observer, pressed, options)
 
-    def forget(self) -> None:
-        """Reset, forgetting the earlier pose."""
+    def reset(self) -> None:
+        """Drop the earlier pose."""
         if "_image" in vars(self):
-            self._image.forget()
+            self._image.reset()
 
     def solve(
-        self, frame: Frame, contact: ContactPoints, predicted: Motion, *, settled: bool
+        self, frame: Frame, contact: ContactPoints, predicted: Motion, *, tracking: bool
     ) -> Solution:
-        """Both stages from a prediction, which `settled` says is close."""
+        """Both stages from a prediction; while `tracking` it is close."""
         stages = self._options.stages
-        iterations = stages.tracking if settled else stages.converging
+        iterations = stages.tracking if tracking else stages.converging
         prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
         first = self._registration.stage_one(
             contact,
             predicted.T_B_O,
             prior,
-            widest_m=stages.close_m if settled else stages.far_m,
+            widest_m=stages.close_m if tracking else stages.far_m,
             iterations=iterations,
         )
         between = time.perf_counter()
         second = self._registration.stage_two(contact, first, prior, iterations=iterations)
-        found = self._seen(frame, contact, second, predicted, settled)
+        found = self._image_fit(frame, contact, second, predicted, tracking)
         if found is None:
             information = second.surface + second.outline
             found = _Found(second, predicted, information, np.linalg.inv(information + _START))
         motion = found.predicted.corrected(found.fit.T_B_O, found.information)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
-        return Solution(first, found.fit, times, motion, found.lasting)
+        return Solution(first, found.fit, times, motion, found.persistent)
 
     def best(
         self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
     ) -> Solution | None:
-        """Both stages from those of the starts (s, 4, 4) that fit best; None where none does."""
+        """Both stages from the best of initial poses (s, 4, 4); None if none fits."""
         stages = self._options.stages
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
-        looks = [
+        coarse = [
             self._registration.stage_one(
-                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=stages.looking
+                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=stages.comparing
             ).T_B_O
             for m in motions
         ]
-        costs = [self._registration.misfit(contact, T) for T in looks]
+        costs = [self._registration.misfit(contact, T) for T in coarse]
         found = [
             self.solve(
                 frame,
                 contact,
-                Motion.at_rest(looks[k], SEARCH_DEVIATION, contact.center),
-                settled=False,
+                Motion.at_rest(coarse[k], SEARCH_DEVIATION, contact.center),
+                tracking=False,
             )
             for k in np.argsort(costs)[:finalists]
         ]
         good = [solution for solution in found if solution.pose.fitness >= stages.found_fitness]
         return min(good, key=lambda solution: solution.pose.cost, default=None)
 
-    def _seen(
-        self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, settled: bool
+    def _image_fit(
+        self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
     ) -> _Found | None:
-        """The fit moved to where the depth image has the object; None where no press is found."""
+        """The fit refined with the depth image; None if no press is found."""
         options, directed = self._options.image, directions(fit.surface, contact.radius_m)
         center, radius_m = contact.center, contact.radius_m
         T = fit.T_B_O
-        if settled:  # where it is on its face is for the depth image to say, not the blurred patch
+        if tracking:  # the depth image, not the blurred patch, determines the other directions
             way = np.linalg.solve(directed.motions, motion_between(predicted.T_B_O, T, center))
             T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
         change = self._estimator.observer.pixel_residuals(frame.depth_m)
-        valid_m = self._image.valid_m if settled else options.settled_m
-        for _ in range(options.next_steps if settled else options.first_steps):
+        valid_m = self._image.valid_m if tracking else options.converged_m
+        for _ in range(options.next_steps if tracking else options.first_steps):
             step = self._image.step(
                 change, contact, T, directed, predicted.information,
                 valid_m=valid_m, gas_pressure_pa=frame.gas_pressure_pa,
@@ -173,7 +173,7 @@ class Solver:
             if step is None:
                 return None
             from_predicted = motion_between(predicted.T_B_O, T, center)
-            if settled:
+            if tracking:
                 at_predicted = step.gradient + step.information @ from_predicted
                 predicted = predicted.widened(at_predicted, step.information)
             known = predicted.information
@@ -184,28 +184,31 @@ class Solver:
             T = moved(T, motion * min(1.0, options.step_m / max(way_m, 1e-300)), center)
             if way_m < valid_m:
                 break
-        assert step is not None  # one is made at least
+        assert step is not None  # there is at least one
         share = step.per_m4 / self._registration.precision.of_model
-        lasting = share * np.linalg.inv(step.information + _START)
-        return _Found(self._registration.at(contact, fit, T), predicted, step.information, lasting)
+        persistent = share * np.linalg.inv(step.information + _START)
+        moved_fit = self._registration.at(contact, fit, T)
+        return _Found(moved_fit, predicted, step.information, persistent)
 
 
-# Initial poses without a given one: on each face, at every turn about its normal, at the patch.
+# Search for initial poses: each face on the patch, at each of several angles about its normal.
 
 
-TURNS = 12  # turns about the patch's normal: 30° apart, which registration bridges
+TURNS = (
+    12  # angles about the patch's normal: 30° apart, within the convergence range of registration
+)
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
-_ALIKE = np.cos(np.radians(20.0))  # faces that registration turns into each other
+_SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
-_FAR_M = 5e-3  # m, distance beyond which a point is simply not on the object
+_FAR_M = 5e-3  # m; larger distances are clipped
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:
     """Directions (d, 3) in O in which the object may lie on the membrane.
 
-    The largest faces of its convex hull, on which it rests stably, and its axes both ways where
-    no such face looks there.
+    The largest faces of its convex hull, on which it rests stably, and those of its axes, in both
+    directions, without such a face.
     """
     hull = _hull(model.obj.vertices)
     candidates = list(np.concatenate([np.eye(3), -np.eye(3)]))
@@ -218,7 +221,7 @@ def touching_directions(model: ObjectSurface) -> np.ndarray:
     chosen: list[np.ndarray] = []
     for direction in candidates:
         unit = direction / np.linalg.norm(direction)
-        if all(unit @ other < _ALIKE for other in chosen):
+        if all(unit @ other < _SAME_FACE for other in chosen):
             chosen.append(unit)
     return np.array(chosen)
 
@@ -230,8 +233,8 @@ def _hull(vertices: np.ndarray) -> ConvexHull | None:
         return None
 
 
-class StartFinder:
-    """Lists coarse starts of one object, the most promising first."""
+class InitialPoseFinder:
+    """Lists coarse initial poses of one object, best first."""
 
     def __init__(self, model: ObjectSurface) -> None:
         self._model = model
@@ -247,7 +250,7 @@ class StartFinder:
     def starts(self, contact: ContactPoints) -> np.ndarray:
         """Poses T_B_O (s, 4, 4) with the object on the patch, best first.
 
-        Their number is fixed by the object, and so is the time this takes.
+        Their number, and so the computing time, depends only on the object.
         """
         normal = contact.areas_m2 @ contact.normals
         normal /= np.linalg.norm(normal)
@@ -260,7 +263,7 @@ class StartFinder:
         return poses[np.argsort(self._scores(poses, contact), kind="stable")]
 
     def _scores(self, poses: np.ndarray, contact: ContactPoints) -> np.ndarray:
-        """Mean squared misfit of each pose on some of the points; distances count up to 5 mm."""
+        """Mean squared misfit of each pose for some of the points; distances clipped at 5 mm."""
         on = contact.points[:: -(-len(contact.points) // _POINTS)]
         free = contact.free[:: max(1, -(-len(contact.free) // _POINTS))]
         points = np.concatenate([on, free])

@@ -1,7 +1,7 @@
-"""Pose fit to the whole depth image, compared with the membrane that the object would produce.
+"""Pose fit to the whole depth image, compared with the membrane predicted for the object.
 
-Contact normals do not see a flat face slide or turn in its plane, but the membrane around it moves
-along; and what touches is known from the model of the membrane, not from a threshold.
+Contact normals do not change when a flat face slides or turns in its plane, but the membrane around
+it does; and the contact follows from the model of the membrane, not from a threshold.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ class ImageStep:
     """A step of the pose."""
 
     information: np.ndarray  # (6, 6), about small motions in B about the patch's centre
-    gradient: np.ndarray  # (6,), which the image draws along
-    per_m4: float  # sum of 1/σ² of the pixels per area of membrane, as they are weighted
+    gradient: np.ndarray  # (6,), of the log-likelihood
+    per_m4: float  # weighted sum of 1/σ² of the pixels per area of membrane
 
 
 @dataclass(frozen=True)
 class PredictedImage:
-    """The depth image that the object would make, linear around a pose."""
+    """Predicted depth image, linear around a pose."""
 
     T_B_O: np.ndarray  # (4, 4)
     center: np.ndarray  # (3,)
-    pixel: np.ndarray  # (b,) int, which of the observer's pixels are looked at
+    pixel: np.ndarray  # (b,) int, indices of the compared pixels among the observer's
     every: int  # number of candidate pixels that each used pixel represents
-    expected_m: np.ndarray  # (b,), residuals of these pixels, as the observer has them, at the pose
+    expected_m: np.ndarray  # (b,), residuals of these pixels at the pose, as of `RangeObserver`
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
-    held: np.ndarray  # (b,) bool, pixels that see membrane lying on a face
+    on_face: np.ndarray  # (b,) bool, pixels of membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
-    area_m2: float  # of the membrane that they see
+    area_m2: float  # of the membrane in these pixels
 
     def at(self, T_B_O: np.ndarray) -> np.ndarray:
-        """What is expected at a pose close by, (b,)."""
+        """Expected residuals at a nearby pose, (b,)."""
         return self.expected_m + self.jacobian @ motion_between(self.T_B_O, T_B_O, self.center)
 
-    def missed_by(self, before: PredictedImage) -> np.ndarray:
+    def error_of(self, before: PredictedImage) -> np.ndarray:
         """Error (b,) of an earlier linear model at this pose; 0 in pixels that it does not have."""
         _, own, others = np.intersect1d(self.pixel, before.pixel, True, return_indices=True)
         error = np.zeros(len(self.pixel))
@@ -71,79 +71,79 @@ class ImageFit:
         self._rest_m = np.full(len(observer.pixel), np.nan)
         self._rest_m[at_rest.ray] = at_rest.range_m
         self._places = camera.center + self._rest_m[:, None] * self._directions
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
-        """Start on the next frame."""
+    def reset(self) -> None:
+        """Drop the linear model of the previous frame."""
         self._predicted: PredictedImage | None = None
         self._failed: np.ndarray | None = None
         self.valid_m = self._options.valid_m
-        self._pressed.forget()
+        self._pressed.reset()
 
     def step(
         self,
         change_m: np.ndarray,  # (k,), `RangeObserver.pixel_residuals` of the depth image
         contact: ContactPoints,
         T_B_O: np.ndarray,  # (4, 4)
-        directions: Directions,  # which of them the contact determines
-        known: np.ndarray,  # (6, 6), information there is already
+        directions: Directions,  # motions, and which of them the contact determines
+        known: np.ndarray,  # (6, 6), prior information
         *,
-        # way of the patch's edge over which the last linear model may be used again
+        # motion of the patch's edge up to which the last linear model is reused
         valid_m: float,
         gas_pressure_pa: float | None = None,  # measured, absolute
     ) -> ImageStep | None:
-        """One Gauss–Newton step; None where the model finds no equilibrium.
+        """One Gauss–Newton step; None if the model finds no equilibrium.
 
-        What lies on a face is where the object is. The membrane around it depends on stiffness and
-        gas as well: it may be off as a motion in the directions that the contact determines would
-        move it, so that these are known from the faces, and the other directions from what is
-        around.
+        Membrane on a face is at the object's surface; the membrane around it also depends on
+        stiffness and gas. Its model error is marginalised: deviations as from a motion in the
+        directions that the contact determines. So the faces determine these directions, and the
+        surrounding membrane the others.
         """
         before = self._predicted
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
             return None
         residual = change_m[predicted.pixel] - predicted.at(T_B_O)
-        seen = np.isfinite(residual)
-        residual = residual[seen]
-        J = predicted.jacobian[seen] @ about(contact.center, predicted.center)
+        valid = np.isfinite(residual)
+        residual = residual[valid]
+        J = predicted.jacobian[valid] @ about(contact.center, predicted.center)
         off = J @ directions.motions[:, directions.determined]
-        off[predicted.held[seen]] = 0.0
-        off = np.column_stack([off, predicted.rounding[seen]])
+        off[predicted.on_face[valid]] = 0.0
+        off = np.column_stack([off, predicted.rounding[valid]])
         J = np.hstack([J, off])
         weight = predicted.every * self._options.trust * self._weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
-        # Schur complement of how far the membrane around the contact is off.
+        # Schur complement: eliminates the model error of the membrane around the contact.
         known_off = np.full(off.shape[1], self._options.model_deviation_m)
         known_off[-1] = self._options.rounding_m
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
         if before is not None and predicted is not before:
-            pushed = J.T @ (weight * predicted.missed_by(before)[seen])
+            pushed = J.T @ (weight * predicted.error_of(before)[valid])
             pushed = pushed[:6] - gain @ pushed[6:]
             squared = float(pushed @ np.linalg.solve(information + known, pushed))
             between = motion_between(before.T_B_O, predicted.T_B_O, contact.center)
-            self._hold(way_at(contact.radius_m, between), squared)
+            self._adapt_range(way_at(contact.radius_m, between), squared)
         return ImageStep(information, g, float(weight.sum()) / predicted.area_m2)
 
-    def _hold(self, way_m: float, squared: float) -> None:
-        """Set how far a linear model serves, by what one has missed over a way of the patch's edge.
+    def _adapt_range(self, way_m: float, squared: float) -> None:
+        """Adapt the range of linear models to the error of one over a motion of the patch's edge.
 
-        `squared` is the error that it has brought into the pose over the pose's own deviation,
-        squared. That error grows with the square of the way.
+        `squared` is the pose error that it caused, relative to the pose's standard deviation,
+        squared. That error grows with the square of the motion.
         """
-        share = np.sqrt(max(squared, 1e-12)) / self._options.missed_share
+        share = np.sqrt(max(squared, 1e-12)) / self._options.max_error_share
         reach_m = min(way_m / float(np.sqrt(share)), self._options.step_m)
         self.valid_m = float(np.sqrt(self.valid_m * reach_m))
 
     def _weights(self, residual_m: np.ndarray) -> np.ndarray:
-        """1/σ² of pixels by their residuals (b,), less where they are outliers."""
+        """1/σ² of pixels from their residuals (b,), smaller for outliers."""
         if not len(residual_m):
             return residual_m
         spread = float(np.median(np.abs(residual_m))) / MAD
-        sigma = max(spread, self._options.least_sigma_m)
-        outlying = (residual_m / (self._options.outlying * sigma)) ** 2
+        sigma = max(spread, self._options.min_sigma_m)
+        outlying = (residual_m / (self._options.outlier_sigmas * sigma)) ** 2
         return 1.0 / (sigma * (1.0 + outlying)) ** 2
 
     def predicted(
@@ -154,9 +154,9 @@ class ImageFit:
         *,
         valid_m: float = 0.0,
     ) -> PredictedImage | None:
-        """The linear model around a pose, or the last one where that holds still; see `step`.
+        """The linear model around a pose, or the last one if still valid; see `step`.
 
-        None where the press fails, or has just failed close by.
+        None if the press fails, or has just failed nearby.
         """
         last = self._failed if self._predicted is None else self._predicted.T_B_O
         if last is not None:
@@ -164,16 +164,16 @@ class ImageFit:
             if way_at(contact.radius_m, way) < valid_m:
                 return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
-        self._predicted = None if press is None else self._seen(press, contact)
+        self._predicted = None if press is None else self._rendered(press, contact)
         self._failed = T_B_O if press is None else None
         return self._predicted
 
-    def _seen(self, press: Press, contact: ContactPoints) -> PredictedImage:
-        """The membrane and its derivatives as the camera would see them."""
+    def _rendered(self, press: Press, contact: ContactPoints) -> PredictedImage:
+        """The membrane and its derivatives in the camera image."""
         mesh = press.part.mesh
         reach = contact.extent_m + self._options.around_m
         pixel = np.flatnonzero(_near(self._places, contact.rest_center, reach))
-        every = max(1, -(-len(pixel) // self._options.most_pixels))
+        every = max(1, -(-len(pixel) // self._options.max_pixels))
         pixel = pixel[::every]
         rays = self._directions[pixel]
         caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
@@ -193,7 +193,7 @@ class ImageFit:
             every=every,
             expected_m=hits.range_m - self._rest_m[pixel],
             jacobian=J[:, :6],
-            held=press.held[hits.triangle],
+            on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
             area_m2=float(np.linalg.norm(vectors[np.unique(hits.triangle)], axis=1).sum()),
         )

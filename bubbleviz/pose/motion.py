@@ -32,7 +32,7 @@ def _cross_matrix(vector: np.ndarray) -> np.ndarray:
 def _rotation(vector: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) by a rotation vector (3,), by Rodrigues' formula.
 
-    SciPy's takes ten times as long, and a frame asks twenty times.
+    SciPy's takes ten times as long, and a frame needs twenty.
     """
     angle, K = float(np.linalg.norm(vector)), _cross_matrix(vector)
     if angle < 1e-8:
@@ -58,7 +58,7 @@ def about(center: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def rows(directions: np.ndarray, points: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Derivative (k, 6) of points' ways along unit directions by a motion of the points, (k, 3)."""
+    """Derivative (k, 6) of points' displacements along unit directions (k, 3) by a motion."""
     result = np.empty((len(points), 6))
     result[:, :3] = directions
     x, y, z = (points - center).T
@@ -68,7 +68,7 @@ def rows(directions: np.ndarray, points: np.ndarray, center: np.ndarray) -> np.n
 
 
 def way_at(radius_m: float, motion: np.ndarray) -> float:
-    """Way in m that a motion (6,) takes places at some radius around its centre, at most."""
+    """Upper bound, m, of the displacement by a motion (6,) at a radius around its centre."""
     return float(np.linalg.norm(motion[:3]) + radius_m * np.linalg.norm(motion[3:]))
 
 
@@ -76,16 +76,16 @@ def way_at(radius_m: float, motion: np.ndarray) -> float:
 
 
 START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
-"""Standard deviation of a given start: off by up to 5 mm and 10°."""
+"""Standard deviation of a given initial pose: off by up to 5 mm and 10°."""
 
-SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a coarse start
+SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a searched one
 
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
 _ACCELERATION = np.array([0.5] * 3 + [0.2] * 3)
-"""Standard deviations of velocity at first (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
+"""Standard deviations of the initial velocity (m/s, rad/s) and of acceleration (m/s², rad/s²)."""
 
-_UNSEEN = 1e-6  # information of a frame over that of the prediction which is none
-_LONGEST_S = 0.5  # longest time to coast: motion is not known further ahead
+_MIN_RATIO = 1e-6  # information of a frame relative to the prediction's, below which it has none
+_MAX_COAST_S = 0.5  # longest time to coast: motion is not known further ahead
 
 
 @dataclass(frozen=True)
@@ -109,14 +109,14 @@ class Motion:
         return np.linalg.inv(self.covariance[:6, :6])
 
     def about(self, center: np.ndarray) -> Motion:
-        """The same, written about another centre."""
+        """The same about another centre."""
         A = np.kron(np.eye(2), about(self.center, center))
         covariance = A @ self.covariance @ A.T
         return Motion(self.T_B_O, A[:6, :6] @ self.velocity, covariance, center)
 
     def after(self, dt_s: float) -> Motion:
-        """Coast for some time."""
-        dt = min(max(dt_s, 0.0), _LONGEST_S)
+        """Predict after some time."""
+        dt = min(max(dt_s, 0.0), _MAX_COAST_S)
         F = np.eye(12)
         F[:6, 6:] = dt * np.eye(6)
         gain = np.concatenate([0.5 * dt**2 * _ACCELERATION, dt * _ACCELERATION])
@@ -132,17 +132,17 @@ class Motion:
         """With its covariance P multiplied by the most likely factor of at least 1.
 
         A frame's information H (6, 6) comes with a gradient (6,) at this pose, whose expected
-        covariance is H + H P H. Where it is larger, the object accelerates more than is assumed.
+        covariance is H + H P H. If it is larger, the object accelerates more than assumed.
         """
         root = np.linalg.cholesky(self.covariance[:6, :6])
         ratio, basis = np.linalg.eigh(root.T @ information @ root)
-        seen = ratio > _UNSEEN
-        surprise = (basis.T @ root.T @ gradient)[seen] ** 2 / (ratio + ratio**2)[seen]
+        informed = ratio > _MIN_RATIO
+        surprise = (basis.T @ root.T @ gradient)[informed] ** 2 / (ratio + ratio**2)[informed]
         factor = max(1.0, float(surprise.sum()) / 6.0)
         return replace(self, covariance=factor * self.covariance)
 
     def corrected(self, T_B_O: np.ndarray, information: np.ndarray) -> Motion:
-        """After a frame whose own information (6, 6) moved the pose's estimate to `T_B_O`."""
+        """Update by a frame whose information (6, 6) moved the pose estimate to `T_B_O`."""
         P = self.covariance
         gain = np.linalg.solve(P[:6, :6], P[:6, 6:]).T
         posterior = np.linalg.inv(self.information + information)

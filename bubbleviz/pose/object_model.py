@@ -12,7 +12,7 @@ from bubbleviz.membrane import MembraneMesh, ObjectSurface
 from bubbleviz.rigid_object import RigidObject
 
 _LARGEST = 20.0
-"""Size of an object over that of the bubble beyond which one of them is in other units."""
+"""Size of an object relative to the bubble beyond which the units differ."""
 
 
 def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
@@ -30,21 +30,21 @@ def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
         )
 
 
-# Rotations that take an object onto itself: poses that differ by one are the same.
+# Rotational symmetries of an object: poses that differ by one are equivalent.
 
 
-_ALIKE = 2e-3  # distance over the object's size below which surfaces are the same
+_TOLERANCE = 2e-3  # distance relative to the object's size below which surfaces are the same
 
-_FOLDS = (2, 3, 4, 5, 6, 8)  # of prisms that people make
-_CIRCLE = 360  # turns of a round object: a degree apart
-_MOST = 4 * _CIRCLE  # motions: a round object upside down and mirrored
+_FOLDS = (2, 3, 4, 5, 6, 8)  # of common prisms
+_CIRCLE = 360  # rotations of a round object: a degree apart
+_MAX_MOTIONS = 4 * _CIRCLE  # motions: a round object upside down and mirrored
 
 
 def symmetries(model: ObjectSurface) -> np.ndarray:
     """Transforms (s, 4, 4) of O that take the object onto itself, the identity first.
 
-    A round object has one for each degree; a ball, all of whose rotations are alike, the identity
-    alone: nothing of its rotation is ever determined.
+    A round object has one for each degree; a ball, whose rotation is never determined, only the
+    identity.
     """
     center, axes = _axes(model)
     round_axes = [a for a in axes if _same(model, center, Rotation.from_rotvec(a).as_matrix())]
@@ -98,14 +98,14 @@ def _same(model: ObjectSurface, center: np.ndarray, R: np.ndarray) -> bool:
     """Whether the turned vertices lie on the surface."""
     turned = (model.obj.vertices - center) @ R.T + center
     way = turned - model.closest(turned).place
-    return bool(np.linalg.norm(way, axis=1).max() < _ALIKE * model.size_m)
+    return bool(np.linalg.norm(way, axis=1).max() < _TOLERANCE * model.size_m)
 
 
 def _closed(turns: np.ndarray) -> np.ndarray:
     """All products of some rotations."""
     group = [np.eye(3)]
     new = list(turns)
-    while new and len(group) < _MOST:
+    while new and len(group) < _MAX_MOTIONS:
         R = new.pop()
         if any(np.abs(R - known).max() < 1e-3 for known in group):
             continue

@@ -1,10 +1,10 @@
 """Contact patch from the object's surface at its estimated pose.
 
 The exact membrane is pressed by the object at its pose, on a mesh twice as fine around the contact,
-and the patch is what touches in that press. Noise comes in by the pose alone, and nothing is
-blurred by the estimate's resolution. No distance from the object is the edge: membrane leaves a
-round object so slowly that a tenth of a millimetre more or less moves the edge by one and a half.
-Where it leaves the object over a sharp edge, that edge is where the patch ends.
+and the patch is the contact area of that press. Noise enters by the pose only, and the estimate's
+resolution does not blur it. A threshold of the distance to the object would not do: membrane leaves
+a round object so gradually that 0.1 mm more moves the edge by 1.5 mm. Where the membrane leaves the
+object at a sharp edge, the patch ends at that edge.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from bubbleviz.result import Estimate, ObjectPatch, Patch, Pose
 from bubbleviz.sensor_model import SensorModel
 
 _LIFTED_M = 1e-4
-"""Distance from the object at which the membrane has left it: some times what faces sink in."""
-_OPTIONS = PressOptions(spacing_edges=0.25, finer_m=4e-3, newton_steps=40)
-"""A mesh and points of the object twice as fine. From the estimate, which is blurred over edges of
-the coarse mesh, some eleven steps are needed."""
+"""Distance from the object beyond which there is no contact: several times the softness."""
+_OPTIONS = PressOptions(spacing_edges=0.25, finer_m=4e-3, max_steps=40)
+"""Mesh and object points twice as fine. Starting from the blurred estimate needs some eleven
+steps."""
 
 
 class ObjectPatchFinder:
-    """Finds the patch of one object, each frame's from the press of the one before."""
+    """Finds the patch of one object; each frame's press starts from that of the previous one."""
 
     def __init__(self, sensor: SensorModel, obj: ObjectSurface) -> None:
         self._mesh, self._object = sensor.mesh, obj
@@ -41,7 +41,7 @@ class ObjectPatchFinder:
         pose: Pose,
         gas_pressure_pa: float | None = None,  # measured, absolute
     ) -> ObjectPatch | None:
-        """Patch in a frame; None where the pose is lost, or no press is found."""
+        """Patch in a frame; None if the pose is lost, or no press is found."""
         contact = contact_points(self._mesh, estimate, patch)
         if pose.status != "ok" or contact is None:
             return None

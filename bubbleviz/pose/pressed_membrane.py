@@ -1,12 +1,12 @@
 """Exact membrane under an object at a given pose, and its derivative by the pose.
 
-Points of the object that are inside the membrane push it outward (`object_contact`):
+Points of the object that are inside the membrane push it outward:
 
     ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j,   f_j = k_j × depth of point j.
 
 Newton's method from the membrane of the last pose, in a `Submodel` around the contact; the last
-tangent also gives how the membrane moves with the object. An edge that moves over the membrane
-takes its load along, which is what shows that a flat face slides in its own plane.
+tangent also gives the derivative by the object's motion. An edge that moves over the membrane takes
+its load along, so that sliding of a flat face in its own plane is observable.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from bubbleviz.pose.motion import motion_between
 from bubbleviz.pose.pose_options import PressOptions
 from bubbleviz.pose.registration import ContactPoints
 
-# Where an object touches the membrane: its own points against the membrane's triangles.
+# Contact of an object with the membrane: points of the object against triangles of the membrane.
 #
-# Points of the object and not nodes of the membrane are in contact, so that the edge of a face may
-# be anywhere on a triangle, and the contact follows a pose smoothly.
+# Points of the object, not nodes of the membrane, are in contact, so that the edge of a face may be
+# anywhere on a triangle, and the contact depends smoothly on the pose.
 
 
 _TRIES = 30
-_MOST = 200_000  # random points for each one that is kept, and in all
-_KEENEST = 0.1
-"""1 + cosine between the normals of an edge of 26°. Keener ones are rounded as if they were that:
-the tip of a rounded blade would be far back."""
+_MAX_TRIES = 200_000  # random points for each one that is kept, and in total
+_SHARPEST = 0.1
+"""1 + cosine between the normals of an edge of 26°. Sharper ones are rounded as if they had that
+angle: the tip of a rounded blade would be far back."""
 
 
 def contact_samples(model: ObjectSurface, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -48,7 +48,7 @@ def contact_samples(model: ObjectSurface, spacing_m: float) -> tuple[np.ndarray,
 
     Along a crease the two normals are those of its faces, elsewhere they are the same.
     """
-    count = min(_MOST, int(_TRIES * model.area_m2 / spacing_m**2) + _TRIES)
+    count = min(_MAX_TRIES, int(_TRIES * model.area_m2 / spacing_m**2) + _TRIES)
     points, single = model.sample(count)
     normals = np.repeat(single[:, None], 2, axis=1)
     if model.creases is None:
@@ -76,9 +76,9 @@ def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Touching:
-    """Points of the object that carry the membrane."""
+    """Points of the object in contact with the membrane."""
 
-    which: np.ndarray  # (c,) int, of all of the object's
+    which: np.ndarray  # (c,) int, indices among all points of the object
     points: np.ndarray  # (c, 3), in B
     triangle: np.ndarray  # (c,) int, of the membrane, the one below each
     corners: np.ndarray  # (c, 3) int, its nodes
@@ -86,30 +86,30 @@ class Touching:
     gradients: np.ndarray  # (c, 3, 3), of these in B, by corner, 1/m
     # (c, 3), direction in which the object pushes the membrane, out of the object
     normals: np.ndarray
-    force_n: np.ndarray  # (c,), with which it pushes; below 0 where it would have to pull
+    force_n: np.ndarray  # (c,), contact force; negative if tensile
     stiffness_n_per_m: np.ndarray  # (c,), of the point
     edge: np.ndarray  # (c,) bool, on an edge of the object
-    # (c, 3), motion of points on edges by the radius of these; 0 on faces. The middle of a rounding
-    # lies inside both faces by its radius, and the point on it that pushes as far from there.
+    # (c, 3), derivative of points on edges by the edge radius; 0 on faces. The centre of a rounding
+    # is at a distance of its radius inside both faces, and the pushing point that far from there.
     rounding: np.ndarray
 
     def on_nodes(self, forces: np.ndarray, count: int) -> np.ndarray:
-        """Forces (c, 3) on the points, shared between the nodes (count, 3)."""
+        """Forces (c, 3) on the points, distributed to the nodes (count, 3)."""
         shares = self.weights[:, :, None] * forces[:, None]
-        return _gathered(self.corners, shares, count)
+        return _sum_at_nodes(self.corners, shares, count)
 
     def pulled_along(self, motions: np.ndarray, count: int) -> np.ndarray:
         """Change of the forces on the nodes (count, 3) as the points move by motions (c, 3).
 
-        The points sink in, and what they carry moves over the triangle with them.
+        The penetration changes, and the loads move over the triangles with the points.
         """
         sinking = np.einsum("ci,ci->c", self.normals, motions) * self.stiffness_n_per_m
         over = np.einsum("caj,cj->ca", self.gradients, motions) * self.force_n[:, None]
         shares = sinking[:, None] * self.weights + over
-        return _gathered(self.corners, shares[:, :, None] * self.normals[:, None], count)
+        return _sum_at_nodes(self.corners, shares[:, :, None] * self.normals[:, None], count)
 
     def blocks(self, triangles: int) -> np.ndarray:
-        """Stiffness against motions of the nodes, as `RubberMembrane.tangent` adds it."""
+        """Contact stiffness by motions of the nodes, as `RubberMembrane.tangent` adds it."""
         outer = self.normals[:, :, None] * self.normals[:, None]
         outer *= self.stiffness_n_per_m[:, None, None]
         blocks = np.empty((6, 3, 3, triangles))
@@ -130,7 +130,7 @@ class ObjectContact:
         self,
         model: ObjectSurface,
         spacing_m: float,  # distance of the points on the object
-        # pressure_pa, tension_n_per_m: under which a face and an edge sink in by the softness
+        # pressure_pa, tension_n_per_m: loads under which faces and edges penetrate by the softness
         pressure_pa: float,
         tension_n_per_m: float,
         options: PressOptions,
@@ -140,51 +140,50 @@ class ObjectContact:
         self._edge = np.any(self._normals[:, 0] != self._normals[:, 1], axis=1)
         both = self._normals.sum(axis=1)
         one_and_cosine = 0.5 * np.einsum("ij,ij->i", both, both)
-        self._core = both / np.maximum(one_and_cosine, _KEENEST)[:, None]
+        self._core = both / np.maximum(one_and_cosine, _SHARPEST)[:, None]
         face, edge = pressure_pa * spacing_m**2, tension_n_per_m * 0.5 * spacing_m
         self._stiffness = np.where(self._edge, edge, face) / options.softness_m
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
-        """Reset the directions in which edges push, and the contact."""
+    def reset(self) -> None:
+        """Reset the directions in which edges push, and the active set."""
         self._pushing = np.zeros_like(self._points)
-        self._held = np.zeros(len(self._points), bool)
+        self._active = np.zeros(len(self._points), bool)
 
-    def hold(self, touching: Touching, motion: np.ndarray) -> None:
-        """Take as touching what still pushes after a motion (n, 3) of the nodes, to first order.
+    def set_active(self, touching: Touching, motion: np.ndarray) -> None:
+        """Set as active the points that push after a motion (n, 3) of the nodes, to first order.
 
-        Geometry of second order lifts the membrane off a face by more than the face sinks in. A
-        tangent without what touches there would throw the membrane through the object (primal-dual
-        active set).
+        Second-order terms lift the membrane off a face by more than the penetration. A tangent
+        without these contacts would move the membrane through the object (primal-dual active set).
         """
         way = np.einsum("ca,cai->ci", touching.weights, motion[touching.corners])
         sinking = np.einsum("ci,ci->c", way, touching.normals)
-        self._held[:] = False
-        left = touching.force_n - touching.stiffness_n_per_m * sinking
-        self._held[touching.which[left > 0.0]] = True
+        self._active[:] = False
+        force_n = touching.force_n - touching.stiffness_n_per_m * sinking
+        self._active[touching.which[force_n > 0.0]] = True
 
     def touching(self, x: np.ndarray, triangles: np.ndarray, T_B_O: np.ndarray) -> Touching:
-        """Points that are inside the membrane with nodes x (n, 3) and triangles (m, 3), or held."""
+        """Active points, and those inside the membrane of nodes x (n, 3), triangles (m, 3)."""
         R = T_B_O[:3, :3]
         places = x[triangles]
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
-        points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.deepest_m
+        points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.max_depth_m
         low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
         close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
         if not len(close):
-            close = np.zeros(1, int)  # any one: it is too far away
+            close = np.zeros(1, int)  # any one, as a placeholder: it is too far away to touch
         found = TriangleScene(x, triangles).closest(points[close])
         corners, weights = triangles[found.triangle], found.barycentric
-        smooth = _gathered(triangles, np.repeat(vectors[:, None], 3, axis=1), len(x))
+        smooth = _sum_at_nodes(triangles, np.repeat(vectors[:, None], 3, axis=1), len(x))
         smooth = np.einsum("ci,cij->cj", weights, smooth[corners])
         smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
         normals = self._normals[close] @ R.T
-        pushing = self._turned(close, normals, -smooth, R)
-        facing = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.sideways
+        pushing = self._push_directions(close, normals, -smooth, R)
+        facing = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.max_cosine
         way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
         depth = -np.einsum("ij,ij->i", way, pushing)
-        near = np.linalg.norm(way, axis=1) < self._options.deepest_m
-        inside = np.flatnonzero(near & ((facing & (depth > 0.0)) | self._held[close]))
+        near = np.linalg.norm(way, axis=1) < self._options.max_depth_m
+        inside = np.flatnonzero(near & ((facing & (depth > 0.0)) | self._active[close]))
         kept, corners = close[inside], corners[inside]
         return Touching(
             which=kept,
@@ -200,18 +199,18 @@ class ObjectContact:
             rounding=pushing[inside] - self._core[kept] @ R.T,
         )
 
-    def _turned(
+    def _push_directions(
         self, which: np.ndarray, normals: np.ndarray, inward: np.ndarray, R: np.ndarray
     ) -> np.ndarray:
         """Directions (k, 3) in which points push the membrane.
 
-        A face pushes along its normal, an edge along the membrane's own (`inward`), as far as that
-        lies between those of the two faces. The half of it that is the last one keeps Newton's
-        method from going to and fro.
+        A face pushes along its normal, an edge along the membrane's (`inward`), limited to the cone
+        of the normals of its two faces. Averaging with the last direction prevents oscillation of
+        Newton's method.
         """
         first, second = normals[:, 0], normals[:, 1]
         edge = self._edge[which]
-        mixed = _between(first[edge], second[edge], inward[edge])
+        mixed = _limited_to_cone(first[edge], second[edge], inward[edge])
         before = self._pushing[which[edge]] @ R.T
         mixed += before
         mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
@@ -221,8 +220,8 @@ class ObjectContact:
         return pushing
 
 
-def _between(first: np.ndarray, second: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Unit vectors (k, 3) closest to those wanted in the cones of two unit vectors."""
+def _limited_to_cone(first: np.ndarray, second: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Unit vectors (k, 3) closest to the wanted ones in the cones of two unit vectors."""
     c, a, b = (np.einsum("ij,ij->i", *pair) for pair in
                ((first, second), (wanted, first), (wanted, second)))  # fmt: skip
     by_first, by_second = np.maximum(a - c * b, 0.0), np.maximum(b - c * a, 0.0)
@@ -240,8 +239,8 @@ def _gradients(places: np.ndarray) -> np.ndarray:
     return np.stack([cross(scaled, opposite[:, corner]) for corner in range(3)], axis=1)
 
 
-def _gathered(corners: np.ndarray, shares: np.ndarray, count: int) -> np.ndarray:
-    """Sums (count, 3) at the nodes of shares (c, 3, 3) of corners (c, 3)."""
+def _sum_at_nodes(corners: np.ndarray, shares: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, 3) at the nodes of values (c, 3, 3) at corners (c, 3)."""
     flat = corners.ravel()
     sums = [np.bincount(flat, shares[:, :, i].ravel(), minlength=count) for i in range(3)]
     return np.stack(sums, axis=1)
@@ -252,14 +251,14 @@ class Press:
     """An object pressed into the membrane."""
 
     T_B_O: np.ndarray  # (4, 4)
-    center: np.ndarray  # (3,), that motions are about
-    part: Submodel  # of the membrane, that all else is about
-    nodes: np.ndarray  # (k, 3), of it
+    center: np.ndarray  # (3,), of the motions
+    part: Submodel  # part of the membrane around the contact
+    nodes: np.ndarray  # (k, 3), of that part
     # (6, k, 3), their derivatives by small motions of the object in B about the centre
     slopes: np.ndarray
     rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
     push_n: np.ndarray  # (k, 3), force of the object on each node
-    held: np.ndarray  # (m,) bool, triangles that lie on a face of the object
+    on_face: np.ndarray  # (m,) bool, triangles that lie on a face of the object
 
     @property
     def force_n(self) -> np.ndarray:
@@ -268,7 +267,7 @@ class Press:
 
 
 class PressedMembrane:
-    """Presses one object into a membrane, pose after pose."""
+    """Presses one object into a membrane at successive poses."""
 
     def __init__(
         self, membrane: RubberMembrane, gas: Gas, model: ObjectSurface, options: PressOptions
@@ -283,36 +282,36 @@ class PressedMembrane:
             options,
         )
         self._part: Submodel | None = None
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
-        """Begin the next press from the estimated membrane."""
+    def reset(self) -> None:
+        """Start the next press from the estimated membrane."""
         self._last: Press | None = None
-        self._object.forget()
+        self._object.reset()
 
     def press(
         self,
         T_B_O: np.ndarray,  # (4, 4)
         contact: ContactPoints,  # where to look for contact, and the membrane to begin with
-        gas_pressure_pa: float | None = None,  # absolute; by the gas law where it is not measured
+        gas_pressure_pa: float | None = None,  # absolute; default: by the gas law
     ) -> Press | None:
-        """Press the object at a pose (4, 4); None where no equilibrium is found."""
+        """Press the object at a pose (4, 4); None if no equilibrium is found."""
         gas: Gas | HeldPressure = self._gas
         if gas_pressure_pa is not None and np.isfinite(gas_pressure_pa):
             gas = HeldPressure(gas_pressure_pa - self._gas.P0)
         part = self._around(contact)
         if self._last is not None:
-            start = _followed(self._last, T_B_O, self._options.longest_step_m)
+            start = _extrapolated(self._last, T_B_O, self._options.max_step_m)
             self._last = self._solve(part, start, T_B_O, contact.center, gas)
         if self._last is None:
-            self._object.forget()
+            self._object.reset()
             estimated = midway(contact.membrane, part.ends)
             start = np.where(part.mesh.rim[:, None], part.mesh.nodes, estimated)
             self._last = self._solve(part, start, T_B_O, contact.center, gas)
         return self._last
 
     def _around(self, contact: ContactPoints) -> Submodel:
-        """The part that the contact is in; another one where it has moved on."""
+        """Part of the membrane around the contact; replaced when the contact leaves it."""
         options, extent_m = self._options, contact.extent_m
         if self._part is None or not self._part.covers(
             contact.rest_center, extent_m + options.reach_m
@@ -320,7 +319,7 @@ class PressedMembrane:
             finer_m = extent_m + options.finer_m + options.margin_m if options.finer_m else 0.0
             reach_m = extent_m + options.reach_m + options.margin_m
             self._part = Submodel(self._membrane, contact.rest_center, reach_m, finer_m)
-            self.forget()
+            self.reset()
         return self._part
 
     def _solve(
@@ -333,7 +332,7 @@ class PressedMembrane:
     ) -> Press | None:
         """Newton's method from nodes x (k, 3)."""
         triangles = part.mesh.triangles
-        for _ in range(self._options.newton_steps):
+        for _ in range(self._options.max_steps):
             if not np.isfinite(x).all():
                 return None
             touching = self._object.touching(x, triangles, T_B_O)
@@ -344,10 +343,10 @@ class PressedMembrane:
                 return None
             step = tangent.moved(missed[None])[0]
             longest = float(np.abs(step).max())
-            step *= min(1.0, self._options.longest_step_m / max(longest, 1e-300))
-            self._object.hold(touching, step)
+            step *= min(1.0, self._options.max_step_m / max(longest, 1e-300))
+            self._object.set_active(touching, step)
             x = x + step
-            if longest < self._options.settled_m:
+            if longest < self._options.converged_m:
                 return _pressed(part, x, T_B_O, center, touching, tangent)
         return None
 
@@ -368,14 +367,14 @@ def _pressed(
     pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
     loaded = np.zeros(n, bool)
     loaded[touching.corners[touching.weights > 0.0]] = True
-    held = loaded[triangles].all(axis=1)
-    held[touching.triangle[touching.edge]] = False
+    on_face = loaded[triangles].all(axis=1)
+    on_face[touching.triangle[touching.edge]] = False
     push = touching.on_nodes(touching.force_n[:, None] * touching.normals, n)
     slopes = tangent.moved(pulls)
-    return Press(T_B_O, center, part, x, slopes[:6], slopes[6], push, held)
+    return Press(T_B_O, center, part, x, slopes[:6], slopes[6], push, on_face)
 
 
-def _followed(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:
+def _extrapolated(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:
     """Nodes (k, 3) of a membrane after its object moved to another pose, to first order."""
     motion = motion_between(press.T_B_O, T_B_O, press.center)
     step = np.einsum("q,qni->ni", motion, press.slopes)

@@ -1,8 +1,7 @@
 """Fits an object's surface to the membrane that touches it: robust Gauss–Newton in two stages.
 
-Stage one takes the contact points alone: they lie on the object. Stage two adds what is around
-them: the free membrane cannot be inside the object. What the whole depth image says is
-left to `depth_image`.
+Stage one uses only the contact points, which lie on the object. Stage two adds the free membrane
+around them, which cannot be inside the object. `image_fit` uses the whole depth image.
 """
 
 from __future__ import annotations
@@ -16,15 +15,15 @@ from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
 from bubbleviz.pose.motion import motion_between, moved, rows, way_at
 from bubbleviz.result import Estimate, Patch
 
-# What the estimated membrane says about an object that touches it.
+# Points of the estimated membrane on and around the contact.
 
 
-LEAST_POINTS = 12
-"""Contact points below which there is no patch to speak of: two triangles of the mesh."""
+MIN_POINTS = 12
+"""Fewest contact points of a patch: two triangles of the mesh."""
 
-_REACH_M = 0.008  # how far around the patch the free membrane is looked at
+_REACH_M = 0.008  # distance around the patch in which the free membrane is used
 
-_MOST = 160  # contact points, and free ones, beyond which more of them say the same again
+_MAX_POINTS = 160  # contact points, and free ones; more are redundant
 
 _CENTRES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 """Barycentric coordinates of the centres of a triangle's four quarters."""
@@ -54,7 +53,7 @@ class ContactPoints:
 
 
 def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> ContactPoints | None:
-    """Contact points of an estimate; None where the patch has fewer than a pose needs."""
+    """Contact points of an estimate; None if there are too few for a pose."""
     nodes = mesh.deformed(estimate.motion_m)
     inside = patch.level > 0.0
     near = np.any(inside[mesh.triangles], axis=1)
@@ -71,7 +70,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     level = (patch.level[triangles] @ _CENTRES.T).ravel()
     pressure = (estimate.contact_pressure_pa[triangles] @ _CENTRES.T).ravel()
     on = np.flatnonzero(level > 0.0)
-    if len(on) < LEAST_POINTS:
+    if len(on) < MIN_POINTS:
         return None
     facets = vectors / areas[:, None]
     share = 0.25 * np.repeat(areas, 4)
@@ -97,7 +96,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
 
 def _thinned(index: np.ndarray) -> np.ndarray:
     """Some of the points, evenly spread in the mesh's own order."""
-    return index[:: max(1, -(-len(index) // _MOST))]
+    return index[:: max(1, -(-len(index) // _MAX_POINTS))]
 
 
 def _within(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
@@ -106,20 +105,20 @@ def _within(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
     return np.isfinite(distance)
 
 
-# How far points are from the surface of an object at a pose, and which way that changes.
+# Distance of points from the surface of an object at a pose, and its gradient.
 
 
 _OVER = np.cos(np.radians(30.0))
-"""Cosine between the way to the closest place and the normal there, for a point over a face and
-not beside it."""
+"""Cosine between the normal at the closest place and the direction to it, above which a point is
+over a face."""
 
 _NEAR_M = 1e-3
-"""Distance below which noise decides on the direction of the way to the closest place."""
+"""Distance below which noise dominates the direction to the closest place."""
 
 
 @dataclass(frozen=True)
 class ObjectDistance:
-    """Points in B against an object at a pose."""
+    """Distances of points in B from an object at a pose."""
 
     signed_m: np.ndarray  # (k,), positive outside
     # gradient, normal, place: (k, 3), of the distance, of the surface at the closest place, and
@@ -127,10 +126,10 @@ class ObjectDistance:
     gradient: np.ndarray
     normal: np.ndarray
     place: np.ndarray
-    over: np.ndarray  # (k,) bool, over a face, not beside it
+    over: np.ndarray  # (k,) bool, over a face (else outside its outline)
 
     def of(self, some: slice) -> ObjectDistance:
-        """Of some of the points."""
+        """Distances of some of the points."""
         return ObjectDistance(*(getattr(self, field.name)[some] for field in fields(self)))
 
 
@@ -159,52 +158,52 @@ INLIER_M = 1.5e-3
 """A contact point this close to the object agrees with it: three deviations of the estimate."""
 
 _MODEL_ERROR_M = 4e-4
-"""Error of the membrane's place that is not noise, independent from one patch of the size of the
-estimate's resolution to the next."""
+"""Model error of the membrane's position, independent between areas of the size of the estimate's
+resolution."""
 
 _PARALLEL = np.cos(np.radians(45.0))
-"""Membrane that lies on a face is parallel to it, but for the blur of the estimate."""
+"""Membrane that lies on a face is parallel to it, except for the blur of the estimate."""
 
 _AWAY = 0.3  # cosine between the normals of membrane and object beyond which they face the same way
 
-_SLACK_M = 5e-4  # how far blur takes the estimated membrane into an object's edges
+_SLACK_M = 5e-4  # penetration of the estimated membrane at an object's edges, by blur
 
 _EDGE_DEVIATION_M = 2e-3
-"""Error of the patch's edge, where membrane is taken for contact that is none."""
+"""Error of the patch's edge, where membrane without contact is classified as contact."""
 
 _NARROWEST_M = 1e-3
 _NARROWING = 0.6
-"""Residual at which robust weights begin to fall in the end, and how fast it gets there."""
+"""Final scale of the robust weights, and factor of the scale per iteration."""
 
-_CONVERGED_M = 2e-5  # step at the patch's edge that is none
+_CONVERGED_M = 2e-5  # step at the patch's edge that counts as converged
 
 
 @dataclass(frozen=True)
 class Precision:
-    """How precisely the estimate knows where the membrane is."""
+    """Precision of the membrane's estimated position."""
 
     information_per_m4: float  # sum of 1/σ² of the range pixels per area of membrane
-    resolution_m: float  # distance over which the estimate's errors are one
+    resolution_m: float  # correlation length of the estimate's errors
 
     @property
     def of_model(self) -> float:
-        """1/σ² of the membrane's place along its normal per area, but for noise, 1/m⁴."""
+        """1/σ² of the membrane's position along its normal per area, by model errors, 1/m⁴."""
         return 1.0 / (self.resolution_m * _MODEL_ERROR_M) ** 2
 
     @property
     def per_area(self) -> float:
-        """1/σ² of the membrane's place along its normal per area, model errors included, 1/m⁴."""
+        """1/σ² of the membrane's position along its normal per area, by all errors, 1/m⁴."""
         return 1.0 / (1.0 / self.information_per_m4 + 1.0 / self.of_model)
 
     @property
-    def beside(self) -> float:
-        """The same across the patch's edge, for membrane that should not be beside the object."""
+    def across_edge(self) -> float:
+        """The same across the patch's edge, for contact points outside the object's outline."""
         return 1.0 / (self.resolution_m * _EDGE_DEVIATION_M) ** 2
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the pose before a frame."""
+    """Knowledge of the pose before a frame."""
 
     T_B_O: np.ndarray  # (4, 4)
     # (6, 6), inverse covariance of small motions in B about the patch's centre
@@ -222,10 +221,10 @@ class Fit:
     cost: float  # robust misfit in units of the noise, squared; lower is better
     # (6, 6), information of the contact normals about small motions in B about the patch's centre
     surface: np.ndarray
-    # (6, 6), information of all else: points beside the object and the free membrane, about shifts
-    # alone
+    # (6, 6), information of the other residuals (points outside the object's outline, free
+    # membrane), about translations only
     outline: np.ndarray
-    looked: ObjectDistance  # of the contact points, then of the free ones
+    distance: ObjectDistance  # of the contact points, then of the free ones
     history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
 
 
@@ -239,10 +238,7 @@ class _Term:
 
     @classmethod
     def of(cls, J: np.ndarray, residual: np.ndarray, weight: np.ndarray, scale: float) -> _Term:
-        """Residuals (k,) of Jacobian (k, c), each with 1/σ² and the scale of its robust weight.
-
-        Geman and McClure's: what is far beyond the scale hardly counts.
-        """
+        """Residuals (k,) with Jacobian (k, c), 1/σ² and the scale of Geman and McClure's weight."""
         trust = 1.0 / (1.0 + (residual / scale) ** 2)
         w = weight * trust**2
         return cls((J.T * w) @ J, J.T @ (w * residual), float(weight * trust @ residual**2))
@@ -252,11 +248,11 @@ class _Term:
 
 
 _SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-"""Where a point beside the object is off to is half noise: turns cannot be told from it."""
+"""Points outside the outline are too noisy to determine rotations."""
 
 
-_Looked = tuple[np.ndarray, ObjectDistance]
-"""A pose (4, 4) with the contact points and the free ones against the object there."""
+_At = tuple[np.ndarray, ObjectDistance]
+"""A pose (4, 4), and the distances of contact points and free ones from the object there."""
 
 
 class Registration:
@@ -268,14 +264,14 @@ class Registration:
     def stage_one(
         self,
         contact: ContactPoints,
-        start: np.ndarray,  # (4, 4), T_B_O at which to begin
-        prior: Prior,  # decides where the contact does not
+        start: np.ndarray,  # (4, 4), initial T_B_O
+        prior: Prior,
         *,
-        # scale of the robust weights at first: how far off the start may be
+        # initial scale of the robust weights: possible error of the initial pose
         widest_m: float = 5e-3,
         iterations: int = 12,  # at most
     ) -> Fit:
-        """Fit to the contact points alone, weighted by the pressure on them."""
+        """Fit to the contact points only, weighted by their pressure."""
         share = contact.areas_m2 * contact.pressure_pa
         share *= contact.areas_m2.sum() / share.sum()
         begun = self._at(contact, start)
@@ -291,18 +287,18 @@ class Registration:
         iterations: int = 12,
     ) -> Fit:
         """Refine with the free membrane around the patch; other parameters as in `stage_one`."""
-        share, begun = contact.areas_m2, (first.T_B_O, first.looked)
+        share, begun = contact.areas_m2, (first.T_B_O, first.distance)
         return self._fit(contact, share, begun, prior, widest_m, iterations, around=True)
 
     def misfit(self, contact: ContactPoints, T_B_O: np.ndarray) -> float:
-        """Robust misfit of a pose (4, 4) by all that stage two looks at, in units of the noise."""
+        """Robust misfit of a pose (4, 4) by the residuals of stage two, in units of the noise."""
         return self._finished(contact, self._at(contact, T_B_O), []).cost
 
     def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
         """A fit moved to another pose (4, 4)."""
         return self._finished(contact, self._at(contact, T_B_O), list(fit.history))
 
-    def _at(self, contact: ContactPoints, T: np.ndarray) -> _Looked:
+    def _at(self, contact: ContactPoints, T: np.ndarray) -> _At:
         points = np.concatenate([contact.points, contact.free])
         return T, object_distance(self.model, points, T)
 
@@ -310,37 +306,37 @@ class Registration:
         self,
         contact: ContactPoints,
         share_m2: np.ndarray,
-        begun: _Looked,
+        begun: _At,
         prior: Prior,
         widest_m: float,
         iterations: int,
         *,
         around: bool,
     ) -> Fit:
-        (T, looked), scale = begun, widest_m
+        (T, distance), scale = begun, widest_m
         history = []
         for _ in range(iterations):
-            on, free = _parted(contact, looked)
+            on, free = _split(contact, distance)
             history.append(np.array(_agreement(contact, on)[:2]))
             total = self._surface(contact, share_m2, on, scale)
-            total += self._beside(contact, share_m2, on, scale)
+            total += self._outside(contact, share_m2, on, scale)
             if around:
                 total += self._free(contact, free)
             pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
             step = -np.linalg.solve(total.H + prior.information, total.g + pull)
-            T, looked = self._at(contact, moved(T, step, contact.center))
-            settled = way_at(contact.radius_m, step) < _CONVERGED_M and scale == _NARROWEST_M
+            T, distance = self._at(contact, moved(T, step, contact.center))
+            converged = way_at(contact.radius_m, step) < _CONVERGED_M and scale == _NARROWEST_M
             scale = max(_NARROWING * scale, _NARROWEST_M)
-            if settled:
+            if converged:
                 break
-        return self._finished(contact, (T, looked), history)
+        return self._finished(contact, (T, distance), history)
 
-    def _finished(self, contact: ContactPoints, at: _Looked, history: list[np.ndarray]) -> Fit:
-        T, looked = at
-        on, free = _parted(contact, looked)
+    def _finished(self, contact: ContactPoints, at: _At, history: list[np.ndarray]) -> Fit:
+        T, distance = at
+        on, free = _split(contact, distance)
         fitness, rmse, count = _agreement(contact, on)
         surface = self._surface(contact, contact.areas_m2, on, _NARROWEST_M)
-        outline = self._beside(contact, contact.areas_m2, on, _NARROWEST_M)
+        outline = self._outside(contact, contact.areas_m2, on, _NARROWEST_M)
         outline += self._free(contact, free)
         return Fit(
             T_B_O=T,
@@ -350,36 +346,36 @@ class Registration:
             cost=surface.cost + outline.cost,
             surface=surface.H,
             outline=_SHIFTS @ outline.H @ _SHIFTS,
-            looked=looked,
+            distance=distance,
             history=np.array([*history, (fitness, rmse)]),
         )
 
     def _surface(
         self, contact: ContactPoints, share_m2: np.ndarray, distance: ObjectDistance, scale: float
     ) -> _Term:
-        """Contact points over a face lie on it."""
+        """Residuals: contact points over a face lie on it."""
         facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
         used = distance.over & (facing < -_PARALLEL)
         J = -rows(distance.normal[used], contact.points[used], contact.center)
         weight = self.precision.per_area * share_m2
         term = _Term.of(J, distance.signed_m[used], weight[used], scale)
-        # Points that no face of the object looks at count as far away.
+        # Points without an opposing face of the object count as far away.
         missed = float(weight[distance.over & (facing > _AWAY)].sum()) * scale**2
         return _Term(term.H, term.g, term.cost + missed)
 
-    def _beside(
+    def _outside(
         self, contact: ContactPoints, share_m2: np.ndarray, distance: ObjectDistance, scale: float
     ) -> _Term:
-        """Contact points beside the object, or at its sides, draw it over themselves."""
+        """Residuals: the object covers contact points outside its outline, or at its sides."""
         facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
-        beside = (facing >= -_PARALLEL) & (facing <= _AWAY)
-        used = ~distance.over | beside
+        at_side = (facing >= -_PARALLEL) & (facing <= _AWAY)
+        used = ~distance.over | at_side
         J = -rows(distance.gradient[used], contact.points[used], contact.center)
-        weight = self.precision.beside * share_m2[used]
+        weight = self.precision.across_edge * share_m2[used]
         return _Term.of(J, distance.signed_m[used], weight, 2.0 * scale)
 
     def _free(self, contact: ContactPoints, distance: ObjectDistance) -> _Term:
-        """The free membrane is not inside the object."""
+        """Residuals: the free membrane is not inside the object."""
         depth = np.minimum(distance.signed_m + _SLACK_M, 0.0)
         used = depth < 0.0
         J = -rows(distance.gradient[used], contact.free[used], contact.center)
@@ -387,12 +383,12 @@ class Registration:
         return _Term.of(J, depth[used], weight, 2.0 * _NARROWEST_M)
 
 
-def _parted(
-    contact: ContactPoints, looked: ObjectDistance
+def _split(
+    contact: ContactPoints, distance: ObjectDistance
 ) -> tuple[ObjectDistance, ObjectDistance]:
-    """Contact points and free points that were compared."""
+    """Distances of contact points and of free points."""
     count = len(contact.points)
-    return looked.of(slice(count)), looked.of(slice(count, None))
+    return distance.of(slice(count)), distance.of(slice(count, None))
 
 
 def _agreement(contact: ContactPoints, distance: ObjectDistance) -> tuple[float, float, int]:
@@ -405,19 +401,19 @@ def _agreement(contact: ContactPoints, distance: ObjectDistance) -> tuple[float,
     return area / float(contact.areas_m2.sum()), float(rmse), int(np.count_nonzero(agree))
 
 
-# Which ways an object can move without the contact noticing.
+# Motions of an object that the contact does not determine.
 
 
 DETERMINED_M = 4e-4
-"""Standard deviation at the patch's edge below which contact determines a direction: better than
-one patch of the size of the estimate's resolution alone, whose model error this is."""
+"""Standard deviation at the patch's edge below which contact determines a direction: the model
+error of one area of the size of the estimate's resolution."""
 
 _TURNS = 0.3
 _LARGEST_RADIUS_M = 0.1
-"""A motion that turns less than this share of the one that turns most is a shift; patches are
-smaller than this."""
+"""A motion that rotates less than this share of the largest rotation is a translation; limit of the
+radius of patches."""
 
-LEAST_RADIUS_M = 2e-3  # a smaller patch turns about itself as one of this radius does
+MIN_RADIUS_M = 2e-3  # smaller patches are treated as of this radius
 
 
 @dataclass(frozen=True)
@@ -427,7 +423,7 @@ class Directions:
     # (6, 6), in columns, in B about the patch's centre: translation, then rotation in rad, such
     # that a unit of each moves the patch's edge by about 1 m
     motions: np.ndarray
-    # (6,), standard deviation of each at the patch's edge by the contact normals alone
+    # (6,), standard deviation of each at the patch's edge by the contact normals only
     deviation_m: np.ndarray
     determined: np.ndarray  # (6,) bool
 
@@ -439,7 +435,7 @@ class Directions:
 
 def directions(surface: np.ndarray, radius_m: float) -> Directions:
     """Directions of the information (6, 6) of contact normals on a patch of some radius."""
-    radius = max(radius_m, LEAST_RADIUS_M)
+    radius = max(radius_m, MIN_RADIUS_M)
     unit = np.array([1.0, 1.0, 1.0, 1.0 / radius, 1.0 / radius, 1.0 / radius])
     information, vectors = np.linalg.eigh(surface * np.outer(unit, unit))
     information, vectors = information[::-1], vectors[:, ::-1]
@@ -451,13 +447,13 @@ def directions(surface: np.ndarray, radius_m: float) -> Directions:
 def open_axes(
     motions: np.ndarray,  # (6, q), columns as in `Directions.motions`
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shifts and turns among some motions: unit directions (s, 3) and axes (t, 3) in B.
+    """Translations and rotations spanned by motions: unit directions (s, 3), axes (t, 3) in B.
 
-    Where a turn comes with a shift, as a ball's about its middle, the turn counts.
+    A combined motion, as of a ball about its centre, counts as a rotation.
     """
     if not motions.size:
         return np.zeros((0, 3)), np.zeros((0, 3))
-    # An eigenvector's turning part is 1/radius long at most: larger singular values are turns.
+    # The rotation part of an eigenvector has at most length 1/radius.
     vectors, sizes, mixed = np.linalg.svd(motions[3:])
     turning = sizes > _TURNS * max(float(sizes.max()), 1.0 / _LARGEST_RADIUS_M)
     turns = vectors.T[: len(sizes)][turning]

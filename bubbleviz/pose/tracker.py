@@ -1,8 +1,8 @@
 """Tracks one object from frame to frame: predict, fit, detect loss, recover.
 
-The object is lost where too little of the patch lies on it, where it would have jumped further
-than hands and robots move, and while there is no contact. The last good pose is kept, motion is
-coasted, and every further frame tries a few more starts, so that no frame waits for the search.
+The object is lost if too little of the patch lies on it, if it would have moved faster than
+hands and robots do, and while there is no contact. Then the last good pose is kept, and every frame
+tries a few more initial poses, so that no frame waits for the search.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import ObjectSurface, RubberMembrane
-from bubbleviz.pose.dual_stage import Solution, Solver, StartFinder
+from bubbleviz.pose.dual_stage import InitialPoseFinder, Solution, Solver
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
 from bubbleviz.pose.object_model import check_size
 from bubbleviz.pose.pose_options import PoseOptions
@@ -31,7 +31,7 @@ class PoseTracker:
         self,
         estimator: Estimator,  # the one that makes the estimates
         obj: RigidObject,
-        # (4, 4), T_B_O in the first frame, to about 5 mm and 10°; searched for when None
+        # (4, 4), T_B_O in the first frame, to about 5 mm and 10°; None: search
         start: np.ndarray | None = None,
         *,
         membrane: RubberMembrane,  # that the object presses into, on the estimator's mesh
@@ -43,13 +43,13 @@ class PoseTracker:
         options = options or PoseOptions()
         self._solver = Solver(registration, estimator, membrane, options)
         self._options = options.tracking
-        self._finder = StartFinder(self.model)
+        self._finder = InitialPoseFinder(self.model)
         self._mesh = estimator.mesh
         self.reset(start)
 
     def reset(self, start: np.ndarray | None = None) -> None:
-        """Forget everything; begin at T_B_O (4, 4), or search when None."""
-        self._solver.forget()
+        """Reset; start at T_B_O (4, 4), or search if None."""
+        self._solver.reset()
         self._start = start
         self._motion: Motion | None = None
         self._good: np.ndarray | None = None
@@ -70,9 +70,9 @@ class PoseTracker:
         predicted = self._predicted(frame, contact)
         solution = None
         if predicted is not None:
-            settled = self._tried == 0 and self._good is not None
-            solution = self._solver.solve(frame, contact, predicted, settled=settled)
-            if not self._believable(solution, frame, contact):
+            tracking = self._tried == 0 and self._good is not None
+            solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
+            if not self._plausible(solution, frame, contact):
                 solution = None
         if solution is None and (self._good is not None or self._start is None):
             solution = self._searched(frame, contact)
@@ -87,25 +87,25 @@ class PoseTracker:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
         gap = frame.time_s - self._last_s
-        known = 0.0 <= gap <= self._options.longest_gap_s
-        if not known:  # the recording was wound, or is another one
+        known = 0.0 <= gap <= self._options.max_gap_s
+        if not known:  # jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
 
-    def _believable(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
-        if solution.pose.fitness < self._options.least_fitness:
+    def _plausible(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
+        if solution.pose.fitness < self._options.min_fitness:
             return False
         if self._good is None:
             return True
         motion = motion_between(self._good, solution.pose.T_B_O, contact.center)
         way = np.array([np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])])
         options = self._options
-        fastest = np.array([options.fastest_m_per_s, options.fastest_rad_per_s])
+        fastest = np.array([options.max_m_per_s, options.max_rad_per_s])
         slack = 3.0 * START_DEVIATION[[0, 3]]
         return bool(np.all(way < fastest * abs(frame.time_s - self._good_s) + slack))
 
     def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
-        """The best of a few starts; other ones in the next frame."""
+        """The best of a few initial poses; the next frame tries others."""
         if self._good is not None and self._tried <= 1:
             kept = self._good.copy()
             kept[:3, 3] += contact.center - self._good_center
@@ -117,12 +117,12 @@ class PoseTracker:
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
-        """Coarse initial poses not tried yet: more at first, without any pose."""
+        """Initial poses not tried yet; more in the first frame."""
         if not len(self._waiting):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._good is None and self._tried == 0
         options = self._options
-        count = options.starts_at_first if first else options.starts_a_frame
+        count = options.starts_at_first if first else options.starts_per_frame
         chosen, self._waiting = self._waiting[:count].copy(), self._waiting[count:]
         chosen[:, :3, 3] += contact.center - self._waiting_at
         return chosen
@@ -143,5 +143,5 @@ class PoseTracker:
 
 
 def precision_of(estimator: Estimator) -> Precision:
-    """How precisely a sensor's estimator knows where the membrane is."""
+    """Precision of the membrane's position by a sensor's estimator."""
     return Precision(estimator.information, estimator.resolution_m)

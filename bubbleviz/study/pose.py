@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from bubbleviz.membrane import MembraneMesh, ObjectSurface
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import (
-    LEAST_RADIUS_M,
+    MIN_RADIUS_M,
     Directions,
     ImageFit,
     ImageOptions,
@@ -108,7 +108,7 @@ class PoseMetrics:
         facing = np.einsum("ij,ij->i", normals, mesh.normals[touching]) < -_MIN_FACING
         J = rows(normals[facing], points[facing], center)
         surface = (J.T * (self._precision.per_area * areas[facing])) @ J
-        return TrueContact(T, center, max(radius, LEAST_RADIUS_M), directions(surface, radius))
+        return TrueContact(T, center, max(radius, MIN_RADIUS_M), directions(surface, radius))
 
     def errors(self, T_B_O: np.ndarray, true: TrueContact) -> PoseErrors:
         """Errors of a pose (4, 4), relative to the closest symmetric equivalent of the true one."""

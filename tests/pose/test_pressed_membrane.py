@@ -22,7 +22,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, study_object
 
-PRECISE = PressOptions(settled_m=1e-6, newton_steps=60)
+PRECISE = PressOptions(converged_m=1e-6, max_steps=60)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_jacobian_equals_finite_differences_of_the_membrane(pipeline, rubber, co
         step = size * np.array(motion, float)
         ends = []
         for sign in (1.0, -1.0):
-            membrane.forget()
+            membrane.reset()
             ends.append(membrane.press(moved(pose(), sign * step, contact.center), contact).nodes)
         change = np.einsum("ij,ij->i", ends[0] - ends[1], normals) / (2.0 * size)
         slope = np.einsum("i,ikl,kl->k", np.array(motion, float), press.slopes, normals)
@@ -125,7 +125,7 @@ def test_warm_start_equals_cold_start(pipeline, rubber, contact):
     membrane, there = pressed(pipeline, rubber, "cylinder"), pose(x=0.005, z=0.0395)
     membrane.press(pose(), contact)
     followed = membrane.press(there, contact)
-    membrane.forget()
+    membrane.reset()
     anew = membrane.press(there, contact)
     assert np.abs(followed.nodes - anew.nodes).max() < 1e-4
     assert np.abs(followed.nodes - followed.part.mesh.nodes).max() > 8e-3
@@ -146,7 +146,7 @@ def test_without_contact_the_membrane_is_at_rest(pipeline, rubber, contact):
     press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), contact)
     assert np.abs(press.nodes - press.part.mesh.nodes).max() < 1e-6
     assert not press.slopes.any()
-    assert not press.held.any()
+    assert not press.on_face.any()
 
 
 def test_measured_gas_pressure_replaces_the_gas_law(pipeline, rubber, contact):
@@ -237,7 +237,7 @@ def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, c
     )
     noise = np.random.default_rng(0).standard_normal(len(observer.pixel))
     for sigma in (5e-4, 5e-3):
-        fit.forget()
+        fit.reset()
         for T in (pose(), pose(x=0.0045)):
             found = look.predicted(T, contact)
             change = np.full(len(noise), np.nan)

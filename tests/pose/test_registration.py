@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pose import (
     ContactPoints,
+    InitialPoseFinder,
     Precision,
     Prior,
     Registration,
-    StartFinder,
     about,
     directions,
     motion_between,
@@ -235,7 +235,7 @@ def test_initial_poses_are_independent_of_the_object_origin(frustum):
     shift = np.array([0.03, -0.02, 0.05])
     away = ObjectSurface(replace(frustum.obj, vertices=frustum.obj.vertices + shift))
     tip = on_surface(frustum, pose(), keep=lambda points, normals: points[:, 2] < 1e-6)
-    starts, others = (StartFinder(model).starts(tip) for model in (frustum, away))
+    starts, others = (InitialPoseFinder(model).starts(tip) for model in (frustum, away))
     others[:, :3, 3] += others[:, :3, :3] @ shift
     differences = np.abs(others[:, None] - starts).max(axis=(2, 3))
     assert differences.min(axis=0).max() < 1e-9  # faces that are alike come in any order
@@ -253,7 +253,7 @@ def test_initial_poses_cover_all_rotations():
     for turn in np.radians([0.0, 40.0, 100.0, 160.0]):
         T = pose(turn=(0.1, -0.2, 0.0)) @ pose(turn=(0.0, 0.0, turn))
         R = T[:3, :3]
-        starts = StartFinder(model).starts(contact_of(points @ R.T + T[:3, 3], normals @ R.T))
+        starts = InitialPoseFinder(model).starts(contact_of(points @ R.T + T[:3, 3], normals @ R.T))
         cosine = 0.5 * (np.einsum("ij,kij->k", R, starts[:, :3, :3]) - 1.0)
         near = np.argmax(cosine)
         assert cosine[near] > np.cos(np.radians(16.0))
