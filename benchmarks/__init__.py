@@ -1,1 +1,1 @@
-"""What measures the window, and what judges methods; not installed."""
+"""Benchmarks of the window and of methods; not installed."""

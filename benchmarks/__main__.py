@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 @click.group(cls=OneLineErrors)
 def benchmarks() -> None:
-    """Measure what methods can do: bounds, limits, coverage, rivals."""
+    """Accuracy benchmarks: bounds, limits, coverage, other methods."""
 
 
 def _command(make: Callable[..., list[Study]]) -> None:
-    """Make a command of a function, with the options that it has parameters for."""
+    """Make a command of a function, with options for its parameters."""
     wanted = signature(make).parameters
 
     def measure(out: Path | None, as_json: bool, sensor: str = "", **given: Any) -> None:
@@ -33,7 +33,7 @@ def _command(make: Callable[..., list[Study]]) -> None:
 
         if sensor:
             given["sensor"] = load_sensor(sensor)
-        if "parts" in wanted:  # of a stopped run, which goes on there
+        if "parts" in wanted:  # of an interrupted run, which is resumed
             given["parts"] = out and out / "parts"
         reports = {study.name: study.run(out) for study in make(**given)}
         if as_json:
@@ -48,7 +48,7 @@ def _command(make: Callable[..., list[Study]]) -> None:
 
 @_command
 def edge(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
-    """Edge of the patch by noise, against the mesh's best, the Cramér–Rao bound and a threshold."""
+    """Edge of the patch over noise; limit of the mesh, Cramér–Rao bound and threshold methods."""
     from benchmarks.edge import EdgeGrid, edge_study, quick_grid
 
     return [edge_study(sensor, replace(quick_grid() if quick else EdgeGrid(), seed=seed))]
@@ -56,7 +56,7 @@ def edge(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
 
 @_command
 def detection(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
-    """The smallest press that is found, at one false alarm in a thousand frames."""
+    """Smallest detectable press at a false-alarm rate of 1 in 1,000 frames."""
     from benchmarks.detection import DetectionGrid, detection_study, quick_detection_grid
 
     grid = quick_detection_grid() if quick else DetectionGrid()
@@ -76,7 +76,7 @@ def membranes(quick: bool, seed: int, parts: Path | None) -> list[Study]:
 
 @_command
 def coverage(quick: bool, parts: Path | None) -> list[Study]:
-    """How often 95 % intervals of rubber identified from inflation levels hold the truth."""
+    """Coverage of the 95 % intervals of rubber identified from inflation levels."""
     from benchmarks.coverage import CoverageGrid, coverage_study
 
     grid = CoverageGrid()
@@ -120,7 +120,7 @@ def stages(sensor: Sensor, quick: bool) -> list[Study]:
 
 @_command
 def faults(quick: bool, seed: int, parts: Path | None) -> list[Study]:
-    """Random errors of pressure, depth and camera: forces that are wrong without a word."""
+    """Random errors of pressure, depth and camera: rate of wrong forces without a warning."""
     from benchmarks.faults import faults_study
 
     return [faults_study(24 if quick else 1_000, seed, parts)]
@@ -132,7 +132,7 @@ def faults(quick: bool, seed: int, parts: Path | None) -> list[Study]:
 @seed_option
 @click.option("--keep", type=click.Path(path_type=Path), help="New folder to leave the inputs in.")
 def fuzz(count: int, first: int, seed: int, keep: Path | None) -> None:
-    """Damaged and hostile inputs, each in one line refused or read; exit code 1 if one is not."""
+    """Damaged and hostile inputs; exit code 1 unless each is read or refused in one line."""
     from tempfile import TemporaryDirectory
 
     from tqdm import tqdm

@@ -1,7 +1,7 @@
 """Alternative registrations of an object: whole cloud ([6] of the paper) and other libraries.
 
-small_gicp is an optional extra, and Open3D is imported after `TriangleScene` has left out what
-draws: hence both inside the functions.
+Both are imported inside the functions: small_gicp is an optional extra, and Open3D is imported
+after `TriangleScene` has disabled its drawing modules.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from tests.oracles.round_sheet import round_sheet
 GAUGE_PA = 2_500.0
 _OVAL_M, _ROUND_M = (0.0557, 0.0396), (0.045, 0.045)  # semi-axes of the rim, the Punyo's first
 _WEATHER_PA = 300.0
-"""σ of the atmospheric pressure about the one a sensor file has right for the place."""
+"""σ of the atmospheric pressure about the correct local mean in the sensor file."""
 _VENTED_FRAMES, _VENTED_NOISE_PA = 60, 5.0
 
 RUBBERS: dict[str, Callable[[], InflatedRubber]] = {
@@ -42,20 +42,19 @@ RUBBERS: dict[str, Callable[[], InflatedRubber]] = {
         _OVAL_M, 0.0235, 155.0, 1.0001, GAUGE_PA
     ),
 }
-"""Sheets that were flat, and domes moulded as such, evenly stretched or not; λ of 1.08 to 1.24 at
-γ0."""
+"""Initially flat sheets and moulded domes, of uniform stretch or not; λ of 1.08 to 1.24 at γ0."""
 
 QUANTITIES = ("tension_n_per_m", "prestretch", "gauge_pressure_pa")  # γ0, λ and G
 
 
 @dataclass(frozen=True)
 class CoverageGrid:
-    """What a coverage study runs over."""
+    """Cases of a coverage study."""
 
     rubbers: tuple[str, ...] = tuple(RUBBERS)
     seeds: int = 50  # of the noise, for every rubber
-    levels: tuple[float, ...] = (0.85, 1.15)  # beside the rest, over its gauge pressure
-    pressure_error: float = 0.02  # of the last level's pressure over itself, in half of the seeds
+    levels: tuple[float, ...] = (0.85, 1.15)  # besides rest, relative to its gauge pressure
+    pressure_error: float = 0.02  # relative, of the last level's pressure, in half of the seeds
     frames: int = 60  # of every level: two seconds
     width: int = 224  # of the image, pixels: a pico flexx's
     nodes: int = 1000  # of the mesh that is identified: those of `identify`
@@ -65,8 +64,8 @@ class CoverageGrid:
 class CoverageRow:
     """One number of one identification with its 95 % interval.
 
-    NaN where it is not determined, or only as well as the sensor file's atmospheric pressure. Known
-    are the `levels` alone, or the open chamber too (`vented`).
+    NaN if it is not determined, or only by the sensor file's atmospheric pressure. Data are the
+    `levels` only, or the open chamber too (`vented`).
     """
 
     rubber: str
@@ -80,29 +79,29 @@ class CoverageRow:
 
     @property
     def determined(self) -> bool:
-        """Whether there is a number."""
+        """Whether the value is determined."""
         return bool(np.isfinite(self.value))
 
     @property
     def covered(self) -> bool:
-        """Whether the interval holds the truth."""
+        """Whether the interval includes the true value."""
         return self.low <= self.truth <= self.high
 
     @property
     def error(self) -> float:
-        """Of γ0 and gauge pressure relative to the truth; of λ itself."""
+        """Error of γ0 and gauge pressure relative to the true value; of λ absolute."""
         off = self.value - self.truth
         return off if self.quantity == "prestretch" else off / self.truth
 
 
 def coverage_study(grid: CoverageGrid, parts: Path | None = None) -> Study:
-    """Every rubber identified with every seed; a stopped study goes on where it was."""
+    """Every rubber identified with every seed; an interrupted study is resumed."""
     cases = [
         Case(f"{name} {seed}", partial(_identified, grid, name, seed))
         for name in grid.rubbers
         for seed in range(grid.seeds)
     ]
-    settings = asdict(replace(grid, rubbers=(), seeds=0))  # more of these may be added
+    settings = asdict(replace(grid, rubbers=(), seeds=0))  # rubbers and seeds may be added later
     return Study("coverage", CoverageRow, cases, report_of, "identification", settings, parts)
 
 
@@ -112,7 +111,7 @@ def _rubber(name: str) -> InflatedRubber:
 
 
 def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
-    """Identify from one set of recordings: by levels alone, and with the chamber opened."""
+    """Identify from one set of recordings: by levels only, and with the chamber opened."""
     rubber, rows = _rubber(name), []
     rng = np.random.default_rng([seed, 0])
     weather = ATMOSPHERE_PA + _WEATHER_PA * rng.standard_normal()
@@ -139,7 +138,7 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
 
 
 def _recorded(grid: CoverageGrid, rubber: InflatedRubber, seed: int) -> list[InflatedSensor]:
-    """The rest and every level, each with noise of its own."""
+    """Recordings of rest and of every level, each with its own noise."""
     shares = (1.0, *grid.levels)
     return [
         rubber.recording(share, len(shares) * seed + k, frames=grid.frames, width=grid.width)
@@ -148,14 +147,14 @@ def _recorded(grid: CoverageGrid, rubber: InflatedRubber, seed: int) -> list[Inf
 
 
 COVERED = 0.93
-"""Share of the seeds whose interval should hold the truth."""
+"""Share of the seeds whose interval should include the true value."""
 _SYMBOLS = dict(zip(QUANTITIES, ("γ0", "λ", "G"), strict=True))
 
 
 def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
     """Coverage of every number of every rubber, over the seeds where it is determined.
 
-    Errors and the median half-width are relative to the truth, of λ itself.
+    Errors and the median half-width are relative to the true value, for λ absolute.
     """
     found = []
     for (rubber, known, quantity), own in groups(rows, "rubber", "known", "quantity").items():
@@ -178,7 +177,7 @@ def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
 
 
 def targets(rows: Sequence[CoverageRow]) -> list[Target]:
-    """Targets, and whether each is met."""
+    """Whether each target is met."""
     found = []
     for one in coverages(rows):
         name = f"{one['rubber']}, {one['known']}: {_SYMBOLS[one['quantity']]}"
@@ -187,7 +186,7 @@ def targets(rows: Sequence[CoverageRow]) -> list[Target]:
 
 
 def report_of(rows: Sequence[CoverageRow]) -> Report:
-    """Coverage and errors; those of λ in hundredths."""
+    """Coverage and errors; those of λ in units of 0.01."""
     words = (Column(n, n) for n in ("rubber", "known", "quantity", "determined", "seeds"))
     shares = (Column("covered %", "covered", ".0f", 100),)
     names = ("rms_error", "worst_error", "bias", "half_width")

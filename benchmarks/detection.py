@@ -1,8 +1,8 @@
 """Smallest detectable press at a false-alarm rate of 1 in 1,000 contact-free frames.
 
-A ball is pressed along the membrane's normal into simulated rubber. A frame alarms where its force
-exceeds a level, which is 0 N unless more than one contact-free frame in a thousand shows a force:
-then it is the least that only one in a thousand exceeds.
+A ball is pressed along the membrane's normal into simulated rubber. A frame is an alarm if its
+force exceeds a level: the 99.9th percentile of the force in contact-free frames, which is 0 N if
+at most one in a thousand shows a force.
 """
 
 from __future__ import annotations
@@ -34,20 +34,24 @@ from bubbleviz.study.harness import Case, Column, Report, Study, Table
 FOUND = 0.95
 ALARMS = 1e-3
 _SHALLOWEST_M, _RATIO, _DEPTHS = 1e-4, 1.25, 20
-"""Depths that are tried: 0.1 mm to 7 mm in steps of a quarter."""
+"""Tested depths: 0.1 mm to 7 mm in steps of 25 %."""
 _FINER = (0.2, 0.13, 0.09)
-"""Radii of the refinement around the place over that of the rim: the least dents are smaller than a
-triangle."""
+"""Radii of mesh refinement around the contact, relative to the rim's: the smallest dents are
+smaller than a triangle."""
 
 
 @dataclass(frozen=True)
 class DetectionGrid:
-    """What runs."""
+    """Cases of the detection study."""
 
     specimens: tuple[str, ...] = ("sensor", "dome λ 1.2")
     setups: tuple[Setup, ...] = (RUBBER, LINEAR)
     noises: tuple[DepthNoise, ...] = (DepthNoise(absolute_m=1e-4), DepthNoise(relative=0.01))
-    places: tuple[float, ...] = (0.0, 0.4, 0.75)  # from the axis, over the radius of the rim
+    places: tuple[float, ...] = (
+        0.0,
+        0.4,
+        0.75,
+    )  # distance from the axis / rim radius
     object_name: str = "sphere"  # pressed along the normal
     frames: int = 60  # of a press
     rest_frames: int = 1_000  # without contact
@@ -56,7 +60,7 @@ class DetectionGrid:
 
 
 def quick_detection_grid() -> DetectionGrid:
-    """A few seconds' worth: too few contact-free frames to tell one alarm in a thousand."""
+    """A few seconds' run: too few contact-free frames to resolve one alarm in a thousand."""
     return DetectionGrid(
         ("dome λ 1.2",), (RUBBER,), places=(0.0,), frames=20, rest_frames=50, truth_nodes=800
     )
@@ -66,8 +70,8 @@ def quick_detection_grid() -> DetectionGrid:
 class Limit:
     """The smallest press found in 95 % of frames.
 
-    `depth_m`, `force_n` and `found` are NaN where none of the depths is. `alarms` counts the
-    contact-free frames that show a force, `level_n` is what a force must exceed to be an alarm.
+    `depth_m`, `force_n` and `found` are NaN if no depth is found. `alarms` counts the contact-free
+    frames with a force, `level_n` is the force above which a frame is an alarm.
     """
 
     specimen: str
@@ -104,7 +108,7 @@ def _limits(sensor: Sensor, grid: DetectionGrid, name: str) -> list[Limit]:
 def limits_of(
     name: str, setup: Setup, alarm: Alarm, ladders: dict[float, Ladder]
 ) -> Iterator[Limit]:
-    """Those of one setup at every place."""
+    """Limits of one setup at every place."""
     rest = alarm.forces(next(iter(ladders.values())), None)
     level = float(np.sort(rest)[-1 - int(ALARMS * len(rest))])
     counts, noise = (len(rest), int(np.count_nonzero(rest))), noise_name(alarm.noise)
@@ -129,7 +133,7 @@ def _smallest(limit: Limit, alarm: Alarm, ladder: Ladder) -> Limit:
 
 
 class Ladder:
-    """Presses at one place, deeper from step to step."""
+    """Presses at one place, of increasing depth."""
 
     def __init__(self, presses: RubberPresses, place: float, grid: DetectionGrid) -> None:
         mesh = presses.mesh
@@ -159,9 +163,9 @@ class Ladder:
 
 
 class Alarm:
-    """Forces that a pipeline shows in noisy frames, each of them a first one.
+    """Forces of a pipeline in noisy frames, each without a warm start.
 
-    The gas pressure may be measured, to the precision of a barometer.
+    The gas pressure may be measured, with the precision of a barometer.
     """
 
     def __init__(
@@ -172,7 +176,7 @@ class Alarm:
         )  # fmt: skip
 
     def forces(self, ladder: Ladder, step: int | None) -> np.ndarray:
-        """|F| (frames,) at a step, or without contact; 0 N where nothing is found."""
+        """|F| (frames,) at a step, or without contact; 0 N if none is found."""
         bank, count = ladder.bank, self._grid.frames
         ranges, gas = bank.rest_range_m, bank.rest_pressure_pa
         if step is None:

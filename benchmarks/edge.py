@@ -1,7 +1,7 @@
 """Error of the patch edge over noise, on shipped objects and on objects made for this benchmark.
 
-Compared with the best threshold on depth change that an oracle picks for each object, with the true
-edge as the mesh can draw it, and with the Cramér–Rao bound.
+Compared with the optimal threshold on depth change for each object (by an oracle), with the true
+edge as represented by the mesh, and with the Cramér–Rao bound.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from bubbleviz.study.harness import (
 )
 
 EDGE_OBJECTS = tuple(map(str, sorted(Path(__file__).with_name("objects").glob("*.ply"))))
-"""Made to judge the edge; no constant was chosen on them."""
+"""Test objects for the edge; no constant was chosen on them."""
 SETUPS = (accuracy.RUBBER, accuracy.Setup("rubber-base"))
 """With the finer mesh at the contact, and without."""
 THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)  # from below noise to above any press
@@ -58,7 +58,7 @@ _LARGEST_AREA_ERROR, _LEAST_IN_BAND = 0.04, 0.9
 
 @dataclass(frozen=True)
 class EdgeGrid:
-    """What runs."""
+    """Cases of the edge study."""
 
     objects: tuple[str, ...] = (*SMOOTH_OBJECTS, "torus", "two_spheres", *EDGE_OBJECTS)
     depths: tuple[float, ...] = (0.2, 0.4)  # shares of the dome's height
@@ -78,12 +78,12 @@ def quick_grid() -> EdgeGrid:
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeRow(Errors):
-    """One press at one noise with one setup; errors of its second frame, NaN without an answer.
+    """One press at one noise with one setup; errors of its second frame, NaN without an estimate.
 
-    `iou_best_level` is of the one pressure threshold that an oracle picks for this very frame, and
-    `edge_in_band` the share of the true edge that lies in the band around the patch's;
-    `edge_sigma_bound_m` and `iou_bound_shape` are the bounds of `edge_bound` where place and shape
-    of the patch are unknown, `iou_bound_place` that where its shape is known.
+    `iou_best_level` is for the pressure threshold that is optimal for this frame (by an oracle),
+    `edge_in_band` the share of the true edge inside the uncertainty band of the estimated one.
+    `edge_sigma_bound_m` and `iou_bound_shape` are the bounds of `edge_bound` if position and shape
+    of the patch are unknown, `iou_bound_place` that if its shape is known.
     """
 
     objects: str  # `study's own`, which no constant was chosen on, or `others`
@@ -163,7 +163,7 @@ def _row(
 
 
 def iou_on_mesh(pipeline: Pipeline, sighting: SimulatedPress) -> float:
-    """IoU of the true edge drawn by its signed distance from the nodes: what the mesh allows."""
+    """IoU of the true edge interpolated from its signed distance at the nodes: the mesh's limit."""
     own, mesh, truth = pipeline.mesh, sighting.mesh, sighting.truth
     share = touching_share(mesh, truth.contact_pressure_pa) - 0.5
     edge = level_line(mesh.nodes, mesh.corners, share)
@@ -174,7 +174,7 @@ def iou_on_mesh(pipeline: Pipeline, sighting: SimulatedPress) -> float:
 
 
 def edge_in_band(pipeline: Pipeline, estimate: Estimate, patch: Patch, seen: np.ndarray) -> float:
-    """Share of the pixels beside the edge of a mask that the band around the patch's covers."""
+    """Share of the edge pixels of a mask inside the uncertainty band of the patch's edge."""
     edge = ndimage.binary_dilation(seen) ^ ndimage.binary_erosion(seen)
     band, view = patch.edge_half_width_m, pipeline.model.view
     if np.isnan(band) or not edge.any():
@@ -195,7 +195,7 @@ def iou_at_best_level(pipeline: Pipeline, estimate: Estimate, seen: np.ndarray) 
 
 
 def best_thresholds(bank: TruthBank, own: list[SimulatedPress], noise: DepthNoise) -> np.ndarray:
-    """IoU (k,) of presses with the threshold and the blur of 0 to 2 pixels best for their mean."""
+    """IoU (k,) of presses, with the threshold and blur (0 to 2 pixels) that maximise their mean."""
     scores = np.concatenate(
         [[iou_by_threshold(bank, s, noise, blur, 0) for s in own] for blur in (0.0, 1.0, 2.0)],
         axis=1,
@@ -230,14 +230,14 @@ _MEANS |= {"iou_worst": ("iou", np.min), "failed": ("failed", np.sum)}
 
 
 def edges(rows: Sequence[EdgeRow]) -> list[Record]:
-    """Both groups of objects, then each object, by noise and setup."""
+    """Mean errors of both groups of objects, then of each object, by noise and setup."""
     both = summaries(rows, ("objects", "noise", "setup"), _MEANS)
     each = summaries(rows, ("object_name", "noise", "setup"), _MEANS)
     return [*both, *({"objects": one["object_name"], **one} for one in each)]
 
 
 def targets(rows: Sequence[EdgeRow]) -> list[Target]:
-    """Whether each group of objects meets what the patch is aimed at."""
+    """Whether each group of objects meets the targets of the patch."""
     found = []
     for one in summaries(rows, ("objects", "noise", "setup"), _MEANS):
         if one["setup"] == SETUPS[0].label and one["noise"] in _LEAST_IOU:

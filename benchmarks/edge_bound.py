@@ -1,12 +1,12 @@
 """Cramér–Rao bound of the position of the patch edge.
 
-The true loads are moved along the membrane by a field that is a polynomial in each of two
-directions: of degree 1 it moves, turns and stretches the patch as a whole, of degree 3 it changes
-its shape. The estimator's own linearised map says how that moves the ranges, and the noise how well
-the coefficients are known. Before the image every place of the edge is known to half the width of
-the patch, which keeps the bound finite where noise hides the shape (van Trees). How high the
-pressure is counts as known: without that the error is larger. Who knows more of the shape, such as
-that it is round, does better than the bound of degree 3.
+The true loads are displaced along the membrane by a field that is a polynomial in each of two
+directions: degree 1 is translation, rotation and strain of the patch, degree 3 also changes its
+shape. The estimator's linearised model maps the field to ranges, and their noise gives the
+covariance of the coefficients. As a prior, the edge is known to half the width of the patch, which
+keeps the bound finite where noise hides the shape (van Trees). The pressure counts as known:
+otherwise the error is larger. More knowledge of the shape, such as that it is round, allows smaller
+errors than the bound of degree 3.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from bubbleviz.simulation import SimulatedPress
 from bubbleviz.study.accuracy import at_nodes
 
 PLACE, SHAPE = 1, 3  # degrees of the fields
-_STEP_M = 1e-5  # of the derivative by the loads' places: far below an edge of the mesh
+_STEP_M = 1e-5  # of the derivative by the loads' positions: far below an edge of the mesh
 
 
 @dataclass(frozen=True)
 class EdgeBound:
-    """Least standard deviation of the edge's place, m, and the mean IoU that it allows."""
+    """Lower bound of the edge's standard deviation, m, and the mean IoU that it allows."""
 
     sigma_m: float
     iou: float
@@ -38,7 +38,7 @@ def edge_bound(
     sighting: SimulatedPress,
     degree: int,  # of the fields, `PLACE` or `SHAPE`
 ) -> EdgeBound:
-    """Bound for one press under the noise that the estimator was told."""
+    """Bound for one press under the noise that the estimator assumes."""
     truth, own, mesh = sighting.truth, sighting.mesh, estimator.mesh
     touching = truth.contact_pressure_pa > 0.0
     places = own.nodes[touching]
@@ -81,7 +81,7 @@ def _fields(points: np.ndarray, degree: int) -> np.ndarray:
 
 
 def _spread(mesh: MembraneMesh, places: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Loads at places (k, 3) as loads of the nodes (n,), N."""
+    """Loads at points (k, 3) distributed to the nodes (n,), N."""
     found = TriangleScene(mesh.nodes, mesh.triangles).closest(places)
     corners = mesh.triangles[found.triangle].ravel()
     shared = (found.barycentric * load[:, None]).ravel()
@@ -91,7 +91,7 @@ def _spread(mesh: MembraneMesh, places: np.ndarray, load: np.ndarray) -> np.ndar
 def _ranges(
     estimator: Estimator, sighting: SimulatedPress, moved: np.ndarray, load: np.ndarray
 ) -> np.ndarray:
-    """What changes of the nodal loads (n, m) do to the ranges in standard deviations, (k, m)."""
+    """Changes of the ranges, in standard deviations (k, m), by changes of nodal loads (n, m)."""
     mesh, own = estimator.mesh, sighting.mesh
     x = mesh.nodes + at_nodes(mesh, own, sighting.truth.displacement_3d_m)
     view = estimator.observer.around(x)
@@ -105,7 +105,7 @@ def _ranges(
 
 
 def _edge(mesh: MembraneMesh, share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middles (s, 3) of the pieces of the edge, their normals in the membrane and lengths."""
+    """Midpoints (s, 3) of the segments of the edge, their in-plane normals and lengths."""
     pieces = level_line(mesh.nodes, mesh.corners, share - 0.5)
     middle, along = pieces.mean(axis=1), pieces[:, 1] - pieces[:, 0]
     normal = np.cross(along, mesh.normals[cKDTree(mesh.nodes).query(middle)[1]])

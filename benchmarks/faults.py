@@ -25,19 +25,19 @@ from bubbleviz.simulation import DepthNoise, touching_height
 from bubbleviz.study.harness import Case, Column, Report, Study, Table, at_least, groups
 
 REAL_PRESS = Path(__file__).resolve().parents[2] / "shared/data/punyo_press_a"
-"""Where the real press is, if it is here; the study goes without it otherwise."""
+"""Recording of the real press; without it the study omits that press."""
 _REAL_FRAMES = (10, 20, 30, 40, 50, 66, 70, 74, 80, 86)  # five without contact, loading, hold
 _DEPTHS_M = (-0.004, -0.004, -0.004, -0.004, -0.004, 0.002, 0.004, 0.006, 0.008, 0.008)
 _NO_CONTACT_N = 0.1
-"""Force that may be missed without a word: about the detection limit of the sensors."""
+"""Force that may be missed without a warning: about the detection limit of the sensors."""
 
 Change = Callable[[list[Frame]], list[Frame]]
-"""The frames of a press → the same with an error; more frames than it has repeat its last force."""
+"""Adds an error to the frames of a press; further frames have the last true force."""
 
 
 @dataclass(frozen=True)
 class Press:
-    """Frames with their true forces (f, 3), N, and the sensor that saw them."""
+    """Frames with their true forces (f, 3), N, and their sensor."""
 
     sensor: str
     frames: list[Frame]
@@ -46,10 +46,10 @@ class Press:
 
 @dataclass(frozen=True)
 class FaultRow:
-    """What became of the frames of a press with one error.
+    """Outcome of the frames of a press with one error.
 
-    Of `frames` some are `told` (refused, or the recording has a warning); of the others the
-    interval holds the true force in `held`. `worst_n` is the largest error of a frame in neither.
+    Of `frames`, some are `reported` (refused, or the recording has a warning); of the others, the
+    interval includes the true force in `covered`. `worst_n` is the largest error of the rest.
     """
 
     press: str
@@ -57,13 +57,13 @@ class FaultRow:
     size: float
     unit: str
     frames: int
-    told: int
-    held: int
+    reported: int
+    covered: int
     worst_n: float
 
 
 def faults_study(errors: int, seed: int, parts: Path | None = None) -> Study:
-    """So many random errors, the kinds and presses in turn."""
+    """A number of random errors, cycling through kinds and presses."""
     presses = [name for name in _PRESSES if name != "real press" or REAL_PRESS.exists()]
     kinds = list(_KINDS)
     cases = []
@@ -88,10 +88,11 @@ def _row(press_name: str, kind: str, seed: int, number: int) -> list[FaultRow]:
     half = np.where(status == "no_contact", _NO_CONTACT_N, half)
     true = np.linalg.norm(press.force_n, axis=1)
     error = np.abs(force - np.pad(true, (0, count - len(true)), "edge"))
-    told = ~np.isin(status, ("ok", "no_contact")) | bool(run.context["warning"])
-    held = ~told & (error <= half)
-    worst = float(error[~told & ~held].max(initial=0.0))
-    return [FaultRow(press_name, kind, size, unit, count, int(told.sum()), int(held.sum()), worst)]
+    reported = ~np.isin(status, ("ok", "no_contact")) | bool(run.context["warning"])
+    covered = ~reported & (error <= half)
+    worst = float(error[~reported & ~covered].max(initial=0.0))
+    counts = count, int(reported.sum()), int(covered.sum())
+    return [FaultRow(press_name, kind, size, unit, *counts, worst)]
 
 
 # Presses.
@@ -106,7 +107,7 @@ def _real_press() -> Press:
 
 @cache
 def _simulated(sensor_name: str, place_m: tuple[float, float], noise: DepthNoise) -> Press:
-    """A ball that comes down on the membrane of a sensor, slowly at first."""
+    """A ball that approaches the membrane of a sensor, slowly at first."""
     sensor, ball = load_sensor(sensor_name), load_object("sphere")
     mesh, pose = build_mesh(sensor), np.eye(4)
     pose[:2, 3] = place_m
@@ -134,7 +135,7 @@ _PRESSES: dict[str, Callable[[], Press]] = {
 }
 
 
-# Errors. Each kind draws a size in its unit, and makes of it a change of the frames.
+# Errors. Each kind draws a random size in its unit and returns a change of the frames.
 
 
 def _pressure(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
@@ -203,7 +204,7 @@ def _bad_pixels(press: Press, rng: np.random.Generator) -> tuple[float, str, Cha
 
 
 def _frozen(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
-    """A camera that from one of the images on sends that image again, with new stamps."""
+    """A camera that repeats one of the images from then on, with new stamps."""
     stop = int(rng.integers(len(press.frames)))
 
     def change(frames: list[Frame]) -> list[Frame]:
@@ -243,7 +244,7 @@ def _of_depth(change: Callable[[np.ndarray, int], np.ndarray]) -> Change:
 
 
 def _dent(press: Press) -> np.ndarray:
-    """Pixel (row, column) where the last frame is dented most."""
+    """Pixel (row, column) of the deepest dent in the last frame."""
     dent = np.nan_to_num(press.frames[0].depth_m - press.frames[-1].depth_m)
     smooth = gaussian_filter(dent, 0.01 * dent.shape[1])
     return np.array(np.unravel_index(np.argmax(smooth), dent.shape), float)
@@ -251,7 +252,7 @@ def _dent(press: Press) -> np.ndarray:
 
 _COLUMNS = (
     *(Column(name, name) for name in ("press", "kind", "frames")),
-    *(Column(f"{name} %", name, ".0f", 100.0) for name in ("told", "held")),
+    *(Column(f"{name} %", name, ".0f", 100.0) for name in ("reported", "covered")),
     Column("wrong %", "wrong", ".1f", 100.0),
     Column("worst N", "worst_n", ".2f"),
 )
@@ -270,9 +271,11 @@ def report_of(rows: Sequence[FaultRow]) -> Report:
 
 def _record(kind: str, press: str, rows: Sequence[FaultRow]) -> dict[str, Any]:
     frames = sum(row.frames for row in rows)
-    told, held = (sum(getattr(row, name) for row in rows) / frames for name in ("told", "held"))
+    reported = sum(row.reported for row in rows) / frames
+    covered = sum(row.covered for row in rows) / frames
     worst = max((row.worst_n for row in rows), default=0.0)
     return {
-        **{"kind": kind, "press": press, "frames": frames, "told": told, "held": held},
-        **{"wrong": 1.0 - told - held, "worst_n": worst},
+        **{"kind": kind, "press": press, "frames": frames},
+        **{"reported": reported, "covered": covered},
+        **{"wrong": 1.0 - reported - covered, "worst_n": worst},
     }

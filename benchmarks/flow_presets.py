@@ -1,6 +1,6 @@
 """Run time of each optical-flow preset, and its errors of flow and force.
 
-The texture is rendered on the membrane of the truth, so that the flow is found in images.
+The texture is rendered on the true membrane, so that the flow is computed from images.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _AT_REST = 8  # images without contact that each preset learns from
 class PresetScore:
     """One preset over the frames of a drag.
 
-    `solved` is the share of the frames with a traction, `flow_rms_px` the error of each component
-    over the blocks that were found, `force_error` the worst length of the difference of the force
-    vectors over the true one's, `flow_ms` the processor time of the flow of a frame (median).
+    `solved` is the share of the frames with a traction, `flow_rms_px` the error per component over
+    the blocks found, `force_error` the largest |F − F_true| / |F_true|, `flow_ms` the processor
+    time of the flow of a frame (median).
     """
 
     preset: str
@@ -45,13 +45,13 @@ class PresetScore:
 
 def flow_study(grid: ShearGrid) -> Study:
     """Every preset on the drag of the first object of a grid; InputError without OpenCV."""
-    opencv()  # before the long work
+    opencv()  # fail early
     case = Case("drag", partial(run_flow_presets, grid))
     return Study("flow_presets", PresetScore, [case], report_of)
 
 
 def run_flow_presets(grid: ShearGrid) -> list[PresetScore]:
-    """Render the drag once, and find its flow by every preset."""
+    """Render the drag once, and compute its flow with every preset."""
     model = SensorModel.of(shear_sensor())
     press = pressed(model.sensor, *grid.objects[0], grid.truth_nodes)
     truths = list(press.along(grid.paths[0]))
@@ -61,7 +61,7 @@ def run_flow_presets(grid: ShearGrid) -> list[PresetScore]:
     frames = []
     for k, truth in enumerate(truths):
         seen = sighting(model.camera, truth, DEPTH_NOISE, 0.0, grid.seed + k)
-        frames.append(_Seen(truth, seen, printed.image(truth.displacement_m, _AT_REST + k)))
+        frames.append(_Rendered(truth, seen, printed.image(truth.displacement_m, _AT_REST + k)))
     return [_score(OpticalFlow.of(rest, preset), model, frames) for preset in get_args(FlowPreset)]
 
 
@@ -79,15 +79,15 @@ def report_of(scores: Sequence[PresetScore]) -> Report:
     return Report([Table("flow_presets", [asdict(score) for score in scores], _COLUMNS)])
 
 
-class _Seen(NamedTuple):
-    """A frame: what is true, depth with noise and exact flow, and the texture's image."""
+class _Rendered(NamedTuple):
+    """A frame: truth, depth with noise and exact flow, and the rendered image."""
 
     truth: ShearTruth
     exact: FlowSighting
     image: np.ndarray
 
 
-def _score(flow: OpticalFlow, model: SensorModel, frames: list[_Seen]) -> PresetScore:
+def _score(flow: OpticalFlow, model: SensorModel, frames: list[_Rendered]) -> PresetScore:
     pipeline, fields = Pipeline(model), list[FlowField]()
     pipeline.use_optical_flow(lambda frame: fields[frame.index])
     times_ms, flow_errors, force_errors = [], [], []

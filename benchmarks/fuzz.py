@@ -1,8 +1,8 @@
 """Thousands of damaged and hostile inputs: each must be read, or refused in one line.
 
-Inputs are small valid ones, made by the product itself, with mutations drawn from a seed: the same
-seed and number give the same input. Many are run in one process, forked from one that has imported
-everything, with limits of memory and time.
+Inputs are small valid files written by bubbleviz, with random mutations: the same seed and number
+give the same input. Batches run in processes forked after all imports, with limits of memory and
+time.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ POSE = "0.005 0 0.042 0 0 0 1"
 
 Rng = np.random.Generator
 Words = list[str]
-Work = Words | Callable[[], object]  # a command, or what a library's user calls
+Work = Words | Callable[[], object]  # a command, or a library call
 
 
 class Outcome(NamedTuple):
     number: int
     kind: str
-    fault: str  # empty where all is well
+    fault: str  # empty if there is none
     seconds: float
     peak_bytes: int
 
@@ -118,7 +118,7 @@ def mutated_text(text: str, rng: Rng) -> str:
 
 
 def mutated_array(array: np.ndarray, rng: Rng) -> np.ndarray:
-    """An array of another shape, type or byte order, or with numbers that no sensor has."""
+    """An array of another shape, type or byte order, or with impossible values."""
     if array.dtype.kind not in "uif":
         array = array.astype(float) if array.dtype.kind == "b" else np.zeros(array.shape)
     array = np.atleast_1d(array)
@@ -146,7 +146,7 @@ def mutated_array(array: np.ndarray, rng: Rng) -> np.ndarray:
 
 
 def _npy(array: np.ndarray, path: Path, rng: Rng) -> None:
-    """An array in a file, whose header sometimes claims another shape."""
+    """An array as a file, sometimes with a wrong shape in its header."""
     with path.open("wb") as file:
         np.save(file, array, allow_pickle=array.dtype.kind == "O")
     if rng.random() < 0.3:
@@ -157,7 +157,7 @@ def _npy(array: np.ndarray, path: Path, rng: Rng) -> None:
 
 
 def _npz(path: Path, rng: Rng) -> None:
-    """One array of an archive is another."""
+    """An archive with one array mutated."""
     with np.load(path) as file:
         arrays = dict(file.items())
     name = str(rng.choice(sorted(arrays)))
@@ -169,7 +169,7 @@ def _npz(path: Path, rng: Rng) -> None:
 
 
 def _png(path: Path, rng: Rng) -> None:
-    """A PNG whose header or another chunk is changed, with the checksum that belongs to it."""
+    """A PNG with a changed header or other chunk, and a valid checksum."""
     data = bytearray(path.read_bytes())
     if rng.random() < 0.5:
         struct.pack_into(">II", data, 16, *(int(rng.choice([0, 1, 20_000, 2**31])) for _ in "wh"))
@@ -282,7 +282,7 @@ quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
 
 
 def _write_foreign(folder: Path, messages: Sequence[Message]) -> None:
-    """The recording as a ROS 1 bag and as rosbag2's SQLite, which the product only reads."""
+    """The recording as a ROS 1 bag and as rosbag2's SQLite, which bubbleviz only reads."""
     ros2 = ros2_types()
     sqlite = Rosbag2Writer(folder / "db3", version=9, storage_plugin=StoragePlugin.SQLITE3)
     for writer, ros1 in ((RosbagWriter(folder / "rec.bag"), True), (sqlite, False)):
@@ -441,11 +441,11 @@ KINDS: dict[str, Callable[[Corpus, Path, Rng], Work]] = {
 }
 
 
-# -- running and judging --------------------------------------------------------------------------
+# -- running and checking -------------------------------------------------------------------------
 
 
 def run_input(corpus: Corpus, seed: int, number: int, scratch: Path) -> Outcome:
-    """Make an input in a new folder, run it and judge what it did."""
+    """Make an input in a new folder, run it and check the outcome."""
     rng = np.random.default_rng([seed, number])
     kind = list(KINDS)[number % len(KINDS)]
     folder = scratch / str(number)
@@ -457,14 +457,14 @@ def run_input(corpus: Corpus, seed: int, number: int, scratch: Path) -> Outcome:
     with _streams_in_files(scratch) as said:
         code, fault = _run(work)
     seconds = time.process_time() - begun
-    fault = fault or _judge(code, *(path.read_text(errors="replace") for path in said))
+    fault = fault or _fault_of(code, *(path.read_text(errors="replace") for path in said))
     left = [path.name for path in folder.rglob(".*")]
     fault = fault or (f"left {left[0]}" if left else "")
     return Outcome(number, kind, fault, seconds, _peak_bytes())
 
 
 def _run(work: Work) -> tuple[int, str]:
-    """Exit code and, where an error got out, where it was raised."""
+    """Exit code and, of an uncaught error, where it was raised."""
     try:
         if not callable(work):
             main(work)
@@ -483,8 +483,8 @@ def _run(work: Work) -> tuple[int, str]:
     return 0, ""
 
 
-def _judge(code: int, out: str, err: str) -> str:
-    """What is wrong with how a command ended; empty where nothing is."""
+def _fault_of(code: int, out: str, err: str) -> str:
+    """Fault in the outcome of a command; empty if there is none."""
     stray = [line for line in err.splitlines() if not line.startswith("bubbleviz: ")]
     if stray:
         return f"stray line: {re.sub('0x[0-9a-f]+', '0x', stray[0])[:160]}"
@@ -497,7 +497,7 @@ def _judge(code: int, out: str, err: str) -> str:
 
 @contextlib.contextmanager
 def _streams_in_files(folder: Path) -> Iterator[tuple[Path, Path]]:
-    """Have stdout and stderr, libraries' in C too, in two files."""
+    """Redirect stdout and stderr, also of C libraries, to two files."""
     paths = folder / "stdout", folder / "stderr"
     kept = os.dup(1), os.dup(2)
     streams = sys.stdout, sys.stderr
@@ -522,7 +522,7 @@ def _peak_bytes() -> int:
 
 
 def fuzz(numbers: range, seed: int, folder: Path) -> Iterator[Outcome]:
-    """Outcomes of inputs by number; a process that dies or hangs costs one of them."""
+    """Outcomes of inputs by number; a process that dies or hangs counts as one fault."""
     (folder / "corpus").mkdir()
     corpus = make_corpus(folder / "corpus")
     for verb in ("info", "convert", "estimate", "check", "export"):  # imported once, before forks
@@ -538,7 +538,7 @@ def fuzz(numbers: range, seed: int, folder: Path) -> Iterator[Outcome]:
 
 
 def _in_process(corpus: Corpus, numbers: range, seed: int, folder: Path) -> Iterator[Outcome]:
-    """Outcomes of a forked process, the last of them of what ended it."""
+    """Outcomes of a forked process; the last one describes how it ended."""
     read, write = os.pipe()
     child = os.fork()
     if not child:
@@ -577,7 +577,7 @@ def _work(corpus: Corpus, numbers: range, seed: int, folder: Path, pipe: int) ->
 
 
 def to_text(outcomes: Sequence[Outcome]) -> str:
-    """Counts, and each fault once with its inputs."""
+    """Text: counts, and each fault once with its inputs."""
     faults = Counter((each.kind, each.fault) for each in outcomes if each.fault)
     first = {(each.kind, each.fault): each.number for each in reversed(outcomes)}
     lines = [

@@ -1,7 +1,7 @@
 """Error of force and patch on bulged sheets and moulded domes, known and identified.
 
-The study of accuracy on membranes whose truth has equations of its own, and on what an estimator is
-told after it was identified from inflation levels with no material value given.
+The study of accuracy on membranes with independent equations for the truth, and with sensors
+identified from inflation levels without any material value given.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ GAUGE_PA = 4_000.0
 RIM_M, OVAL_M = (0.045, 0.045), (0.0557, 0.0396)
 """Rims of the small membranes; the oval is that of the Punyo."""
 LEVELS = (0.85, 1.15)
-"""Shares of the gauge pressure at rest at which sensors are recorded to be identified."""
+"""Inflation levels for identification, relative to the gauge pressure at rest."""
 _NODES, _FRAMES = 1_000, 30
 
 
@@ -36,8 +36,8 @@ GRID = accuracy.Grid(
         "moulded dome, identified λ 1.2",
     )
 )
-"""Sheets were flat and stretched by λ before gas bulged them; the tension of moulded domes at rest
-is what comes of stretching and inflating them."""
+"""Sheets were flat and stretched by λ before inflation; the tension of moulded domes at rest
+follows from stretching and inflating them."""
 
 
 def quick_grid() -> accuracy.Grid:
@@ -47,7 +47,7 @@ def quick_grid() -> accuracy.Grid:
 
 
 def specimen(name: str, _sensor: Sensor, grid: accuracy.Grid) -> accuracy.Specimen:
-    """One of a grid."""
+    """A specimen of the grid."""
     kind, _, stretch = name.partition(" λ ")
     shape, _, how = kind.partition(", ")
     rubber = _RUBBER[shape](float(stretch))
@@ -60,7 +60,7 @@ def specimen(name: str, _sensor: Sensor, grid: accuracy.Grid) -> accuracy.Specim
 
 
 def _stiffness(stretch: float) -> float:
-    """μh that bulges a sheet by some two fifths of its rim's radius, N/m: γ0 of some 125 N/m."""
+    """μh, N/m, for which a sheet bulges by about 40 % of its rim's radius: γ0 of some 125 N/m."""
     return 85.0 / (1.0 - stretch**-6) + 25.0
 
 
@@ -81,7 +81,7 @@ def _known(rubber: InflatedRubber) -> SensorModel:
 
 
 def _identified(rubber: InflatedRubber, seed: int, noise: DepthNoise) -> SensorModel:
-    """The sensor as its inflation levels tell, from a drawing without material."""
+    """The sensor identified from its inflation levels, with known geometry only."""
     levels = (1.0, *LEVELS)
     rest, *others = (
         rubber.recording(level, seed + k, noise, _FRAMES) for k, level in enumerate(levels)

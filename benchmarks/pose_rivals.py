@@ -49,22 +49,22 @@ from bubbleviz.study.harness import (
 )
 from bubbleviz.study.pose import PoseMetrics, TrueContact
 
-SHALLOWEST_M, DEEPEST_M = 0.008, 0.015  # of the presses, as the paper's
-FARTHEST_M, FARTHEST_RAD = 5e-3, np.radians(10.0)  # of the starts
+MIN_DEPTH_M, MAX_DEPTH_M = 0.008, 0.015  # of the presses, as the paper's
+MAX_OFFSET_M, MAX_OFFSET_RAD = 5e-3, np.radians(10.0)  # of the initial poses
 
 CLOUD_REACH_M = 0.003
 CLOUD_POINTS = 8_000
-"""Longest correspondence, and number of points, of the whole cloud. 3 mm did best of 3, 6, 10 and
+"""Longest correspondence, and number of points, of the whole cloud. 3 mm was best of 3, 6, 10 and
 20 mm on other objects: beyond, the free membrane pulls the object away."""
 
 PATCH_REACH_M = 0.010
-"""Longest correspondence of the libraries on the patch: twice what a start is off."""
+"""Longest correspondence of the libraries on the patch: twice the initial error."""
 
 WHOLE_CLOUD = "whole cloud"
 BOTH = "both stages"
 
 _FRAMES = 3
-"""Frames of a press: a blank one, so that nothing is left of the last, and two to settle."""
+"""Frames of a press: a blank one as a reset, and two to converge."""
 
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "cloud"})
 
@@ -82,16 +82,16 @@ class PoseGrid:
     def presses(self, name: str) -> list[Press]:
         """Presses of one object."""
         random = np.random.default_rng([self.seed, *name.encode()])
-        depths = random.uniform(SHALLOWEST_M, DEEPEST_M, self.poses)
+        depths = random.uniform(MIN_DEPTH_M, MAX_DEPTH_M, self.poses)
         return [Press(name, float(depth), False) for depth in depths]
 
 
 @dataclass(frozen=True)
 class PoseTrial:
-    """One method on one noisy image from one start.
+    """One method on one noisy image from one initial pose.
 
-    `error_m` and `error_rad` are over the directions the true contact determines, modulo symmetry;
-    `whole_m` and `whole_rad` over all six. `total_ms` is depth image in → pose out.
+    `error_m` and `error_rad` are in the directions the true contact determines, modulo symmetry;
+    `whole_m` and `whole_rad` in all six. `total_ms` is from depth image to pose.
     """
 
     object_name: str
@@ -130,7 +130,7 @@ class _Bench:
         self._model = ObjectSurface(obj)
         precision = precision_of(pipeline.estimator)
         self._registration = Registration(self._model, precision)
-        self._judge = PoseMetrics(self._model, precision)
+        self._metrics = PoseMetrics(self._model, precision)
         self._cloud = CloudRegistration(self._model, CLOUD_REACH_M)
         self._patch = CloudRegistration(self._model, PATCH_REACH_M)
 
@@ -153,13 +153,13 @@ class _Bench:
     def trials(
         self, source: SyntheticSource, base: PoseTrial, random: np.random.Generator
     ) -> list[PoseTrial]:
-        """Every method from the same start, on the last frame of a held press."""
+        """Every method from the same initial pose, on the last frame of a static press."""
         self._pipeline.restart()
         results = [self._pipeline.process(source[k], _PRODUCTS) for k in range(1, len(source))]
         result = results[-1]
         truth = source.truth(0)
         touched = source.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
-        true = self._judge.touching(*touched, source.poses[0])
+        true = self._metrics.touching(*touched, source.poses[0])
         off = _random_motion(random)
         base = replace(
             base,
@@ -173,10 +173,10 @@ class _Bench:
         start = moved(true.T_B_O, off, true.center)
         return [
             self._trial(replace(base, method=method), way, true, result)
-            for method, way in self._ways(result, contact, start).items()
+            for method, way in self._methods(result, contact, start).items()
         ]
 
-    def _ways(
+    def _methods(
         self, result: Result, contact: ContactPoints | None, start: np.ndarray
     ) -> dict[str, Callable[[], np.ndarray | None]]:
         """Function that finds the pose, by method."""
@@ -199,13 +199,13 @@ class _Bench:
         result: Result,
     ) -> PoseTrial:
         if base.method != WHOLE_CLOUD:
-            way()  # what a method builds once is not its run time
+            way()  # warm-up: excludes what a method builds once
         began = time.perf_counter()
         pose = way()
         own_ms = 1e3 * (time.perf_counter() - began)
         if pose is None:
             return base
-        errors = self._judge.errors(pose, true)
+        errors = self._metrics.errors(pose, true)
         before = ("cloud",) if base.method == WHOLE_CLOUD else ("estimate", "patch")
         return replace(
             base,
@@ -236,7 +236,7 @@ class _Bench:
         return tracker
 
     def _whole_cloud(self, result: Result, start: np.ndarray) -> np.ndarray | None:
-        """As [6] did: the measured points of the whole image, thinned evenly to save time."""
+        """As in [6]: the measured points of the whole image, evenly subsampled to save time."""
         if result.cloud_m is None:
             return None
         every = -(-len(result.cloud_m) // CLOUD_POINTS)
@@ -247,7 +247,7 @@ def _random_motion(random: np.random.Generator) -> np.ndarray:
     """Motion (6,) of up to 5 mm and 10°, uniform in size and direction."""
     directions = random.standard_normal((2, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    sizes = random.random(2) * [FARTHEST_M, FARTHEST_RAD]
+    sizes = random.random(2) * [MAX_OFFSET_M, MAX_OFFSET_RAD]
     return (sizes[:, None] * directions).ravel()
 
 
@@ -259,12 +259,12 @@ _MEDIANS = averages("error_m", "error_rad", "whole_m", "whole_rad", "total_ms") 
 
 
 def points(trials: Sequence[PoseTrial]) -> list[Record]:
-    """Medians by object, noise and method; no pose is an infinite error, and no time."""
+    """Medians by object, noise and method; without a pose the error is infinite, the time NaN."""
     return summaries(trials, ("object_name", "noise_relative", "method"), _MEDIANS)
 
 
 def targets(trials: Sequence[PoseTrial]) -> list[Target]:
-    """Targets, and whether each is met."""
+    """Whether each target is met."""
     found = {
         (p["object_name"], p["method"]): p
         for p in points(trials)
@@ -305,5 +305,5 @@ _COLUMNS = (
 
 
 def report_of(trials: Sequence[PoseTrial]) -> Report:
-    """Errors over the directions that the true contact determines, modulo symmetry; over all."""
+    """Errors in the directions that the true contact determines, modulo symmetry, and in all."""
     return Report([Table("points", points(trials), _COLUMNS)], targets(trials))

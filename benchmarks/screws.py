@@ -1,7 +1,7 @@
-"""Tracking a nut that turns by 60° on its flat face over 120 frames, and finding it again.
+"""Tracking a nut that turns by 60° on its flat face over 120 frames, and recovery after a loss.
 
-The simulation decides on each node at a time whether it touches, so that the outline of a flat face
-catches on its mesh: it is refined there.
+In the simulation whole nodes touch or not, so that the outline of a flat face follows the mesh,
+which is therefore refined there.
 """
 
 from __future__ import annotations
@@ -34,13 +34,12 @@ BLANK = range(55, 65)
 RECOVERY_FRAMES = 5
 LATE = 30
 SEEDS = (101, 102, 103, 104, 105)
-"""Noise of each run, none of which any constant was chosen on: one alone says more of its noise
-than of the tracker."""
+"""Noise of each run, used to choose no constant; several, as the result of one depends on noise."""
 
 
 @dataclass(frozen=True)
 class Screw:
-    """How the nut was followed, over the frames that are `ok`; the turn by 60° is not divided out.
+    """Tracking errors over the frames that are `ok`; the 60° symmetry is not divided out.
 
     `recovered_after` counts frames from the return of the data to the first pose, NaN when not
     blanked or never; `rotation_error_rad_late` is the largest after the first second, when the
@@ -82,7 +81,7 @@ def screw_source(sensor: Sensor, nodes: int | None = None) -> SyntheticSource:
 
 
 def screw_study(sensor: Sensor, seeds: Sequence[int] = SEEDS, nodes: int | None = None) -> Study:
-    """With noise of every seed, and once more with the frames in the middle blank."""
+    """Runs with the noise of every seed, each also with blank frames in the middle."""
     source = screw_source(sensor, nodes)
     runs = [*((seed, False) for seed in seeds), (seeds[0], True)]
     cases = [
@@ -96,8 +95,8 @@ def screw_study(sensor: Sensor, seeds: Sequence[int] = SEEDS, nodes: int | None 
 
 
 def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bool) -> list[Screw]:
-    """Follow the nut from its true first pose."""
-    source.seed = seed  # what was solved is kept
+    """Track the nut from its true first pose."""
+    source.seed = seed  # the solved membranes are reused
     pipeline = Pipeline.of(sensor)
     pipeline.track(source.obj, source.poses[0])
     status, rotation, translation, times = [], [], [], []
@@ -134,7 +133,7 @@ def run_screw(sensor: Sensor, source: SyntheticSource, seed: int, *, blanked: bo
 
 
 def targets(screws: Sequence[Screw]) -> list[Target]:
-    """What is asked of runs with other noise, and of those with blank frames."""
+    """Targets of runs with other noise, and of those with blank frames."""
     plain, blank = ([s for s in screws if s.blanked == wanted] for wanted in (False, True))
     worst, found = np.degrees([screw.rotation_error_rad_max for screw in plain]), []
     if plain:

@@ -1,7 +1,7 @@
 """Error of traction with friction on objects that are pressed in, dragged and twisted.
 
-The truth is the exact membrane on a finer mesh: with the forces that hold it to an object that
-sticks, or in contact by Coulomb's law, of which the estimator knows nothing.
+The truth is the exact membrane on a finer mesh, with an object that sticks to it, or with Coulomb
+friction, which the estimator does not model.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from bubbleviz.study.harness import (
 )
 from tests.oracles.dragged_press import DraggedPress, DraggedTruth, dragged_truths
 from tests.oracles.flow_sighting import sighting
-from tests.oracles.stuck_press import BESIDE_M, Motion, ShearTruth, pressed, shear_sensor
+from tests.oracles.stuck_press import OFFSET_M, Motion, ShearTruth, pressed, shear_sensor
 
 _DEPTH: frozenset[Product] = frozenset({"patch"})
 _SHEAR: frozenset[Product] = frozenset({"patch", "slip"})
 DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
 _SLIPPED_M = 1e-4
-"""Way over the object that a slip is told from; chosen: noise of the texture hides less."""
-HEADING = np.array([0.894, 0.447, 0.0])  # way of the drags, off the mesh's axes; chosen
+"""Displacement over the object that counts as slip; chosen: texture noise hides less."""
+HEADING = np.array([0.894, 0.447, 0.0])  # direction of the drags, off the mesh's axes; chosen
 
 
 @dataclass(frozen=True)
 class ShearGrid:
-    """What is tried."""
+    """Cases of the shear study."""
 
     objects: tuple[tuple[str, float], ...] = (("puck", 0.005), ("sphere", 0.006))  # depth in m
     # ends of steps of one drag, and of one twist after it, begun anew for each object
@@ -56,7 +56,7 @@ class ShearGrid:
     frictions: tuple[float, ...] = (1.0,)
     frames: int = 32  # of each of these, of which a quarter is the drag or twist
     flow_sigmas_px: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
-    slip_depths_m: tuple[float, ...] = (0.0025, 0.004, 0.006, 0.010)  # of balls that slip in part
+    slip_depths_m: tuple[float, ...] = (0.0025, 0.004, 0.006, 0.010)  # of balls that slip partially
     slip_seeds: int = 3  # noises of the exact flow of each
     truth_nodes: int = 3_000
     seed: int = 7
@@ -69,7 +69,7 @@ class ShearGrid:
 
 
 def quick_shear_grid() -> ShearGrid:
-    """A minute's worth."""
+    """A run of one minute."""
     return ShearGrid(
         objects=(("puck", 0.005),),
         drags_m=(0.0, 0.0005, 0.001),
@@ -87,11 +87,11 @@ def quick_shear_grid() -> ShearGrid:
 class ShearTrial:
     """One frame of one path; errors are lengths of differences over the true force's.
 
-    `depth_*` is by depth alone. `friction` is NaN where all that touched sticks; `angle_rad` is
+    `depth_*` is by depth only. `friction` is NaN if the object sticks everywhere; `angle_rad` is
     between the forces, `torque_error` of z about the true centre (NaN without a twist), `sigmas`
-    the force's error over its standard deviation; `slip` and `true_slip` are shares of the patch
-    that are said to have slipped, and that have by more than 0.1 mm (NaN where nothing is said);
-    times are of the processor.
+    the force's error over its standard deviation; `slip` and `true_slip` are the estimated share of
+    the patch that slipped, and the true share that did by more than 0.1 mm (NaN without an
+    estimate); times are of the processor.
     """
 
     object_name: str
@@ -133,7 +133,7 @@ def _all_noises(grid: ShearGrid, make: Callable[[], list[_Moved]]) -> list[Shear
 
 
 class _Moved(NamedTuple):
-    """A frame of a press, and how far its object was moved; None before it is pressed in."""
+    """A frame of a press, and the motion of its object; None before it is pressed in."""
 
     object_name: str
     motion: Motion | None
@@ -155,22 +155,22 @@ def _sliding(grid: ShearGrid, name: str, depth_m: float, k: int) -> list[_Moved]
     rubber_on = partial(build_rubber, sensor, tension_n_per_m=known.tension_n_per_m)
     gas_on = partial(Gas.of, sensor.pneumatics)
     drag_m, twist_rad = (0.0, grid.twists_rad[-1]) if k % 2 else (grid.drags_m[-1], 0.0)
-    dragged = DraggedPress(name, depth_m, drag_m, twist_rad, friction, BESIDE_M)
+    dragged = DraggedPress(name, depth_m, drag_m, twist_rad, friction, OFFSET_M)
     truths = list(dragged_truths(rubber_on, gas_on, mesh, dragged, grid.frames, 0))
     return [_Moved(name, _motion(truth, truths[-1]), truth, friction) for truth in truths]
 
 
 def _motion(truth: DraggedTruth, last: DraggedTruth) -> Motion | None:
-    """How far the object was moved since it was pressed in."""
+    """Motion of the object since it was pressed in."""
     if truth.T_B_O[2, 3] > last.T_B_O[2, 3]:
         return None
     drag = truth.T_B_O[:3, 3] - last.T_B_O[:3, 3]
-    drag[:2] = truth.T_B_O[:2, 3] - BESIDE_M
+    drag[:2] = truth.T_B_O[:2, 3] - OFFSET_M
     return Motion(drag, float(np.arctan2(truth.T_B_O[1, 0], truth.T_B_O[0, 0])))
 
 
 def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[ShearTrial]:
-    """Frames of one path, each begun where the one before ended."""
+    """Frames of one path, each warm-started from the previous one."""
     model = SensorModel.of(shear_sensor())
     both, alone = Pipeline(model), Pipeline(model)
     flows: list[FlowField] = []
@@ -203,7 +203,7 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
 
 
 def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
-    """Errors of a frame's traction and slip; what is not of the result is left open."""
+    """Errors of a frame's traction and slip; the caller fills the other fields."""
     estimate, traction = result.estimate, result.traction
     if estimate is None or traction is None:
         raise ValueError("the result lacks the estimate or the traction")
@@ -257,7 +257,7 @@ TARGET_NOISE_PX = 0.03
 
 
 def targets(trials: Sequence[ShearTrial]) -> list[Target]:
-    """Worst frames at the target's noise, and whether that will do."""
+    """Whether the worst frames at the target's noise meet the targets."""
     some = [trial for trial in trials if trial.flow_sigma_px == TARGET_NOISE_PX]
     solved = [trial for trial in some if trial.status == "ok"]
     sticking = [t.slip > 0.0 for t in some if np.isfinite(t.slip) and np.isnan(t.friction)]
@@ -297,6 +297,6 @@ _COLUMNS = (
 
 
 def report_of(trials: Sequence[ShearTrial]) -> Report:
-    """Every frame; no μ where all sticks."""
+    """Every frame; no μ if everything sticks."""
     records = [asdict(trial) for trial in trials]
     return Report([Table("trials", records, _COLUMNS)], targets(trials))

@@ -1,7 +1,6 @@
 """Delay of slip detection over contact size, and its false-alarm rate.
 
-A ball is dragged in steps. At first all of the membrane that touches it sticks; then the outer ring
-of the contact stays where it is.
+A ball is dragged in steps. At first the whole contact sticks; then its outer ring slips.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, shear_sensor
 
 _STICKING, _SLIPPING = 8, 6
-"""Frames in which all sticks, of which the first is what the others are compared with, and those in
-which the ring slips."""
+"""Frames in which everything sticks, the first being the reference, and in which the ring slips."""
 _STEP_M, _SLIP_M = 1e-4, 2.5e-4  # of the object in a frame of either kind
 _RING = 0.55  # of the contact's radius, from which on it slips
 _FLOW_PX = 0.03
@@ -36,12 +34,12 @@ _AT_REST = 8  # images without contact that a preset learns from
 
 @dataclass(frozen=True)
 class SlipTrial:
-    """One drag of one contact, seen by one flow.
+    """One drag of one contact, measured by one flow.
 
     `radius_m` is of the circle with the contact's area; `flow` the noise of an exact flow, or the
-    preset of one that is found in rendered images. Slip is judged by `points` while all sticks
-    (median, 0 where too few). Of `judged` frames without slip `alarms` tell some; `found_in` is
-    the frame of slip, from 1, in which it was found first, NaN where it was in none.
+    preset of optical flow in rendered images. While everything sticks, slip is evaluated at
+    `points` (median, 0 if too few). Of `judged` frames without slip, `alarms` are false alarms;
+    `found_in` is the frame of slip, from 1, of its first detection, NaN if never.
     """
 
     radius_m: float
@@ -53,7 +51,7 @@ class SlipTrial:
 
 
 def slip_study(grid: ShearGrid) -> Study:
-    """Every depth of a grid seen by exact flows with noise and by those of rendered images."""
+    """Every depth of a grid, with exact flows plus noise and with flows of rendered images."""
     cases = [
         Case(f"{1e3 * depth:g} mm", partial(_slip, grid, depth)) for depth in grid.slip_depths_m
     ]
@@ -90,7 +88,7 @@ _COLUMNS = (
 
 
 def report_of(trials: Sequence[SlipTrial]) -> Report:
-    """Every drag, false alarms, and how soon slip is found by exact flow."""
+    """Every drag, false alarms, and detection delay with exact flow."""
     alarms = sum(t.alarms for t in trials) / max(1, sum(t.judged for t in trials))
     found_in = [t.found_in for t in trials if t.flow == EXACT]
     targets = [

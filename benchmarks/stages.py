@@ -1,7 +1,7 @@
 """Run time of every stage of a frame, the machine's lower bound, and growth with size.
 
-The floor counts each number that a stage cannot do without once, at the machine's measured rate of
-copying, and the operations of its dense and sparse algebra at its measured rate of multiplying.
+The lower bound counts the memory traffic that a stage needs at least, at the machine's measured
+copy rate, and its dense and sparse linear algebra at the measured rate of matrix products.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from bubbleviz.study.harness import Case, Report, Study
 from bubbleviz.study.speed import FRAMES
 
 _POSES = (0, 25, 35, 45, 51, 54, 57, 60)
-"""Of the moving press: one above the membrane, and the way down."""
+"""Frames of the moving press: one above the membrane, and the descent."""
 _WARM = 4  # the last of them are measured
 _SOLVES = 5
-"""Solves with the factors of the tangent that a step of the exact membrane cannot do without:
-motion to equilibrium before and after, the pull of the ranges before and after, the bulge."""
+"""Minimum number of solves with the factors of the tangent in a step of the exact membrane:
+motion to equilibrium and pull of the ranges, each before and after, and the bulge."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What one core does at best."""
+    """Peak rates of one core."""
 
     bytes_per_s: float  # copied, read and written together, of arrays larger than its caches
     flops_per_s: float  # of products of matrices
 
     @classmethod
     def measured(cls) -> Machine:
-        """What this machine does."""
+        """Measure this machine."""
         source = np.ones(8_000_000)
         target, square = np.empty_like(source), np.ones((400, 400))
         copying = min(_seconds(lambda: np.copyto(target, source)) for _ in range(20))
@@ -64,7 +64,7 @@ class Machine:
         return cls(2.0 * source.nbytes / copying, 2.0 * len(square) ** 3 / multiplying)
 
     def floor_ms(self, moved_bytes: float, flops: float) -> float:
-        """Time of so much, neither waiting for the other, ms."""
+        """Time for an amount of memory traffic and arithmetic that overlap perfectly, ms."""
         return 1e3 * max(moved_bytes / self.bytes_per_s, flops / self.flops_per_s)
 
 
@@ -81,12 +81,12 @@ class StageTime:
 
 @dataclass(frozen=True)
 class StageSizes:
-    """Pixels and nodes at which stages are measured; the first of each is the table's."""
+    """Pixels and nodes at which stages are measured; the table shows the first of each."""
 
     pixels: tuple[int, int] = (307_200, 76_800)
     nodes: tuple[int, int] = (1_000, 2_000)
     passes: int = 15  # over the frames
-    source_nodes: int = 1_500  # of the membrane that is pressed, whatever the estimator has
+    source_nodes: int = 1_500  # of the simulated membrane, independent of the estimator's
 
 
 def stages_study(sensor: Sensor, sizes: StageSizes) -> Study:
@@ -125,9 +125,9 @@ def stage_times(sensor: Sensor, sizes: StageSizes, machine: Machine) -> list[Sta
 
 
 class _Stages:
-    """The stages on frames of one press, each to be called by itself.
+    """The stages on frames of one press, each callable separately.
 
-    The folder is made here, for a recording and what is exported.
+    The folder is created, for a recording and exports.
     """
 
     def __init__(self, sensor: Sensor, sizes: StageSizes, folder: Path) -> None:
@@ -160,7 +160,7 @@ class _Stages:
         return {stage: 1e3 * float(np.median(times)) for stage, times in spent.items()}
 
     def _calls(self, recording: Recording) -> dict[str, Callable[[int], object]]:
-        """What each stage does on a warm frame, by its number."""
+        """Function of each stage on a warm frame, by its number."""
         exact, linear, free = self._exact, self._linear, self._free
         observer, view = linear.pipeline.estimator.observer, self._model.view
         expected = np.zeros(observer.blocks)
@@ -187,7 +187,7 @@ class _Stages:
         }
 
     def floors_ms(self, machine: Machine) -> dict[str, float]:
-        """What each stage takes at least, ms; after `times_ms`."""
+        """Lower bound of each stage, ms; after `times_ms`."""
         model, estimator = self._model, self._linear.pipeline.estimator
         mesh, observer = model.mesh, estimator.observer
         image, used, nodes = self._free.depth_m.size, len(observer.pixel), len(mesh.nodes)
@@ -218,7 +218,7 @@ class _Stages:
 
 @dataclass(frozen=True)
 class _Solved:
-    """The warm frames of a press with what was found, and what each was started from."""
+    """The warm frames of a press with their results, and the warm start of each."""
 
     pipeline: Pipeline
     results: list[Result]
@@ -230,7 +230,7 @@ class _Solved:
     def of(cls, pipeline: Pipeline, frames: list[Frame]) -> _Solved:
         """Solve frames one after the other."""
         found, start = list[tuple[Any, ...]](), None
-        estimator: Any = pipeline.estimator  # each kind has a start of its own
+        estimator: Any = pipeline.estimator  # each kind has its own warm start
         for frame in frames:
             estimate, following = estimator.estimate(frame.depth_m, None, start)
             patch = pipeline.patch(estimate, pixel_mask=True)
@@ -245,7 +245,7 @@ class _Solved:
 
 
 def _filled(matrix: sparse.csc_array) -> int:
-    """Numbers in the factors of a matrix of symmetric pattern."""
+    """Number of nonzeros in the factors of a matrix of symmetric pattern."""
     factors = symmetric_lu(matrix)
     return int(factors.L.nnz + factors.U.nnz)
 
@@ -257,7 +257,7 @@ def _seconds(call: Callable[[], object]) -> float:
 
 
 def stage_text(times: Sequence[StageTime], sizes: StageSizes, machine: Machine) -> str:
-    """The table as Markdown, with what it was measured on."""
+    """The table as Markdown, with the machine and sizes."""
     lines = [
         f"| {t.stage} | {t.ms:.2f} | {t.floor_ms:.3f} | {t.ms / t.floor_ms:.0f} "
         f"| {t.by_pixels:.1f} | {t.by_nodes:.1f} |"

@@ -1,1 +1,1 @@
-"""What measures the window: pictures a second, start, seek, live soak, a monkey."""
+"""Benchmarks of the window: frame rate, start, seek, live soak and monkey tests."""

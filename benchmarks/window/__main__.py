@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.group(cls=OneLineErrors)
 def bench() -> None:
-    """Measure how fast the window is on this machine."""
+    """Measure the speed of the window on this machine."""
 
 
 _sensor = click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
@@ -78,7 +78,7 @@ def bench_monkey(
 ) -> int:
     """Click and type at random; exit code 1 after an exception or with 100 MiB more memory.
 
-    Memory is compared in runs of a minute and more.
+    Memory is compared in runs of at least a minute.
     """
     from benchmarks.window.monkey import REST_EVERY_S, monkey_run
 
@@ -138,9 +138,9 @@ def bench_live(
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=30.0, help="Frames a second.")
 @_json
 def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
-    """Two 640×480 cameras over Zenoh into one window: what is solved and drawn a second.
+    """Two 640×480 cameras over Zenoh into one window: rates of solved and drawn frames.
 
-    The window records them meanwhile; exit code 1 when a frame is missing in the file.
+    The window also records them; exit code 1 when a frame is missing in the file.
     """
     from benchmarks.window.live_pair import pair_bench
     from bubbleviz.live import load_session
@@ -165,7 +165,7 @@ def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
 
 
 def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
-    """The sensor named, else the preset that fits the recording or is simulated."""
+    """The named sensor, else the preset that fits the recording or is simulated."""
     from bubbleviz.recordings import checked_sensor
     from bubbleviz.sensor import load_sensor
 
@@ -175,7 +175,7 @@ def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
 
 
 def _print_measured(measured: dict[str, float], as_json: bool) -> None:
-    """Numbers by name; a NaN is null in JSON, which has none."""
+    """Print numbers by name; NaN as null in JSON."""
     lines = (f"{key:<16} {value:.4g}" for key, value in measured.items())
     click.echo(to_json(measured) if as_json else "\n".join(lines))
 

@@ -1,4 +1,4 @@
-"""Window under test: size of a small laptop, on its own virtual screen."""
+"""Window under test, of a small laptop's size, on its own virtual screen."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def bench_window(
     frame: int | None = None,
     live: SessionPreset | None = None,
 ) -> Iterator[WindowSession]:
-    """A window as `window_session` opens it, shown under a screen of its own."""
+    """A window as `window_session` opens it, on its own virtual screen."""
     with (
         screen_for_pictures(*SIZE),
         window_session(sensor, recording, frame, live=live) as session,
@@ -43,7 +43,7 @@ def live_window(preset: SessionPreset) -> Iterator[WindowSession]:
 
 
 def recorded_run(session: WindowSession, path: Path) -> LiveRun:
-    """What is connected, once every sensor of it is shown; it is recorded from then on."""
+    """The live run, once all its sensors are shown; recorded from then on."""
     live, pair = session.window.live_controller, session.window.pair
 
     def shown() -> bool:

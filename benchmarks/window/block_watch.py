@@ -11,18 +11,18 @@ from contextlib import contextmanager
 
 from PySide6.QtCore import QTimer
 
-BLOCKED_S = 0.1  # without events for so long, the thread's stack is looked at
+BLOCKED_S = 0.1  # without events for this long, the thread's stack is sampled
 BEAT_MS = 10
 CALLS_TOLD = 12
 
 
 class BlockWatch:
-    """Looks at the stack of a thread whenever that has handled no event for a while.
+    """Samples the stack of a thread whenever it has handled no event for a while.
 
     Attributes
     ----------
     longest_s : float
-        Longest time between two beats of the thread's event loop, of those that were looked into.
+        Longest sampled time between two beats of the thread's event loop.
     stack : str
         The innermost calls of the thread in that time, outermost first; empty without one.
     """
@@ -35,9 +35,9 @@ class BlockWatch:
 
     @contextmanager
     def watching(self) -> Iterator[BlockWatch]:
-        """Watch the thread that calls this, which runs an event loop meanwhile."""
+        """Watch the calling thread, which runs an event loop meanwhile."""
         timer, stop = QTimer(), threading.Event()
-        thread = threading.Thread(target=self._look, args=(stop,), name="watch", daemon=True)
+        thread = threading.Thread(target=self._sample, args=(stop,), name="watch", daemon=True)
         self._beat_s = time.perf_counter()
         timer.timeout.connect(self._beat)
         timer.start(BEAT_MS)
@@ -56,7 +56,7 @@ class BlockWatch:
             self.longest_s, self.stack = now_s - self._beat_s, seen[1]
         self._beat_s = now_s
 
-    def _look(self, stop: threading.Event) -> None:
+    def _sample(self, stop: threading.Event) -> None:
         while not stop.wait(BLOCKED_S / 2):
             since_s, seen = self._beat_s, self._seen
             known = seen is not None and seen[0] == since_s

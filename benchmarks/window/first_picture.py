@@ -13,7 +13,7 @@ FIRST = "first picture at"
 
 
 def first_picture(recording: str, sensor: str | None) -> None:
-    """Open a recording, say when its first picture is drawn, and leave."""
+    """Open a recording, print when its first picture is drawn, and quit."""
     import_the_backend()
     from bubbleviz.recordings import checked_sensor  # by what was imported just now
 

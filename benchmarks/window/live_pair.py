@@ -1,7 +1,7 @@
 """Two cameras over Zenoh into one window that records them.
 
-Their images are simulated and encoded before the first is sent, and replayed: what sending them
-costs is told apart from the window.
+Their images are simulated and encoded before the first is sent, and replayed, so that the cost of
+sending is measured separately from the window.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession
 
 WARM_UP_S = 3.0
-SHARE_SHOWN = 0.002  # threads with less of a core than this are not told
+SHARE_SHOWN = 0.002  # threads with less of a core than this are omitted
 
 
 @dataclass(frozen=True)
 class PairReport(Summary):
-    """What `pair` measured; of the chosen sensor and of the other where there are two numbers."""
+    """Results of `pair`; pairs of numbers are of the chosen and of the other sensor."""
 
     seconds: float
     rate_hz: float
@@ -83,7 +83,7 @@ class PairReport(Summary):
 def pair_bench(
     preset: SessionPreset, seconds: float, rate_hz: float = 30.0, size: tuple[int, int] = (640, 480)
 ) -> PairReport:
-    """Two simulated cameras, each a process of its own, over Zenoh into one window."""
+    """Two simulated cameras, each in its own process, over Zenoh into one window."""
     publishers, places = list[Publisher](), []
     with tempfile.TemporaryDirectory(prefix="bubbleviz-pair-") as folder, ExitStack() as stack:
         for place in preset.sensors:
@@ -100,7 +100,7 @@ def pair_bench(
 
 @dataclass(frozen=True)
 class _Counts:
-    """What is counted from the start of a session on."""
+    """Counts from the start of a session."""
 
     at_s: float
     received: list[int]

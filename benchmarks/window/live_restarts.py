@@ -20,22 +20,22 @@ from bubbleviz_ui.window_session import WindowSession
 
 @dataclass(frozen=True)
 class RestartReport(Summary):
-    """What `restarts` saw."""
+    """Results of `restarts`."""
 
     kills: int
-    recovered: int  # how often the window showed new frames after the publisher came back
-    seen_gone_s: list[float]  # how long the bar went on saying `live` after each kill
-    arrived: int  # depth images that arrived here while recording
+    recovered: int  # how often the window showed new frames after a restart of the publisher
+    detected_s: list[float]  # how long the bar still showed `live` after each kill
+    arrived: int  # depth images that arrived while recording
     recorded: int  # those in the file
 
     @property
     def passed(self) -> bool:
-        """Whether nothing was lost and the window came back each time."""
+        """Whether nothing was lost and the window recovered each time."""
         return self.recovered == self.kills and self.arrived == self.recorded
 
     def to_text(self) -> str:
         """A few lines for people, with units."""
-        gone = self.seen_gone_s
+        gone = self.detected_s
         return (
             f"killed    {self.kills} times, recovered {self.recovered} times\n"
             f"noticed   after {median(gone):.2f} s median, {max(gone):.2f} s at most\n"
@@ -44,7 +44,7 @@ class RestartReport(Summary):
 
 
 def restart_bench(sensor_name: str, times: int, seed: int = 0) -> RestartReport:
-    """Kill the publisher and start it anew, at random moments, while the window records."""
+    """Kill and restart the publisher, at random moments, while the window records."""
     with (
         tempfile.TemporaryDirectory(prefix="bubbleviz-restarts-") as folder,
         Publisher(sensor_name, "synthetic:?rate=60&frames=30") as robot,
@@ -82,7 +82,7 @@ def _restart(
 
 
 def _shows_more_than(session: WindowSession, frames: int) -> bool:
-    """Wait until a later frame is shown and the bar says that it is live."""
+    """Wait until a later frame is shown and the bar shows `live`."""
 
     def shown() -> bool:
         result = session.controller.result

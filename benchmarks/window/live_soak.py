@@ -1,7 +1,7 @@
 """Soak test: a Zenoh stream is recorded and solved for minutes.
 
-The publisher is a process of its own. Every depth image must be in the file, counted by the
-publisher's own sequence; memory must not grow; what is solved must be young.
+The publisher is a separate process. Every depth image must be in the file, by the publisher's
+sequence numbers; memory must not grow; results must be recent.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from bubbleviz.recordings import IMAGE
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml
 from bubbleviz.simulation import resized
 
-WARM_UP_S = 20.0  # until then memory may grow: one round of the press, every buffer filled once
+WARM_UP_S = 20.0  # memory may grow until then: one round of the press fills every buffer
 _START_S = 60.0  # s until the first frame, at most
 
 
 @dataclass(frozen=True)
 class SoakReport(Summary):
-    """What `live` measured; latency is from stamp to result."""
+    """Results of `live`; latency is from stamp to result."""
 
     seconds: float
     rate_hz: float
-    sent: int  # depth images the publisher counted while we were there
+    sent: int  # depth images counted by the publisher while subscribed
     recorded: int  # depth images in the file
     missing: int  # gaps of the publisher's count in the file
     repeated: int
     solved: int
-    skipped: int  # given up for newer ones
+    skipped: int  # replaced by newer ones
     latency_median_s: float
     latency_p95_s: float
     latency_worst_s: float
-    memory_growth_bytes: int  # highest resident memory after the warm-up less that at its end
+    memory_growth_bytes: int  # highest resident memory after the warm-up minus that at its end
     most_waiting_bytes: int  # of the recorder's queue
     stalls: int
     recording_bytes: int
@@ -79,7 +79,7 @@ class SoakReport(Summary):
 def soak(
     sensor_name: str, seconds: float, rate_hz: float = 60.0, out: Path | None = None
 ) -> SoakReport:
-    """Stream, record and solve for some time; the recording stays where a path is given."""
+    """Stream, record and solve for some time; the recording is kept if a path is given."""
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"
         with Publisher(sensor_name, f"synthetic:?rate={rate_hz:g}") as publisher:
@@ -90,7 +90,7 @@ def soak(
 class Publisher:
     """A process that runs `bubbleviz publish` on a source; killed at the end of its `with`.
 
-    `uri` is the live source that receives what it sends.
+    `uri` is the live source that receives its messages.
     """
 
     def __init__(self, sensor_name: str, source: str) -> None:
@@ -100,13 +100,13 @@ class Publisher:
         self.start()
 
     def start(self) -> None:
-        """Begin to publish."""
+        """Start to publish."""
         code = "from bubbleviz.cli.command_line import main; main()"
         command = [sys.executable, "-c", code, "publish", *self._arguments, "--json"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
     def images_sent(self) -> int:
-        """End it in order; how many depth images it has sent."""
+        """Stop it normally; returns the number of depth images it sent."""
         self.process.terminate()
         sent = json.loads(self.process.communicate(timeout=30)[0])["sent"]
         return next(int(count) for topic, count in sent.items() if topic.endswith("image_raw"))
@@ -124,7 +124,7 @@ class Publisher:
 
 
 def resized_file(sensor: Sensor, size: tuple[int, int], folder: Path, name: str = "sensor") -> str:
-    """File of the same sensor and field of view with other pixels: width and height."""
+    """File of the same sensor and field of view with another image size."""
     other = resized(sensor, *size)
     path = folder / f"{name}.toml"
     path.write_text(sensor_to_toml(other), encoding="utf-8")
@@ -132,7 +132,7 @@ def resized_file(sensor: Sensor, size: tuple[int, int], folder: Path, name: str 
 
 
 def free_port() -> int:
-    """A port of loopback nobody listens at."""
+    """An unused loopback port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -140,7 +140,7 @@ def free_port() -> int:
 
 @dataclass
 class Measured:
-    """What was counted while streaming; `memory` is (s since the start, bytes), `sent` images."""
+    """Counts while streaming; `memory` is (s since the start, bytes), `sent` images."""
 
     solved: int
     skipped: int
@@ -188,7 +188,7 @@ def _solve_for(watcher: Watcher, seconds: float) -> tuple[list[float], list[tupl
 
 
 def drain(stream: LiveStream) -> None:
-    """Wait until nothing comes any more."""
+    """Wait until no more messages arrive."""
     received = -1
     while stream.counters.received != received:
         received = stream.counters.received
@@ -196,7 +196,7 @@ def drain(stream: LiveStream) -> None:
 
 
 def depth_images(path: Path, prefix: str = "") -> Iterator[Message]:
-    """The depth images of such topics in a recording, in file order."""
+    """The depth images of some topics in a recording, in file order."""
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
             if schema is not None and schema.name == IMAGE and channel.topic.startswith(prefix):
@@ -204,18 +204,18 @@ def depth_images(path: Path, prefix: str = "") -> Iterator[Message]:
 
 
 def sequences(path: Path, prefix: str = "") -> np.ndarray:
-    """The publisher's count of every depth image of such topics in a recording, in file order."""
+    """Sequence numbers of the depth images of some topics in a recording, in file order."""
     return np.array([message.sequence for message in depth_images(path, prefix)], dtype=np.int64)
 
 
 def gaps_in(count: np.ndarray) -> tuple[int, int]:
-    """How many are missing between the first and the last of a count, and how many are repeated."""
+    """Numbers of missing and of repeated values in a sequence."""
     steps = np.diff(np.sort(count))
     return int(np.sum(np.maximum(steps - 1, 0))), int(np.sum(steps == 0))
 
 
 def report_of(measured: Measured, path: Path, seconds: float, rate_hz: float) -> SoakReport:
-    """Report on a recording and what was counted meanwhile; InputError when that is nothing."""
+    """Report on a recording and the counts of its run; InputError if they are empty."""
     count = sequences(path)
     gaps, repeated = gaps_in(count)
     ages = np.array(measured.ages_s)

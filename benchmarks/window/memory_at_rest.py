@@ -1,6 +1,6 @@
-"""Memory of an idle window that always shows the same.
+"""Memory of an idle window in a fixed state.
 
-What a calibration found stays, and so do caches: of two rests they may differ by 250 MiB.
+Results of calibrations and caches remain; two measurements may differ by 250 MiB.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from bubbleviz_ui.shell.dock import Dock
 if TYPE_CHECKING:
     from bubbleviz_ui.window_session import WindowSession
 
-GLANCE_S = 0.5  # how long each panel is looked at
-CALIBRATION_S = 30.0  # how long a calibration is waited for; refused ones end sooner
+GLANCE_S = 0.5  # how long each panel is shown
+CALIBRATION_S = 30.0  # longest wait for a calibration; refused ones end sooner
 REST_S = 1.5  # s without input before memory is read
 OBJECT = "hex_nut"
 
 
 class Rest:
-    """Puts everything in a window away, and opens all of it once."""
+    """Closes everything in a window, and opens all of it once."""
 
     def __init__(
         self,
-        session: WindowSession,  # what it shows now is what it shows at rest
+        session: WindowSession,  # its current state is the rest state
     ) -> None:
         self._session = session
         self._choices, self._panels = session.state.settings, session.window.open_panels.names
 
     def tour(self) -> None:
-        """Open every panel, look for an object and calibrate: all is loaded that will be."""
+        """Open every panel, search for an object and calibrate, so that everything is loaded."""
         window, state = self._session.window, self._session.state
         for panel in window.panels.values():
             if isinstance(panel, Dock):
@@ -50,7 +50,7 @@ class Rest:
                 break
 
     def memory_mib(self) -> float:
-        """Put everything away, wait, and tell the resident memory of this process."""
+        """Close everything, wait, and return the resident memory of this process."""
         window, state = self._session.window, self._session.state
         window.calibration.calibration.cancel()
         with window.undo_recorder.unrecorded():

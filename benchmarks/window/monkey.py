@@ -36,10 +36,10 @@ from benchmarks.window.replay_rate import beats
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.window_session import WindowSession
 
-REST_EVERY_S = 60.0  # how often everything is put away and memory looked at
-MOST_GROWTH_MIB = 100.0  # of resident memory; chosen
+REST_EVERY_S = 60.0  # interval of closing everything and measuring memory
+MAX_GROWTH_MIB = 100.0  # of resident memory; chosen
 POP_UP_MS = 100  # until a menu that was opened is closed
-PATIENCE_S = 150.0  # after so long without an end, all threads are written out and the process ends
+TIMEOUT_S = 150.0  # then the stacks of all threads are printed and the process ends
 FORBIDDEN = (
     *("Quit", "Open", "Save", "Screenshot", "screenshot"),
     *("Export", "Import", "Record", "Turntable"),
@@ -50,26 +50,26 @@ KEYS = "Left Right Up Down Space Home End Tab Backtab PageUp PageDown Escape Ret
 
 @dataclass
 class Report:
-    """What happened."""
+    """Results of a monkey run."""
 
     actions: int = 0
     seconds: float = 0.0
-    rest_mib: list[float] = field(default_factory=list)  # everything put away, at first and later
+    rest_mib: list[float] = field(default_factory=list)  # with everything closed, over time
     most_mib: float = 0.0  # highest after an action
-    longest_ms: float = 0.0  # the window's thread was kept from events
-    longest: str = ""  # what was done then
-    blocked: str = ""  # innermost calls of that thread in the longest time of over 100 ms
-    problems: list[str] = field(default_factory=list)  # tracebacks, messages that came with one
+    longest_ms: float = 0.0  # longest time without events in the window's thread
+    longest: str = ""  # the action at that time
+    blocked: str = ""  # innermost calls of that thread in the longest block of over 100 ms
+    problems: list[str] = field(default_factory=list)  # tracebacks and messages
 
     @property
     def growth_mib(self) -> float:
-        """Memory with everything put away: at the end against after the first tour; or NaN."""
+        """Growth of memory with everything closed, from the first tour to the end; or NaN."""
         return self.rest_mib[-1] - self.rest_mib[0] if self.rest_mib else float("nan")
 
     @property
     def passed(self) -> bool:
-        """No exception, and no more memory than allowed."""
-        return not self.problems and not self.growth_mib > MOST_GROWTH_MIB
+        """Whether there was no exception, and no more memory than allowed."""
+        return not self.problems and not self.growth_mib > MAX_GROWTH_MIB
 
     @property
     def measured(self) -> dict[str, float]:
@@ -88,9 +88,9 @@ class Report:
 def monkey_run(
     sensor: Sensor, recording: Path | None, seconds: float, seed: int, *, memory: bool = True
 ) -> Report:
-    """Click and type at random in a window on a private screen; what is hit depends on time.
+    """Click and type at random in a window on a private screen; the targets depend on timing.
 
-    Where memory is compared everything is opened first, which takes up to a minute.
+    If memory is compared everything is opened first, which takes up to a minute.
     """
     report = Report()
     with _caught(report), bench_window(sensor, recording) as session:
@@ -104,7 +104,7 @@ def monkey_run(
 
 
 class Monkey:
-    """Does one thing after another to a window."""
+    """Performs random actions in a window."""
 
     def __init__(self, session: WindowSession, dice: random.Random, report: Report) -> None:
         self._session, self._dice, self._report = session, dice, report
@@ -121,11 +121,11 @@ class Monkey:
         )
 
     def run(self, seconds: float, *, memory: bool) -> None:
-        """Go on for some time; see `monkey_run`."""
-        leave = QTimer(self._session.window)  # menus and dialogs run event loops of their own
+        """Run for some time; see `monkey_run`."""
+        leave = QTimer(self._session.window)  # menus and dialogs run their own event loops
         leave.timeout.connect(lambda: self._leave_pop_ups())
         leave.start(POP_UP_MS)
-        faulthandler.dump_traceback_later(seconds + PATIENCE_S, exit=True)
+        faulthandler.dump_traceback_later(seconds + TIMEOUT_S, exit=True)
         try:
             go_on = self._go_on_and_rest if memory else self._go_on
             go_on(seconds)
@@ -243,7 +243,7 @@ class Monkey:
         return QPoint(x, self._dice.randint(0, max(widget.height() - 1, 0)))
 
     def _leave_pop_ups(self) -> None:
-        """Close what popped up, so that the window is never locked; of a menu, do something."""
+        """Close pop-ups, so that the window is never locked; trigger an action of a menu."""
         application = self._session.application
         popup = application.activePopupWidget() or application.activeModalWidget()
         if popup is None:
@@ -265,7 +265,7 @@ def _forbidden(text: str) -> bool:
 
 @contextmanager
 def _caught(report: Report) -> Iterator[None]:
-    """Exceptions in slots, which Qt only prints, are problems."""
+    """Collect exceptions in slots, which Qt only prints."""
     before = sys.excepthook
 
     def note(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -14,8 +14,7 @@ TICKS_HZ = float(os.sysconf("SC_CLK_TCK"))
 def thread_seconds() -> dict[str, float]:
     """Processor time of each thread so far, s, by its name; threads of one name together.
 
-    Threads that Python did not start have the names that libraries gave them, without the numbers
-    of those that are many.
+    Threads not started by Python have the names given by libraries, without their numbers.
     """
     names = {each.native_id: each.name for each in threading.enumerate()}
     used: dict[str, float] = defaultdict(float)
@@ -40,7 +39,7 @@ def _seconds(stat: str) -> float:
 
 
 def resident_bytes() -> int:
-    """Memory of this process that is in use now; where the system does not tell, the most ever."""
+    """Resident memory of this process; if the system does not report it, the peak."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")

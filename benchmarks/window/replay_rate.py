@@ -18,13 +18,13 @@ from bubbleviz_ui.window_session import WindowSession
 WARM_UP_S = 2.0  # s that are not counted
 WINDOW_S = 1.0  # s over which the lowest rate is taken
 BEAT_MS = 2  # between beats that show a blocked event loop
-TOO_LONG_MS = 50.0  # a delay one notices
+TOO_LONG_MS = 50.0  # a noticeable delay
 
 
 def replay_fps(
     sensor: Sensor, recording: Path | None = None, seconds: float = 8.0
 ) -> dict[str, float]:
-    """Replay at recorded speed with membrane and cloud shown, and count what is drawn.
+    """Replay at recorded speed with membrane and cloud shown, and count the drawn frames.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def _count(session: WindowSession, seconds: float) -> dict[str, float]:
 
 @contextmanager
 def beats() -> Iterator[list[float]]:
-    """Times between two beats of a timer in this thread, ms: how long it was kept from events."""
+    """Times between two beats of a timer in this thread, ms: its blocked times."""
     gaps_ms: list[float] = []
     last = time.perf_counter()
 

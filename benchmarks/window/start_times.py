@@ -30,13 +30,13 @@ CHILD = (
 def start_times(recording: Path, sensor: str | None, runs: int = 5) -> dict[str, float]:
     """Time from the start of a process to the first picture of a recording, s.
 
-    Each run is a process of its own that does what `bubbleviz open` does. The first warms the
-    disk's cache and is reported as `cold_s`; `cpu_s` is the mean processor time of a run with its
-    screen, which a busy machine changes least. InputError: the recording cannot be opened.
+    Each run is a separate process that acts like `bubbleviz open`. The first one warms the disk
+    cache and is reported as `cold_s`; `cpu_s` is the mean processor time of a run with its screen,
+    which depends least on other load. InputError: the recording cannot be opened.
     """
     times = []
     for _ in range(runs + 1):
-        with screen_for_pictures(*SIZE):  # one each: it ends with its last client
+        with screen_for_pictures(*SIZE):  # one per run: it ends with its last client
             times.append(_start(CHILD.format(recording=str(recording), sensor=sensor)))
     counted = times[1:]
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -32,7 +32,7 @@ STEP_S = 1.0  # s between readings
 
 @dataclass(frozen=True)
 class WindowSoak(Summary):
-    """What `live --window` measured; latency is from the stamp to the picture."""
+    """Results of `live --window`; latency is from the stamp to the picture."""
 
     soak: SoakReport
     pictures_hz: float
@@ -64,7 +64,7 @@ def window_soak(
 ) -> WindowSoak:
     """Stream over Zenoh into the window for some time, recording everything.
 
-    The size, width and height, is of the images in place of the sensor's, pixels.
+    The size (width, height), pixels, replaces that of the sensor's images.
     """
     with tempfile.TemporaryDirectory(prefix="bubbleviz-soak-") as folder:
         path = out or Path(folder) / "soak.mcap"

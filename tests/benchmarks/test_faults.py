@@ -5,8 +5,8 @@ import pytest
 from benchmarks.faults import FaultRow, faults_study, report_of
 
 
-def row(kind, told, held, worst_n=0.0):
-    return FaultRow("flat pico", kind, 0.1, "m", 10, told, held, worst_n)
+def row(kind, reported, covered, worst_n=0.0):
+    return FaultRow("flat pico", kind, 0.1, "m", 10, reported, covered, worst_n)
 
 
 def test_unflagged_frames_outside_their_interval_are_wrong():
@@ -23,11 +23,11 @@ def test_a_shift_of_the_gas_pressure_of_a_linear_sensor_is_judged_frame_by_frame
     flat = next(case for case in study.cases if "flat pico" in case.name)
     (found,) = flat.run()
     assert (found.kind, found.unit) == ("gas pressure", "Pa")
-    assert 0 < found.told + found.held <= found.frames == 10
+    assert 0 < found.reported + found.covered <= found.frames == 10
 
 
 def test_frozen_camera_is_reported():
     study = faults_study(27, seed=0)
     frozen = next(case for case in study.cases if case.name.endswith("flat pico: frozen"))
     (found,) = frozen.run()
-    assert found.told == found.frames == 40
+    assert found.reported == found.frames == 40

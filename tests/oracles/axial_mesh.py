@@ -1,4 +1,4 @@
-"""Triangles on the surface of revolution of an oracle's meridian."""
+"""Triangle mesh on the surface of revolution of a meridian."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from tests.oracles.rubber_oracle import Meridian
 
 
 def swept_mesh(meridian: Meridian, nodes: int) -> MembraneMesh:
-    """Mesh of about so many nodes, each on a material circle: those of all states correspond."""
-    cap = mesh_cap(spherical_cap(1.0, 0.5), nodes)  # no direction is preferred on it
+    """Mesh of about `nodes` nodes at material points, so that meshes of all states correspond."""
+    cap = mesh_cap(spherical_cap(1.0, 0.5), nodes)  # has no preferred direction
     angle = np.arctan2(np.hypot(*cap.nodes[:, :2].T), cap.nodes[:, 2] + 0.75)
     along = angle / angle.max() * meridian.s_m[-1]
     s = np.concatenate([[0.0], meridian.s_m])

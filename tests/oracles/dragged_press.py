@@ -1,4 +1,4 @@
-"""Objects pressed in with friction, dragged and twisted, on a separate mesh."""
+"""Objects that are pressed in with friction, dragged and twisted: ground truth on its own mesh."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.oracles.stuck_press import ShearTruth
 
 @dataclass(frozen=True)
 class DraggedPress:
-    """One object pressed in on or off the axis, dragged along x, then twisted."""
+    """One object pressed in on the axis or at an offset, dragged along x, then twisted."""
 
     object_name: str  # for `study_object`
     depth_m: float  # beyond first touch, along −z of B
@@ -29,13 +29,13 @@ class DraggedPress:
     drag_m: float = 0.0
     twist_rad: float = 0.0
     friction: float = 2.0  # Coulomb's μ
-    # (x, y), of the object from the axis before it is dragged, m
-    beside_m: tuple[float, float] = (0.0, 0.0)
+    # (x, y), offset of the object from the axis before it is dragged, m
+    offset_m: tuple[float, float] = (0.0, 0.0)
 
     def poses(self, mesh: MembraneMesh, frames: int) -> np.ndarray:
         """T_B_O (frames, 4, 4) against a membrane; InputError as of `press_path`."""
         obj, pose = study_object(self.object_name), np.eye(4)
-        pose[:2, 3] = self.beside_m
+        pose[:2, 3] = self.offset_m
         pose[2, 3] = touching_height(obj, pose, mesh) - self.depth_m
         return press_path(obj, pose, mesh, frames, self.drag_m, self.twist_rad)
 
@@ -45,12 +45,12 @@ class DraggedTruth(ShearTruth):
     """Ground truth of one frame."""
 
     T_B_O: np.ndarray  # (4, 4)
-    areas_m2: np.ndarray  # (n,), of the nodes that touch, as they are; 0 for others
-    # (n,), way of each touching node over the object since it was touched, m; 0 for others
+    areas_m2: np.ndarray  # (n,), deformed areas of the touching nodes; 0 for others
+    # (n,), slip distance of each touching node since first contact, m; 0 for others
     slipped_m: np.ndarray
 
     def slip_share(self, limit_m: float) -> float:
-        """Share of the touching area that has slipped by more than a limit since it was touched.
+        """Share of the touching area that has slipped by more than a limit since first contact.
 
         NaN without contact.
         """
@@ -64,12 +64,12 @@ def dragged_truths(
     # facets of `mesh`
     rubber_on: Callable[[MembraneMesh], RubberMembrane],
     gas_on: Callable[[MembraneMesh], Gas],
-    mesh: MembraneMesh,  # before it is cut
+    mesh: MembraneMesh,  # before refinement
     press: DraggedPress,
     frames: int,  # 10 or more; as of `press_path`
-    levels: int = 1,  # how often the triangles that touch are cut in four, with those beside them
+    levels: int = 1,  # how often touching triangles and their neighbours are divided into four
 ) -> Iterator[DraggedTruth]:
-    """Frames of a press, one after the other, on a mesh cut finer where the object touches.
+    """Successive frames of a press, on a mesh refined at the contact.
 
     Raises
     ------
@@ -82,8 +82,8 @@ def dragged_truths(
         forward = RubberForward(rubber_on(mesh), gas_on(mesh))
         touching = forward.press(obj, deepest, quick=True).contact_pressure_pa > 0.0
         cut = touching[mesh.triangles].any(axis=1)
-        beside = np.isin(np.arange(len(mesh.nodes)), mesh.triangles[cut])
-        mesh = refine(mesh, beside[mesh.triangles].any(axis=1))
+        around = np.isin(np.arange(len(mesh.nodes)), mesh.triangles[cut])
+        mesh = refine(mesh, around[mesh.triangles].any(axis=1))
     model = RubberForward(rubber_on(mesh), gas_on(mesh))
     slipped = np.zeros(len(mesh.nodes))
     for pose, contact in zip(poses, model.follow(obj, poses, press.friction), strict=False):

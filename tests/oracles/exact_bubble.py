@@ -1,9 +1,9 @@
-"""Exact nonlinear contact of a constant-tension bubble: reference for the linear model.
+"""Exact nonlinear contact of a constant-tension bubble, a reference for the linear model.
 
 A film of tension γ0 over a circular rim, pressed on its axis by a ball or a flat plate without
 friction. The free part is a surface of revolution of constant mean curvature, P = γ0 (κ1 + κ2);
-where the film lies on the ball the contact pressure is P + 2 γ0/R_ball. Nothing here knows of
-triangles, of normals of a reference shape or of small displacements.
+where the film lies on the ball the contact pressure is P + 2 γ0/R_ball. There are no triangles, no
+normals of a reference shape, and displacements are not assumed small.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class AxialContact:
 
 
 def axial_contact(bubble: Bubble, depth_m: float, ball_radius_m: float = np.inf) -> AxialContact:
-    """Press a ball, or a plate where the radius is infinite, `depth_m` below the apex.
+    """Press a ball (a plate if the radius is infinite) to `depth_m` below the apex.
 
     Raises
     ------

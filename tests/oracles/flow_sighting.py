@@ -1,4 +1,4 @@
-"""Depth image and optical flow of a membrane whose motion is known."""
+"""Depth image and exact optical flow of a known membrane."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from bubbleviz.shear import BLOCK_PX, FlowField
 from bubbleviz.simulation import DepthNoise
 from tests.oracles.stuck_press import ShearTruth
 
-_HIDDEN_M = 1e-3  # how far behind the membrane that a pixel sees a point must be to be hidden by it
+_HIDDEN_M = 1e-3  # a point is hidden if it is further than this behind the surface in its pixel
 
 
 class FlowSighting(NamedTuple):
-    """A frame of both cameras, which are one."""
+    """A frame; depth and colour camera are identical."""
 
     depth_m: np.ndarray  # (H, W) float32
     flow: FlowField
@@ -28,7 +28,7 @@ def sighting(
     flow_sigma_px: float,
     seed: int,
 ) -> FlowSighting:
-    """Depth with noise, and the flow of the middle of every block with white noise."""
+    """Depth with noise, and the flow at the centre of every block with white noise."""
     view, intrinsics = MembraneView(camera, truth.mesh), camera.intrinsics
     range_m = view.range_image(truth.displacement_m)
     noisy = depth_noise.apply(range_m, seed, 0)

@@ -1,4 +1,4 @@
-"""Eq. 23 by an interior-point method: slow and accurate, to check other solvers."""
+"""Eq. 23 by an interior-point method: slow, but accurate enough to verify other solvers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bulged round sheet by its meridian's equations, independent of our membrane.
+"""An inflated round sheet by the equations of its meridian, independent of the membrane model.
 
 And any inflated sheet on other meshes.
 """
@@ -29,7 +29,7 @@ _NODES = 3_000
 def round_sheet(
     rim_radius_m: float, mu_h_n_per_m: float, prestretch: float, gauge_pressure_pa: float
 ) -> InflatedRubber:
-    """A sheet that was flat, stretched by λ and bulged."""
+    """A flat sheet, stretched by λ and inflated."""
     axial = AxialRubber(rim_radius_m, mu_h_n_per_m, prestretch, gauge_pressure_pa)
     rest = axial.rest
     ring = rest.r_m * np.gradient(rest.s_m) * rest.stretches[:, 0]
@@ -59,7 +59,7 @@ def rubber_on(sheet: InflatedRubber, mesh: MembraneMesh) -> RubberMembrane:
 
 
 def resting(sheet: InflatedRubber, nodes: int) -> MembraneMesh:
-    """Another mesh of a sheet at rest, of about this many nodes, all on its facets."""
+    """Another mesh of a sheet at rest, with about `nodes` nodes, all on its facets."""
     height = float(sheet.rest.nodes[:, 2].max())
     mesh = mesh_cap(EllipsoidalCap.of(sheet.rim_semi_axes_m, height), nodes)
     inner = ~mesh.rim

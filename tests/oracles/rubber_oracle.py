@@ -1,15 +1,15 @@
-"""Exact contact of an axisymmetric rubber membrane: reference for the triangles.
+"""Exact contact of an axisymmetric rubber membrane, a reference for the triangle mesh.
 
 An incompressible neo-Hookean membrane over a circular rim, inflated and pressed on its axis by a
 ball, a flat plate or the sharp-edged end of a rod without friction: ordinary differential equations
-along the meridian, solved by shooting. Nothing here knows of triangles or of an energy.
+along the meridian, solved by shooting, without triangles and without an energy.
 
 With stretches λ1 along and λ2 around the meridian, tensions T = μh (λ_i² − (λ1 λ2)⁻²)/(λ1 λ2),
 radius r, arc length s and slope ψ below the horizontal,
 
-    d(r T1)/ds = T2 cos ψ,   T1 dψ/ds + T2 sin ψ / r = p   where nothing touches.
+    d(r T1)/ds = T2 cos ψ,   T1 dψ/ds + T2 sin ψ / r = p   without contact.
 
-Round a sharp edge ψ jumps and T1 does not: without friction the edge's line load halves the angle.
+At a sharp edge ψ jumps and T1 does not: without friction the edge's line load bisects the angle.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from bubbleviz.errors import SolveError
 from bubbleviz.membrane import MembraneMesh, mesh_cap, spherical_cap
 
 _START = 1e-5
-"""Share of the meridian at which integration begins, where the apex is still isotropic."""
+"""Share of the meridian at which integration begins; the apex is isotropic up to there."""
 
 
 @dataclass(frozen=True)
 class Meridian:
     """A solution along the meridian, from the axis to the rim."""
 
-    s_m: np.ndarray  # (k,), arc length on the sheet or dome that the stretches are measured from, m
+    s_m: np.ndarray  # (k,), arc length on the stress-free sheet or dome, m
     # r_m, z_m: (k,), m
     r_m: np.ndarray
     z_m: np.ndarray
@@ -54,12 +54,12 @@ class RubberPress:
     force_n: float  # on the object along the axis, N
 
     def contact_area_m2(self, radius_m: float) -> float:
-        """Of the contact on the spherical surface at rest, m²."""
+        """Area of the contact on the spherical surface at rest, m²."""
         s = np.interp(self.contact_radius_m, self.meridian.r_m, self.meridian.s_m)
         return float(2.0 * pi * radius_m**2 * (1.0 - cos(s / radius_m)))
 
     def surface(self, rim_m: float, height_m: float, nodes: int = 8_000) -> MembraneMesh:
-        """Its surface: a mesh as dense along the meridian as the cap's."""
+        """Mesh of the deformed surface, as dense along the meridian as the cap's."""
         r, z = (np.concatenate([[v[0]], v]) for v in (self.meridian.r_m, self.meridian.z_m))
         r[0] = 0.0
         cap = mesh_cap(spherical_cap(rim_m, height_m), nodes)
@@ -76,8 +76,8 @@ class AxialRubber:
     mu_h_n_per_m: float
     prestretch: float  # λ of the dome at rest, or of the flat sheet before it is inflated
     gauge_pressure_pa: float
-    # height of a dome whose tension is the same everywhere at rest, so that G R / 2 = μh (1 − λ⁻⁶);
-    # None: a sheet that was flat before G bulged it
+    # height of a dome of uniform tension at rest, so that G R / 2 = μh (1 − λ⁻⁶); None: a sheet
+    # that was flat before inflation by G
     dome_height_m: float | None = None
     atmospheric_pressure_pa: float = 101_325.0
     chamber_volume_m3: float = 3e-4  # gas behind the rim plane, m³
@@ -118,16 +118,16 @@ class AxialRubber:
 
     @property
     def height_m(self) -> float:
-        """Of the apex at rest, m."""
+        """Height of the apex at rest, m."""
         return float(self.rest.z_m[0])
 
     def press(
         self,
         depth_m: float,
         ball_radius_m: float = np.inf,
-        face_radius_m: float = np.inf,  # of the sharp edge that ends ball or plate
+        face_radius_m: float = np.inf,  # of the sharp edge at which the ball or plate ends
     ) -> RubberPress:
-        """Press a ball, or a plate where the radius is infinite, `depth_m` below the apex.
+        """Press a ball (a plate if the radius is infinite) to `depth_m` below the apex.
 
         Raises
         ------
@@ -206,12 +206,12 @@ class AxialRubber:
     ) -> Meridian:
         """Integrate from the apex, on the object up to `contact_s` and free from there.
 
-        There it turns up by `kink`, rad, round the edge of the object.
+        There its slope changes by `kink`, rad, at the edge of the object.
         """
         lam, mu_h = self.prestretch, self.mu_h_n_per_m
 
         def slopes(s: float, y: np.ndarray, touching: bool) -> list[float]:
-            r, _z, psi, l1, _v = y.tolist()  # numbers of Python are far faster one by one
+            r, _z, psi, l1, _v = y.tolist()  # Python floats are much faster than array elements
             r0, dr0 = self._reference(s)
             l2 = lam * r / r0
             t1, t2 = self._tensions(l1, l2)

@@ -1,8 +1,8 @@
 """A membrane that sticks to a rigid object, which is dragged and twisted after it was pressed in.
 
-Nodes that touched without friction are carried along; all others are in the exact membrane's own
-equilibrium, and what holds the nodes is the contact's force. Nodes that the object would have to
-pull outwards let go.
+Nodes in contact after frictionless pressing move with the object, all others are in equilibrium of
+the exact membrane; the reactions of the moved nodes are the contact force. Nodes with a tensile
+reaction are released.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import study_object, touching_height
 
-BESIDE_M = (0.005, -0.003)  # of the objects from the axis, m; chosen
-_LONGEST_M = 5e-4  # step of the object's motion at its patch's edge
-_BALANCED = 1e-8  # force left at a node over the largest load
+OFFSET_M = (0.005, -0.003)  # of the objects from the axis, m; chosen
+_MAX_STEP_M = 5e-4  # of the object's motion at its patch's edge
+_TOLERANCE = 1e-8  # residual force at a node relative to the largest load
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,11 @@ class ShearTruth:
 
 @dataclass(frozen=True)
 class Motion:
-    """How far an object was moved since it was pressed in."""
+    """Motion of an object since it was pressed in."""
 
     drag_m: np.ndarray  # (3,)
-    twist_rad: float = 0.0  # about z through the middle of its contact
-    # (n,), share of the motion that nodes do not follow because they slip; 0 where None
+    twist_rad: float = 0.0  # about z through the centre of its contact
+    # (n,), share of the motion that nodes do not follow because they slip; None: 0
     lost: np.ndarray | None = None
 
 
@@ -96,7 +96,7 @@ class StuckPress:
         self._rest_volume = rubber.volume(rubber.mesh.nodes)
 
     def along(self, path: Iterable[Motion]) -> Iterator[ShearTruth]:
-        """Equilibria along a path of the object, each begun where the one before was.
+        """Equilibria along a path of the object, each starting from the previous one.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class StuckPress:
         for motion in path:
             goal = self._goal(motion)
             way = float(np.linalg.norm(goal - before, axis=1)[self.touching].max())
-            steps = max(1, int(np.ceil(way / _LONGEST_M)))
+            steps = max(1, int(np.ceil(way / _MAX_STEP_M)))
             for step in range(1, steps + 1):
                 aim = before + step / steps * (goal - before)
                 x, stuck = self._holding(x, stuck, aim)
@@ -115,11 +115,11 @@ class StuckPress:
             yield self._truth(x, stuck)
 
     def moved(self, motion: Motion) -> ShearTruth:
-        """Equilibrium at the end of one motion; SolveError where none was found."""
+        """Equilibrium at the end of one motion; SolveError if none was found."""
         return next(self.along([motion]))
 
     def _goal(self, motion: Motion) -> np.ndarray:
-        """Where the nodes are that stick, (n, 3), m."""
+        """Positions of the sticking nodes, (n, 3), m."""
         center = self.pressed_m[self.touching].mean(axis=0)
         turn = Rotation.from_rotvec([0.0, 0.0, motion.twist_rad]).as_matrix()
         carried = (self.pressed_m - center) @ turn.T + center + np.asarray(motion.drag_m)
@@ -130,7 +130,7 @@ class StuckPress:
     def _holding(
         self, x: np.ndarray, stuck: np.ndarray, aim: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Equilibrium with the stuck nodes at their places, and those of them that do not pull."""
+        """Equilibrium with the sticking nodes fixed, and those of them under compression."""
         while True:
             x = self._balanced(np.where(stuck[:, None], aim, x), stuck)
             outward = np.einsum("ij,ij->i", self._force(x), self._normals(x))
@@ -144,14 +144,14 @@ class StuckPress:
         return ShearTruth(self._rubber.mesh, moved, force, self._normals(x))
 
     def _balanced(self, x: np.ndarray, stuck: np.ndarray) -> np.ndarray:
-        """Equilibrium of the free nodes, from a close initial guess."""
+        """Equilibrium of the free nodes, from a nearby state."""
         moving = self._rubber.moving
         free = ~stuck[moving]
         rows = np.flatnonzero(np.repeat(free, 3))
         load = self._rubber.gauge_pressure_pa * float(self._rubber.mesh.areas.max())
         for _ in range(30):
             left = self._force(x)[moving][free].ravel()
-            if np.abs(left).max() < _BALANCED * load:
+            if np.abs(left).max() < _TOLERANCE * load:
                 return x
             change, stiffness = self._gas_at(x)
             inside = self._rubber.gauge_pressure_pa + change
@@ -173,7 +173,7 @@ class StuckPress:
         return pressure - self._gas.P0, pressure / volume
 
     def _force(self, x: np.ndarray) -> np.ndarray:
-        """What something else must exert at the nodes, (n, 3), N."""
+        """External force on the nodes for equilibrium, (n, 3), N."""
         force = self._rubber.residual(x, self._rubber.gauge_pressure_pa + self._gas_at(x)[0])
         force[self._rubber.mesh.rim] = 0.0
         return force
@@ -202,12 +202,12 @@ def shear_sensor(nodes: int = 1_000) -> Sensor:
 
 
 def pressed(sensor: Sensor, name: str, depth_m: float, nodes: int) -> StuckPress:
-    """An object pressed in off the axis, on a mesh of this many nodes."""
+    """An object pressed in at an offset from the axis, on a mesh of about `nodes` nodes."""
     mesh = build_mesh(sensor, nodes)
     rubber = build_rubber(sensor, mesh, SensorModel.of(sensor).tension_n_per_m)
     gas = Gas.of(sensor.pneumatics, mesh)
     obj, T_B_O = study_object(name), np.eye(4)
-    T_B_O[:2, 3] = BESIDE_M
+    T_B_O[:2, 3] = OFFSET_M
     T_B_O[2, 3] = touching_height(obj, T_B_O, mesh) - depth_m
     contact = RubberForward(rubber, gas).press(obj, T_B_O)
     touching = contact.contact_pressure_pa > 0.0
