@@ -43,12 +43,12 @@ from bubbleviz.recordings import (
 )
 
 KEPT_NS = round(1e9 * MAX_COLOUR_DELAY_S) + NEAREST_NS
-"""Colour images kept: those of the longest delay, and of a frame that is behind them."""
+"""How long colour images are kept: the longest delay, and the time a frame waits."""
 
 
 @dataclass(frozen=True)
 class KnownCameras:
-    """What camera infos and static poses told so far."""
+    """Camera infos and static poses received so far."""
 
     depth: str  # topic of the depth images; empty until it is known
     depth_frame: str = ""  # their frame of reference
@@ -59,7 +59,7 @@ class KnownCameras:
         """Camera of a colour image."""
         try:
             content = decode(message)
-        except ValueError:  # said when the image is read
+        except ValueError:  # reported when the image is read
             return colour_camera(None, None, own=False)
         pose = self.poses.pose(content.header.frame_id, self.depth_frame)
         info = nearest_info(self.infos, message.topic, size_of(content))
@@ -79,7 +79,7 @@ def _read(message: Message) -> EncodedImage:
 
 @dataclass
 class Counters:
-    """Messages of one source since it was started."""
+    """Message counts of one source since it was started."""
 
     received: int = 0  # messages of every topic
     frames: int = 0  # depth images that became frames
@@ -87,8 +87,8 @@ class Counters:
     # frames
     out_of_order: int = 0
     duplicate: int = 0
-    undecodable: int = 0  # messages whose bytes are not what their type says
-    wrong_type: int = 0  # messages on a topic of ours with another type than it has for us
+    undecodable: int = 0  # messages whose bytes do not match their type
+    wrong_type: int = 0  # messages on a topic in use with an unexpected type
     wrong_size: int = 0  # depth images of another size than the sensor's; no frames
     # stamps that are unset, far in the past or far in the future. A depth image with one is a frame
     # all the same, timed by its arrival.
@@ -96,17 +96,17 @@ class Counters:
     equal_in_a_row: int = 0  # depth images in a row equal to the last bit, where a camera hung
     clock_jumps: int = 0  # how often the publisher's clock was set, or the publisher replaced
     missed: int = 0  # messages the publisher counted that never arrived, where the transport counts
-    skipped: int = 0  # frames that gave way to a newer one before anybody took them
-    problem: str = ""  # the last thing that was wrong, in words
+    skipped: int = 0  # frames replaced by a newer one before they were taken
+    problem: str = ""  # text: the last error
 
     def as_dict(self) -> dict[str, int | str]:
         return asdict(self)
 
 
 WAIT_NS = 20_000_000
-"""How long a frame waits for the gas pressure and wrench of its time, which may arrive after it."""
+"""How long a frame waits for its gas pressure and wrench, which may arrive later."""
 COLOUR_WAIT_NS = NEAREST_NS
-"""The same for the colour image, where colour is followed; no longer than until the next frame."""
+"""The same for the colour image, if colour is subscribed to; at most until the next frame."""
 
 
 class _WrongSizeError(ValueError):
@@ -120,9 +120,9 @@ class _Pending(NamedTuple):
 
 
 class FrameAssembler:
-    """Takes every message of a source and gives back frames. One thread at a time.
+    """Assembles frames from the messages of a source. Not thread-safe.
 
-    Nothing that arrives makes it raise: what is wrong is counted and said in `counters`.
+    No message makes it raise: errors are counted and described in `counters`.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class FrameAssembler:
         return self._known.depth_frame
 
     def _begin(self) -> None:
-        """Forget the stream, keep the counts."""
+        """Reset the state of the stream, but not the counts."""
         self._known = KnownCameras(self._names.depth or "", poses=self._known.poses)
         self._types: dict[str, str] = {}
         self._series: dict[str, GrowingSeries[np.ndarray]] = {}
@@ -170,11 +170,11 @@ class FrameAssembler:
         self._round = 0
 
     def _forget_colour(self) -> None:
-        self._colour_topic = ""  # the one that came first counts
+        self._colour_topic = ""  # the first one received
         self._colour = GrowingSeries[Message](KEPT_NS)  # undecoded
 
     def follow_colour(self, on: bool = True) -> None:
-        """Take colour images, too, from now on, or no more."""
+        """Start or stop using colour images."""
         self._names = replace(self._names, with_colour=on)
         if not on:
             self._forget_colour()
@@ -191,7 +191,7 @@ class FrameAssembler:
         return ""
 
     def push(self, message: Message) -> list[Frame]:
-        """Take a message; the frames that are complete now, oldest first."""
+        """Process a message; returns the frames that it completes, oldest first."""
         self.counters.received += 1
         if message.round != self._round:
             first = self._first_ns
@@ -202,7 +202,7 @@ class FrameAssembler:
         return self._push(message)
 
     def _push(self, message: Message) -> list[Frame]:
-        """As `push`, uncounted and within one round."""
+        """As `push`, without counting, within one round of a looped source."""
         try:
             if are_static_poses(message.topic, message.type):
                 poses = self._known.poses.after(decode(message))
@@ -227,7 +227,7 @@ class FrameAssembler:
         return self._released(message.arrival_ns)
 
     def flush(self, now_ns: int | None = None) -> list[Frame]:
-        """The frame that waits, if it waited long enough by now; in any case when None."""
+        """The pending frame if it has waited long enough, or in any case if the time is None."""
         pending = self._pending
         if pending is None:
             return []
@@ -249,7 +249,7 @@ class FrameAssembler:
             wait, late_s = COLOUR_WAIT_NS, max(self._lag_s, self._colour_delay_s)
         return pending.frame.arrival_ns + wait + round(max(late_s, 0.0) * 1e9)
 
-    # -- which messages ---------------------------------------------------------------------
+    # -- selection of messages --------------------------------------------------------------
 
     def _is_ours(self, message: Message) -> bool:
         topic, kind = message.topic, message.type
@@ -269,13 +269,13 @@ class FrameAssembler:
         return True
 
     def _may_be_depth(self, topic: str, kind: str) -> bool:
-        """The topic in use; none in use yet; or one called depth where the one in use is not."""
+        """Whether it is the topic in use, the first one, or preferable to it by its name."""
         depth = self._known.depth
         if self._names.depth is not None or depth in ("", topic):
             return True
         return kind == IMAGE and "depth" in topic.lower() and "depth" not in depth.lower()
 
-    # -- what they say ----------------------------------------------------------------------
+    # -- decoding ---------------------------------------------------------------------------
 
     def _take_camera(self, message: Message) -> None:
         camera = decode_intrinsics(decode(message))
@@ -290,17 +290,17 @@ class FrameAssembler:
             self._colour_topic = message.topic
         if message.topic == self._colour_topic:
             verdict = self._colour.add(message.stamp_ns, message.arrival_ns, message)
-            self._judged(message, verdict)
+            self._checked_stamp(message, verdict)
 
     def _take_values(self, message: Message) -> None:
         values = VALUES[message.type](decode(message))
         series = self._series.setdefault(message.type, GrowingSeries(FORWARD_NS))
-        self._judged(message, series.add(message.stamp_ns, message.arrival_ns, values))
+        self._checked_stamp(message, series.add(message.stamp_ns, message.arrival_ns, values))
 
     def _take_depth(self, message: Message) -> list[Frame]:
         depth = self._decoded_depth(message)
         verdict, time_ns = self._clock.judge(message.stamp_ns, message.arrival_ns)
-        self._judged(message, verdict)
+        self._checked_stamp(message, verdict)
         if verdict in ("duplicate", "out_of_order"):
             self.counters.duplicate += verdict == "duplicate"
             self.counters.out_of_order += verdict == "out_of_order"
@@ -310,7 +310,7 @@ class FrameAssembler:
             self._first_ns = None
         self.equal.take(depth)
         self.counters.equal_in_a_row = self.equal.most if self.equal.warning else 0
-        released = self.flush()  # a newer one is there: the older waits no more
+        released = self.flush()  # a newer frame ends the wait of the pending one
         if self._first_ns is None:
             self._first_ns = time_ns
         frame = Frame(
@@ -328,7 +328,7 @@ class FrameAssembler:
         self._pending = _Pending(frame, moment, min(max(step, 0), NEAREST_NS) // 2)
         return released + self._released(message.arrival_ns)
 
-    def _judged(self, message: Message, verdict: Verdict) -> None:
+    def _checked_stamp(self, message: Message, verdict: Verdict) -> None:
         if verdict == "bad":
             self.counters.bad_stamps += 1
             self._note(message, _bad_stamp(message))
@@ -360,7 +360,7 @@ class FrameAssembler:
         infos, depth = self._known.infos, self._known.depth
         return infos.get(self._names.info or nearest_info(infos, depth, size))
 
-    # -- when they are complete -------------------------------------------------------------
+    # -- completion of frames ---------------------------------------------------------------
 
     def _released(self, now_ns: int) -> list[Frame]:
         pending = self._pending
@@ -371,7 +371,7 @@ class FrameAssembler:
         return self.flush(None if covered and self._has_colour(pending) else now_ns)
 
     def _has_colour(self, pending: _Pending) -> bool:
-        """Whether the colour image of a frame is here, or none is expected."""
+        """Whether the colour image of a frame has arrived, or none is expected."""
         late_ns = round(1e9 * self._colour_delay_s)
         return self._colour.covers(pending.moment.later(late_ns))
 
@@ -386,7 +386,7 @@ class FrameAssembler:
             camera = known.of_colour(message)
             return ColourImage(partial(_read, message), message.stamp_ns, camera=camera)
 
-        if self._colour_topic:  # finds images among those here now
+        if self._colour_topic:  # searches the images received so far
             here = self._colour.snapshot(image)
             around = pending.moment, frame.time_s, pending.half_period_ns
             find_colour = ColourAround(here, *around)
@@ -407,7 +407,7 @@ def _bad_stamp(message: Message) -> str:
 
 
 def _span(seconds: float) -> str:
-    """A time in the unit in which one thinks of it."""
+    """A duration as text, in a suitable unit."""
     for name, length in {"days": 86400.0, "hours": 3600.0, "minutes": 60.0}.items():
         if seconds >= 2.0 * length:
             return f"{seconds / length:.0f} {name}"

@@ -33,7 +33,7 @@ class LiveSource:
 
     def __init__(
         self,
-        name: str,  # what the window's title shows
+        name: str,  # name in the window title
     ) -> None:
         self.name = name
         self.link: Link = "connecting"
@@ -59,15 +59,15 @@ class LiveSource:
         self.link = "ended"
 
     def follow_colour(self, on: bool = True) -> None:
-        """Deliver colour images, too, from now on, or no more; they are many bytes."""
+        """Start or stop delivering colour images, which are large."""
         self._with_colour = on
 
     def _run(self, deliver: Deliver) -> None:
-        """Deliver until the end, or until `_wait_until` says no."""
+        """Deliver until the end, or until `_wait_until` returns False."""
         raise NotImplementedError
 
     def _wait_until(self, time_s: float) -> bool:
-        """Sleep until a time of `time.monotonic`; False when stopped, True when it is due."""
+        """Sleep until a time of `time.monotonic`; returns False if stopped meanwhile."""
         return not self._stopped.wait(max(time_s - time.monotonic(), 0.0))
 
     def _main(self, deliver: Deliver) -> None:
@@ -148,7 +148,7 @@ _SCHEMES: dict[str, tuple[type[SourceOptions], str]] = {
 @dataclass(frozen=True)
 class SourceUri:
     text: str  # as given
-    # scheme, place: before and behind the colon
+    # scheme, place: before and after the colon
     scheme: str
     place: str
     options: Any  # of the scheme's own type

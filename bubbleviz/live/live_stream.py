@@ -1,4 +1,4 @@
-"""One live sensor: a source, the newest frame made of its messages, and its listeners."""
+"""One live sensor: a source, the newest frame from its messages, and its listeners."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from bubbleviz.live.live_source import Link, LiveSource
 from bubbleviz.recordings import NO_COLOUR, Frame, Message, size_refusal
 from bubbleviz.sensor import Sensor
 
-# How a live source is doing.
+# State of a live source.
 
 
 State = Literal["connecting", "live", "stale", "reconnecting", "ended"]
 
 STALE_AFTER_S = 0.7  # a source without a depth image for this long is stale: shown within a second
 STOPPED_AFTER_S = 1.0
-"""A source without a depth image for this long has stopped, for who waits for the next one."""
+"""A source without a depth image for this long has stopped, if the next one is waited for."""
 
 
 @dataclass(frozen=True)
 class Status:
     state: State  # `connecting`: nothing arrived yet. `stale`: connected, but no depth image comes.
     silent_s: float | None  # time since the last depth image, s; None before the first
-    problem: str = ""  # why nothing comes, where that is known
+    problem: str = ""  # why no image arrives, if known
 
     @property
     def text(self) -> str:
@@ -51,7 +51,7 @@ class Status:
 
 
 def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
-    """Status from the connection, the time since the last depth image, s, and what is wrong."""
+    """Status from the connection, the time since the last depth image, s, and a known problem."""
     if link == "ended":
         return Status("ended", silent_s)
     if link == "lost" and (silent_s is None or silent_s > STALE_AFTER_S):
@@ -63,12 +63,12 @@ def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
     return Status("live", silent_s)
 
 
-LOOK_S = 0.1
-"""How often the end of the source is looked for while a frame is waited for without end."""
+POLL_S = 0.1
+"""Interval of checks for the end of the source while waiting for a frame without a timeout."""
 CAMERA_S = 0.5
-"""How long the first frames may come without camera info before the sensor file's counts."""
-SEVERAL = 5
-"""Images of another size that are no accident: not garbage, nor of a topic beside the depth's."""
+"""How long the first frame may wait for camera info before the sensor file's is used."""
+MIN_WRONG_SIZE = 5
+"""Images of another size before they are reported: fewer may be damaged, or of another topic."""
 
 _T = TypeVar("_T")
 Listener = Callable[[Message], None]
@@ -87,14 +87,14 @@ class LiveStream:
     source : LiveSource
         Not started: the stream starts and stops it.
     sensor : Sensor
-        Whose frames they are.
+        Sensor of the frames.
     assembler : FrameAssembler, optional
     uri : str
-        What the source was opened by, for messages.
+        URI of the source, for messages.
     patience_s : float
         How long the first frame may take, s.
     timeout_s : float, optional
-        Longest wait for a later frame while iterating, s; None waits for ever, also for the first.
+        Longest wait for a later frame while iterating, s; None: no limit, also for the first.
     """
 
     def __init__(
@@ -113,14 +113,14 @@ class LiveStream:
         self._started = False
         self._assembler = assembler or FrameAssembler()
         self._newest: Frame | None = None  # not taken yet; a newer one replaces it
-        self._skipped = 0  # frames that were replaced so
+        self._skipped = 0  # frames that were replaced
         self._stopped = False
         self._changed = threading.Condition()  # of these three
         self._lock = threading.Lock()  # held while images are decoded
         self._listeners: tuple[Listener, ...] = ()
         self._colour_followers: set[object] = set()
         self._last_frame_ns: int | None = None
-        self.outages: tuple[Outage, ...] = ()  # in which it was stale, as far as they are over
+        self.outages: tuple[Outage, ...] = ()  # past periods in which it was stale
         self._wrong_before = 0
 
     def __enter__(self) -> LiveStream:
@@ -149,35 +149,35 @@ class LiveStream:
             self._changed.notify_all()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Have every message passed on from now on, in the source's threads; undo by calling.
+        """Call a listener with every message, in the source's threads; returns how to undo it.
 
         A listener must be quick and must not raise.
         """
         with self._lock:
             self._listeners = (*self._listeners, listener)
 
-        def forget() -> None:
+        def undo() -> None:
             with self._lock:
                 self._listeners = tuple(k for k in self._listeners if k is not listener)
 
-        return forget
+        return undo
 
     def follow_colour(self) -> Callable[[], None]:
         """Subscribe to colour images, which the source sends only then; returns how to unsubscribe.
 
-        They are sent until everybody who asked for them has undone it.
+        They are sent until the last subscriber has unsubscribed.
         """
         follower = object()
         with self._lock:
             self._colour_followers.add(follower)
             self._follow_colour()
 
-        def forget() -> None:
+        def undo() -> None:
             with self._lock:
                 self._colour_followers.discard(follower)
                 self._follow_colour()
 
-        return forget
+        return undo
 
     def _follow_colour(self) -> None:
         on = bool(self._colour_followers)
@@ -195,25 +195,25 @@ class LiveStream:
         waiting: Callable[[], object] = lambda: None,
         camera_s: float = CAMERA_S,
     ) -> Frame:
-        """Wait for the first frame, and so much longer for one with camera info.
+        """Wait for the first frame, and up to `camera_s` longer for one with camera info.
 
         Parameters
         ----------
         patience_s : float, optional
-            In place of the stream's own, s.
+            Timeout, s; default: the stream's.
         waiting : callable
-            Called now and then until it is there; what it raises ends the waiting.
+            Called regularly while waiting; an exception in it ends the wait.
         camera_s : float
 
         Raises
         ------
         InputError
-            None came, or only such as are not of the sensor's camera.
+            No frame came, or only images that are not of the sensor's camera.
         """
         patience_s = self.patience_s if patience_s is None else patience_s
         began, camera_by, frame = time.monotonic(), math.inf, None
         while True:
-            frame = self.take(LOOK_S) or frame
+            frame = self.take(POLL_S) or frame
             now, ended = time.monotonic(), self.ended
             if frame is not None:
                 camera_by = min(camera_by, now + camera_s)
@@ -226,13 +226,13 @@ class LiveStream:
             waiting()
 
     def take(self, timeout_s: float = 0.0) -> Frame | None:
-        """Newest frame that was not taken yet, waiting for one; None if none came in time."""
+        """Newest frame not yet taken; waits for one, None on timeout."""
         deadline = time.monotonic() + timeout_s
         while True:
             frame = self._take(min(max(deadline - time.monotonic(), 0.0), self._patience_s()))
             ended = self.ended
             if frame is None:
-                with self._lock:  # at the end there is nothing left to wait for
+                with self._lock:  # at the end no more messages can complete it
                     self._put(self._assembler.flush(None if ended else time.time_ns()))
                 frame = self._take(0.0)
             if frame is not None:
@@ -259,7 +259,7 @@ class LiveStream:
 
     def each(
         self,
-        # waits so long, s, for a frame and makes something of it; None when none came
+        # waits up to a timeout, s, for a frame and processes it; None on timeout
         take: Callable[[float], _T | None],
         # longest time since the last frame arrived, s; None waits for ever
         timeout_s: float | None = STOPPED_AFTER_S,
@@ -271,7 +271,7 @@ class LiveStream:
         while True:
             ended = self.ended  # first: a frame may come before the end is seen
             silent_s = self._silent_s() or 0.0
-            made = take(LOOK_S if timeout_s is None else max(timeout_s - silent_s, 0.0))
+            made = take(POLL_S if timeout_s is None else max(timeout_s - silent_s, 0.0))
             if made is not None:
                 yield made
             elif ended:
@@ -283,32 +283,32 @@ class LiveStream:
                 )
 
     def nothing_arrived(self) -> InputError:
-        """The error to raise about a source without a depth image; says why where that is known."""
-        seen = self.source.problem or self.counters.problem or self.offered
+        """The error to raise about a source without a depth image, with the reason if known."""
+        reason = self.source.problem or self.counters.problem or self.offered
         return InputError(
-            f"--source {self.uri}: no depth image arrived: {seen}; check the place and the depth "
+            f"--source {self.uri}: no depth image arrived: {reason}; check the place and the depth "
             "topic"
         )
 
     @property
     def offered(self) -> str:
-        """Topics that the source has, in words."""
+        """Text: topics that the source has."""
         topics = ", ".join(topic.name for topic in self.source.topics)
         return f"topics found: {topics}" if topics else "no topics were found"
 
     def silence(self) -> str:
-        """That no depth image comes, for how long, and why where that is known."""
+        """Text: for how long no depth image has come, and why if known."""
         silent_s = self.status().silent_s
         since = "" if silent_s is None else f" for {silent_s:.1f} s"
         return "; ".join(filter(None, (f"{self.name}: no depth image{since}", self._problem())))
 
     def _problem(self) -> str:
-        """Why none comes, where that is known."""
+        """Why no depth image comes, if known."""
         return self.source.problem or self._size_refused()
 
     @property
     def frozen(self) -> str:
-        """What to say of a camera that sends one image on and on; empty where none does."""
+        """Warning about a camera that repeats one image; else empty."""
         return self._assembler.equal.warning
 
     @property
@@ -319,17 +319,14 @@ class LiveStream:
     @property
     def counters(self) -> Counters:
         """Counts of received, skipped and faulty messages so far."""
-        # the window asks for them and waits for no image to be decoded
+        # no lock: the window must not wait for an image to be decoded
         return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed)
 
     def _check_size(self) -> None:
-        """Refuse a source with nothing but images of another size than the sensor's camera has.
-
-        Raises InputError: it has sent several of them, or ended, and none that fits.
-        """
+        """Raise InputError if a source has sent only images of another size than the sensor's."""
         with self._lock:
             counters, own = self._assembler.counters, self._assembler.size
-            enough = 1 if self.ended else SEVERAL
+            enough = 1 if self.ended else MIN_WRONG_SIZE
             wrong = counters.frames == 0 and counters.wrong_size >= enough
             size = self._assembler.other_size
         if wrong and size is not None and own is not None:
@@ -337,10 +334,10 @@ class LiveStream:
             raise size_refusal(f"--source {self.uri}", size, sensor_name, own)
 
     def _size_refused(self) -> str:
-        """What to say of images that are of another size since the last frame; empty for none."""
+        """Warning about images of another size since the last frame; else empty."""
         size, own = self._assembler.other_size, self._assembler.size
         wrong = self._assembler.counters.wrong_size - self._wrong_before
-        if wrong < SEVERAL or size is None or own is None:
+        if wrong < MIN_WRONG_SIZE or size is None or own is None:
             return ""
         return (
             f"refused: images are {size[0]}×{size[1]} pixels but the sensor's camera has "
@@ -381,7 +378,7 @@ class LiveStream:
                 self._changed.notify_all()
 
 
-# Latency: the age of a frame when it is shown.
+# Latency: the age of a frame when it is displayed.
 
 
 class LatencyReport(NamedTuple):
@@ -398,12 +395,12 @@ class LatencyMeter:
         self._ages: deque[float] = deque(maxlen=window)
 
     def add(self, frame: Frame, now_ns: int) -> None:
-        """Take note of a live frame that is here now."""
+        """Add the age of a live frame."""
         self._ages.append((now_ns - (frame.taken_ns or now_ns)) * 1e-9)
 
     @property
     def ages_s(self) -> list[float]:
-        """The ages that are remembered, oldest first."""
+        """The last ages, oldest first."""
         return list(self._ages)
 
     def report(self) -> LatencyReport | None:

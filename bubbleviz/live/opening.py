@@ -35,26 +35,25 @@ from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 
 FIRST_MESSAGE_S = 10.0
 SIMULATED_S = 120.0
-"""Patience with the first message of a robot's network, and of a simulation, which is made before
-it is sent."""
+"""Timeout for the first message of a simulation, which is computed before it is sent."""
 DEFAULT_PREFIX = "/bubble"  # of the topics of a source that has none itself
 
 
 def is_simulated(text: str) -> bool:
-    """Tell a simulation from what measures, or has measured."""
+    """Whether a source is a simulation, not a measurement."""
     return text.strip().startswith("synthetic:")
 
 
 def open_stream(
     text: str,  # `scheme:place?option=value&…`, see `parse_uri`
-    sensor: Sensor,  # simulated by `synthetic:`; its image size is the one that counts
+    sensor: Sensor,  # simulated by `synthetic:`; images must have its size
     *,
     any_size: bool = False,  # accept images of any size: recording alone needs no sensor file
     timeout_s: float | None = STOPPED_AFTER_S,  # as of `LiveStream`
 ) -> LiveStream:
     """Stream of a source, not started yet.
 
-    Raises InputError: the source is not well-formed, or what it names is not there.
+    Raises InputError: the source is not well-formed, or does not exist.
     """
     uri = parse_uri(text)
     options = uri.options
@@ -130,9 +129,9 @@ _MAKERS: dict[str, _Maker] = {
 def sensor_for_source(
     text: str,  # as `--source`
     name: str,
-    # in place of the source's own patience with the first image, s
+    # timeout for the first image, s; default: the source's
     patience_s: float | None = None,
-    # called with the stream now and then until the image is there; what it raises ends the waiting
+    # called with the stream regularly while waiting; an exception in it ends the wait
     waiting: Callable[[LiveStream], object] = lambda _: None,
 ) -> str:
     """Name of the sensor for a live source: as given, or for `auto` the one preset that fits.
@@ -145,7 +144,7 @@ def sensor_for_source(
     uri = parse_uri(text)
     if name != AUTO:
         return name
-    if uri.scheme == "synthetic":  # any sensor fits: it is what is simulated
+    if uri.scheme == "synthetic":  # any sensor fits, as it is the one simulated
         return SYNTHETIC_SENSOR
     if uri.scheme == "realsense":
         raise uri.refusal("the camera needs the image size of a sensor file; give --sensor")
@@ -218,7 +217,7 @@ def load_session(name: str | Path) -> SessionPreset:
 
 @dataclass(frozen=True)
 class LiveSensor:
-    """A sensor of a session; two of them share nothing."""
+    """A sensor of a session, independent of the other."""
 
     place: SensorPlace  # name, colour and T_W_B
     sensor: Sensor
@@ -229,7 +228,7 @@ class LiveSensor:
 class LiveSession:
     """The sensors of a session preset, live; a context manager.
 
-    Raises InputError: a sensor file or a source is not there.
+    Raises InputError: a sensor file or a source does not exist.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""ROS 2 messages out over Zenoh, as ROS 2 nodes and the window expect them."""
+"""Publish ROS 2 messages over Zenoh, for ROS 2 nodes and the window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from bubbleviz.live.zenoh_session import (
     Layout,
     SessionOptions,
     announcement,
-    connected,
     open_session,
     pack_attachment,
     publication,
@@ -38,9 +37,9 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.result import Estimate, Patch, Pose, Result
 
-_STATIC_KEPT = 100  # messages of a topic; chosen: robots have a few
-_COUNTED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
-"""Of what is kept for later subscribers; without, Zenoh would have to stamp all messages."""
+_STATIC_CACHE = 100  # messages of a topic; chosen: robots have a few
+_NUMBERED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
+"""Numbers the cached messages; otherwise Zenoh requires time stamps on all messages."""
 
 
 class ZenohPublisher:
@@ -52,7 +51,7 @@ class ZenohPublisher:
         *,
         layout: Layout = "rmw",  # as `rmw_zenoh` publishes, or as the ROS 2 DDS bridge does
         domain: int = 0,  # ROS_DOMAIN_ID
-        # wait for a subscriber that is too slow, so that nothing is lost; else leave it behind
+        # wait for slow subscribers, so that no message is lost; else drop messages
         wait: bool = False,
     ) -> None:
         self._session = open_session(options)
@@ -74,13 +73,13 @@ class ZenohPublisher:
         type_hash = ros2_types().hash_rihs01(kind)
         control = zenoh.CongestionControl.BLOCK if self._wait else zenoh.CongestionControl.DROP
         key = publication(topic, kind, type_hash, self._layout, self._domain)
-        if are_static_poses(topic, kind):  # who subscribes later gets them, too
+        if are_static_poses(topic, kind):  # later subscribers receive them too
             self._publishers[topic, kind] = declare_advanced_publisher(
                 self._session,
                 key,
                 congestion_control=control,
-                cache=CacheConfig(_STATIC_KEPT),
-                sample_miss_detection=_COUNTED,
+                cache=CacheConfig(_STATIC_CACHE),
+                sample_miss_detection=_NUMBERED,
                 publisher_detection=True,
             )
         else:
@@ -110,10 +109,6 @@ class ZenohPublisher:
             if not are_static_poses(*place)
         )
 
-    @property
-    def connected(self) -> bool:
-        return connected(self._session)
-
     def close(self) -> None:
         self._session.close()
 
@@ -128,8 +123,8 @@ NUMBER = "std_msgs/msg/Float64"
 def shear_messages(header: Any, result: Result) -> Iterator[tuple[str, str, Any]]:
     """Name, type and message of the friction results; none for depth alone.
 
-    The torque is about B's origin, as transform libraries take it to be; the contact's centre goes
-    out beside it. The standard deviation of a wrench is a message like the wrench itself.
+    The torque is about B's origin, as transform libraries assume; the contact's centre is published
+    separately. The standard deviation of a wrench is a message of the same type.
     """
     traction, slip = result.traction, result.slip
     if traction is None or result.trusted_estimate is None:
@@ -169,7 +164,7 @@ _FLOAT32 = 7  # datatype of sensor_msgs/PointField
 class ResultMessages:
     """Makes the messages of results; everything is in the bubble's frame B.
 
-    Topics behind the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
+    Topics after the prefix: `contact_patch` (PointCloud2 of the membrane's nodes in the patch,
     deformed, with the contact pressure in Pa), `contact_wrench` (WrenchStamped: the force on the
     membrane, its torque about B's origin), `object_pose` (PoseWithCovarianceStamped, while it is
     found), those of `shear_messages`, `/tf_static` and `/diagnostics`. Of an estimate that is not
@@ -196,7 +191,7 @@ class ResultMessages:
             yield make_static_pose(camera_frame, self._frame_id, T_C_B, time.time_ns())
 
     def of(self, result: Result) -> Iterator[Message]:
-        """Messages of what there is of a result, stamped as its frame."""
+        """Messages of a result, stamped as its frame."""
         stamp = result.frame.stamp_ns
         header = make_header(max(stamp, 0), self._frame_id)
         estimate, patch = result.trusted_estimate, result.trusted_patch
@@ -205,7 +200,7 @@ class ResultMessages:
             yield self._message("contact_patch", POINT_CLOUD, cloud, stamp)
             wrench = make_wrench(header, _wrench(patch))
             yield self._message("contact_wrench", WRENCH, wrench, stamp)
-        if result.pose is not None and result.pose.status == "ok":  # no stale one as if found now
+        if result.pose is not None and result.pose.status == "ok":  # a stale pose is not published
             yield self._message("object_pose", POSE, _pose(header, result.pose), stamp)
         for name, kind, message in shear_messages(header, result):
             yield self._message(name, kind, message, stamp)
@@ -213,7 +208,7 @@ class ResultMessages:
     def diagnostics(
         self, now_ns: int, status: Status, counters: Counters, result: Result | None
     ) -> Message:
-        """How the source and the estimate are doing."""
+        """State of the source and of the estimate."""
         kinds = ros2_types().types
         entry, pair = (
             kinds["diagnostic_msgs/msg/DiagnosticStatus"],
@@ -241,7 +236,7 @@ class ResultMessages:
         return Message(f"{self._prefix}/{name}", kind, serialise(message, kind), stamp)
 
     def _patch(self, header: Any, estimate: Estimate, patch: Patch) -> Any:
-        """Nodes of the patch where they are now: x, y, z, pressure, as float32."""
+        """Deformed nodes of the patch: x, y, z, pressure, as float32."""
         inside = patch.node_mask
         points = self._mesh.deformed(estimate.motion_m)[inside]
         table = np.column_stack([points, estimate.contact_pressure_pa[inside]]).astype("<f4")

@@ -18,9 +18,9 @@ from bubbleviz.recordings import IMAGE, Frame, FrameMessages, Message, distortio
 from bubbleviz.wording import how_to_install
 
 FILES = (".bag", ".db3")
-"""What the SDK records: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
+"""Formats of the SDK's recordings: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
 
-_PATIENCE_S = 0.5  # s between looks for a request to stop; chosen
+_POLL_S = 0.5  # s between checks for a request to stop; chosen
 _QUEUE = 64  # pictures between the SDK's thread and ours, two seconds at 30 Hz
 _BACK_OFF_S = (0.5, 4.0)  # s between attempts to open a camera, first and longest; chosen
 
@@ -28,9 +28,9 @@ _ENCODINGS = {name: name for name in ("rgb8", "bgr8", "rgba8", "bgra8")} | {"y8"
 
 
 class RealSenseLive(LiveSource):
-    """Depth, and colour when asked for, of a RealSense camera through the SDK.
+    """Depth, and colour on request, of a RealSense camera through the SDK.
 
-    A camera unplugged is looked for again.
+    Reconnects to a camera that was unplugged.
     """
 
     def __init__(
@@ -50,13 +50,13 @@ class RealSenseLive(LiveSource):
         self._messages = FrameMessages("32FC1", prefix)
 
     def _run(self, deliver: Deliver) -> None:
-        """Stream; a camera is opened anew for colour that is asked for, a file begins again."""
+        """Stream; reopens a camera when colour is requested, and restarts a looped file."""
         wait, played = _BACK_OFF_S[0], 0
         while not self._stopped.is_set():
             before, again = time.monotonic(), False
             try:
                 again = self._stream(deliver, played)
-            except RuntimeError as error:  # all the SDK raises
+            except RuntimeError as error:  # the SDK raises nothing else
                 self.problem = " ".join(str(error).split())[:160]
             if again or (self._file is not None and self._loop and not self.problem):
                 played += 1
@@ -70,9 +70,9 @@ class RealSenseLive(LiveSource):
             self._wait_until(time.monotonic() + wait)
 
     def _stream(self, deliver: Deliver, played: int) -> bool:
-        """Until stopped, the recording ended, or the camera is gone; True to open it for colour."""
+        """Stream until stopped, or the camera is lost; True to reopen it with colour."""
         pictures: queue.Queue[_Picture] = queue.Queue(_QUEUE)
-        ros2_types().hash_rihs01(IMAGE)  # rosbags takes its time to load: before frames come
+        ros2_types().hash_rihs01(IMAGE)  # loads rosbags, which is slow, before frames come
         device = self._device()
         sensor = device.first_depth_sensor()
         depth = self._depth_profile(sensor)
@@ -88,7 +88,7 @@ class RealSenseLive(LiveSource):
         camera = _intrinsics(depth.as_video_stream_profile().intrinsics)
         to_messages = _Pictures(self._messages, float(sensor.get_depth_scale()), camera, colour)
         enough = threading.Event()
-        # without the SDK's pipeline, which leaves out frames of a recording that come late
+        # without the SDK's pipeline, which drops late frames of a recording
         with ExitStack() as stack:
             if self._file is not None:
                 stack.callback(_finish_reading, device)
@@ -112,14 +112,14 @@ class RealSenseLive(LiveSource):
         *,
         reopen: bool,
     ) -> bool:
-        """As `_stream`; `reopen` when colour is asked for."""
+        """As `_stream`; `reopen` when colour is requested."""
         began: tuple[float, int] | None = None
         last: _Picture | None = None
         while not self._stopped.is_set():
             if self._with_colour and reopen:
                 return True
             try:
-                picture = pictures.get(timeout=_PATIENCE_S)
+                picture = pictures.get(timeout=_POLL_S)
             except queue.Empty:
                 if self._is_gone(device):
                     break
@@ -163,7 +163,7 @@ class RealSenseLive(LiveSource):
             )
             while not enough.is_set():
                 try:
-                    pictures.put(picture, timeout=_PATIENCE_S)
+                    pictures.put(picture, timeout=_POLL_S)
                     break
                 except queue.Full:
                     if self._file is None:
@@ -217,8 +217,8 @@ def _finish_reading(device: Any) -> None:
     """Wait until the SDK's reading thread is done with a recording that is closed.
 
     The SDK (2.59) may destroy its reader while that thread begins its next step, which then
-    crashes. `pause` returns when all that was queued before it is done; the second one is for
-    what the last step before the first queued.
+    crashes. `pause` returns when everything queued before it is done; the second call waits for
+    steps queued during the first.
     """
     for _ in range(2):
         device.pause()
@@ -240,7 +240,7 @@ class _Colour(NamedTuple):
 
     @classmethod
     def of(cls, offered: Iterator[tuple[Any, Any]], depth: Any) -> _Colour | None:
-        """The first in an encoding that is known; None without one."""
+        """The first profile in a known encoding; None without one."""
         for sensor, profile in offered:
             encoding = _ENCODINGS.get(str(profile.format()).rsplit(".", 1)[-1])
             if encoding is not None:
@@ -254,13 +254,13 @@ class _Colour(NamedTuple):
 
 
 def _pose(profile: Any, base: Any) -> np.ndarray | None:
-    """Pose (4, 4) of a stream's camera in another's; None where it is not known."""
+    """Pose (4, 4) of a stream's camera in another's; None if unknown."""
     pose = np.eye(4)
     try:
         found = profile.get_extrinsics_to(base)
     except RuntimeError:
         return None
-    pose[:3, :3] = np.reshape(found.rotation, (3, 3)).T  # columns first
+    pose[:3, :3] = np.reshape(found.rotation, (3, 3)).T  # column-major
     pose[:3, 3] = found.translation
     return pose
 
@@ -291,7 +291,7 @@ class _Pictures(NamedTuple):
 def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSenseLive:
     """Source of `realsense:[serial | file]`.
 
-    Raises InputError: the package, the file or the camera is not there.
+    Raises InputError: the package, the file or the camera does not exist.
     """
     try:
         import pyrealsense2 as sdk  # an optional extra
@@ -324,7 +324,7 @@ def serials(sdk: Any) -> tuple[str, ...]:
 
 
 def _intrinsics(found: Any) -> Intrinsics:
-    """Intrinsics as ours; ValueError for a distortion model that we do not have."""
+    """Convert intrinsics; ValueError for an unsupported distortion model."""
     model = str(found.model).rsplit(".", 1)[-1]
     distortion = distortion_of(model, np.array(found.coeffs, np.float64))
     fx, fy, cx, cy = (float(value) for value in (found.fx, found.fy, found.ppx, found.ppy))

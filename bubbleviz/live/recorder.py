@@ -26,24 +26,23 @@ from bubbleviz.wording import count_of
 
 SYNC_S = 0.4  # interval of fsync, s: the most that a crash can lose
 FLUSH_BYTES = 1 << 20
-"""Messages written before they are handed to the system: the most that a full disk can lose."""
-QUEUE_BYTES = 256 << 20  # messages that may wait for the disk; beyond it the source is made to wait
+"""Messages buffered before a flush: the most that a full disk can lose."""
+QUEUE_BYTES = 256 << 20  # messages that may wait for the disk; beyond it the source has to wait
 PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
 
-STATIC_BYTES = 1 << 20  # of poses that are sent once: those of some 10,000 links; the last ones
+STATIC_BYTES = 1 << 20  # of static poses, the latest ones: some 10,000 links
 
 
 @dataclass(frozen=True)
 class RecorderStatus:
     path: Path
     messages: int  # messages written
-    # waiting_bytes, most_waiting_bytes: messages that wait for the disk now, and the most there
-    # ever were
+    # waiting_bytes, most_waiting_bytes: messages that wait for the disk, now and at most so far
     waiting_bytes: int
     most_waiting_bytes: int
     stalls: int  # how often a source had to wait because the disk is too slow
-    size_bytes: int  # of the file, as far as it survives a crash
-    problem: str  # why recording ended early, in words; empty while all is well
+    size_bytes: int  # of the part of the file that survives a crash
+    problem: str  # text: why recording ended early; else empty
 
 
 class Recorder:
@@ -59,7 +58,7 @@ class Recorder:
         self._static: dict[bytes, Message] = {}
         self._session: _Session | None = None
         self._streams: list[LiveStream] = []
-        self._let_go_of_colour: list[Callable[[], None]] = []
+        self._unfollow_colour: list[Callable[[], None]] = []
         self._lock = threading.Lock()
 
     def listen_to(self, stream: LiveStream) -> None:
@@ -67,16 +66,16 @@ class Recorder:
         self._streams.append(stream)
         stream.listen(self.push)
         if self.recording:
-            self._let_go_of_colour.append(stream.follow_colour())
+            self._unfollow_colour.append(stream.follow_colour())
 
     @property
     def recording(self) -> bool:
         return self._session is not None
 
     def push(self, message: Message) -> None:
-        """Take a message; from any thread. Does not raise, and waits only for a disk too slow.
+        """Record a message, or keep it as pre-roll. Thread-safe; waits only for a slow disk.
 
-        One of a type that is not known, which no file can describe, is left out.
+        Messages of unknown types, which the file cannot describe, are ignored.
         """
         if message.type not in ros2_types().fielddefs:
             return
@@ -95,8 +94,7 @@ class Recorder:
     def start(self, path: str | Path) -> None:
         """Begin to write, with the pre-roll: the file is made when the first message arrives.
 
-        Raises InputError: the path exists or cannot be written, or something is being recorded
-        already.
+        Raises InputError: the path exists or cannot be written, or a recording is in progress.
         """
         with self._lock:
             if self._session is not None:
@@ -108,7 +106,7 @@ class Recorder:
             self._before.clear()
             self._before_bytes = 0
             self._session = session
-        self._let_go_of_colour = [stream.follow_colour() for stream in self._streams]
+        self._unfollow_colour = [stream.follow_colour() for stream in self._streams]
 
     def mark(self, text: str = "marker", at_ns: int | None = None) -> None:
         """Write a marker or note into the recording, at a time (ns since 1970), by default now."""
@@ -117,18 +115,18 @@ class Recorder:
         self.push(Message(MARKERS, STRING, serialise(content, STRING), 0, when))
 
     def status(self) -> RecorderStatus | None:
-        """State of the present recording; None without one."""
+        """State of the current recording; None without one."""
         session = self._session
         return None if session is None else session.status()
 
     def stop(self) -> RecorderStatus:
-        """End the recording and return its final state. Without a message no file stays."""
+        """End the recording and return its final state. A recording without messages is deleted."""
         with self._lock:
             session, self._session = self._session, None
         if session is None:
             raise InputError("nothing is being recorded")
-        for let_go in self._let_go_of_colour:
-            let_go()
+        for unfollow in self._unfollow_colour:
+            unfollow()
         session.finish()
         return session.status()
 
@@ -143,17 +141,17 @@ class Recorder:
 
 
 class _Session:
-    """One recording: a queue, and a thread that writes it down.
+    """One recording: a queue, and a thread that writes it.
 
-    The messages `before`, however old, are logged with the first one.
+    The static poses get the log time of the first message.
     """
 
-    def __init__(self, path: Path, before: tuple[Message, ...]) -> None:
+    def __init__(self, path: Path, static: tuple[Message, ...]) -> None:
         self._path = path
         self._file: McapFile | None = None
         self._queue: deque[Message] = deque()
-        self._before = before
-        self._bytes = sum(len(message.payload) for message in before)
+        self._static = static
+        self._bytes = sum(len(message.payload) for message in static)
         self._most = self._stalls = 0
         self._ending = False
         self._problem = ""
@@ -194,14 +192,14 @@ class _Session:
         except (OSError, InputError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             with self._changed:
-                self._problem = f"{self._path}: recording ended ({reason}); {self._left()}"
+                self._problem = f"{self._path}: recording ended ({reason}); {self._saved()}"
                 self._queue.clear()
                 self._bytes = 0
                 self._changed.notify_all()
             if self._file is not None:
                 self._file.abandon()
 
-    def _left(self) -> str:
+    def _saved(self) -> str:
         """What the file has in spite of a failed write, in words."""
         kept = Kept() if self._file is None else self._file.kept
         if not kept.messages:
@@ -215,7 +213,7 @@ class _Session:
         synced, unflushed = time.monotonic(), 0
         while True:
             messages, ending = self._take(SYNC_S / 2)
-            for message in self._with_before(messages):
+            for message in self._with_static(messages):
                 file = self._file = self._file or McapFile(self._path, compression="lz4")
                 file.write(message, message.arrival_ns)
                 unflushed += len(message.payload)
@@ -231,12 +229,12 @@ class _Session:
                 self._file.sync()
                 synced = time.monotonic()
 
-    def _with_before(self, messages: list[Message]) -> list[Message]:
-        if not messages or not self._before:
+    def _with_static(self, messages: list[Message]) -> list[Message]:
+        if not messages or not self._static:
             return messages
-        at_ns, before = messages[0].arrival_ns, self._before
-        self._before = ()
-        return [*(message._replace(arrival_ns=at_ns) for message in before), *messages]
+        at_ns, static = messages[0].arrival_ns, self._static
+        self._static = ()
+        return [*(message._replace(arrival_ns=at_ns) for message in static), *messages]
 
     def _take(self, timeout_s: float) -> tuple[list[Message], bool]:
         with self._changed:

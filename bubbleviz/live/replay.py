@@ -1,4 +1,4 @@
-"""A recording played as if it were live: its own messages, at the pace they were recorded."""
+"""Live sources that replay a recording, simulate a sensor, or take frames from a plug-in."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Replay(LiveSource):
         self,
         path: str | Path,
         *,
-        speed: float = 1.0,  # times faster than recorded
-        loop: bool = False,  # begin again at the end; else the source ends there
+        speed: float = 1.0,  # relative to the recording
+        loop: bool = False,  # restart at the end; else the source ends there
     ) -> None:
         self._bag = Bag(path)
         super().__init__(self._bag.path.name)
@@ -64,7 +64,7 @@ class Replay(LiveSource):
             for number, stream in enumerate(self._streams)
             for k, log_ns in enumerate(stream.log_ns)
         )
-        # a message logged in 1970 is not waited for: no pause of a recording is an hour
+        # pauses of more than an hour, as after a message logged in 1970, are skipped
         steps = np.diff([log_ns for log_ns, _, _ in rows], prepend=rows[0][0])
         after_s = 1e-9 * np.cumsum(np.where(steps > GARBAGE_NS, 0, steps)) / self._speed
         colour, played = TopicNames(), 0
@@ -95,7 +95,7 @@ class Replay(LiveSource):
 
 
 def _as_ros2(payload: bytes, kind: str) -> bytes:
-    """CDR of a ROS 1 message; the same bytes where they are no such message."""
+    """CDR of a ROS 1 message; invalid bytes are returned unchanged."""
     try:
         return bytes(typestore(ros1=True).ros1_to_cdr(payload, kind))
     except Exception:  # counted as undecodable by the reader
@@ -106,19 +106,19 @@ def _as_ros2(payload: bytes, kind: str) -> bytes:
 
 
 class SyntheticLive(LiveSource):
-    """Streams the frames of a simulation round after round, stamped with the present.
+    """Streams the frames of a simulation in a loop, stamped with the current time.
 
-    Each frame is encoded once: what is kept are its messages, stamped anew in every round.
+    Each frame is encoded once; its messages are cached and get new stamps in every round.
     """
 
     def __init__(
         self,
         name: str,
-        make: Callable[[], FrameSource],  # makes the simulation; called in the source's own thread
+        make: Callable[[], FrameSource],  # makes the simulation, in the source's thread
         rate_hz: float,  # frames a second
         *,
-        # whether all frames are simulated before the first one is sent, so that the first round
-        # does not stutter; else each when it is due, late where simulating is slower than the rate
+        # simulate all frames before the first one is sent, so that the first round is smooth; else
+        # each when it is due, late if the simulation is slower than the rate
         ahead: bool = True,
         messages: FrameMessages | None = None,  # how frames become messages
     ) -> None:

@@ -27,7 +27,7 @@ TYPES = (*DEPTH_TYPES, CAMERA_INFO, PRESSURE, WRENCH)
 
 
 def is_used(topic: str, kind: str) -> bool:
-    """Whether messages of a topic and type are, without anybody asking for colour."""
+    """Whether messages of a topic and type are used even without colour."""
     return kind in TYPES and (kind != COMPRESSED_IMAGE or topic.endswith(f"/{COMPRESSED}"))
 
 
@@ -41,16 +41,18 @@ class TopicNames:
     wrench: str | None = None
     colour: str | None = None
     prefix: str = ""  # topics that do not begin with it belong to another sensor
-    with_colour: bool = False  # whether anybody asks for colour images
+    with_colour: bool = False  # whether colour images are requested
 
     def expected_type(self, topic: str) -> str | None:
-        """Type a topic must have because of what it was chosen for; None where any may do."""
+        """Type that a topic must have for its chosen role; None if any is possible."""
         chosen = {self.info: CAMERA_INFO, self.pressure: PRESSURE, self.wrench: WRENCH}
         return chosen.get(topic)
 
     def wants(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic and type can be this sensor's."""
-        if are_static_poses(topic, kind):  # of every sensor; they tell where the colour camera is
+        if are_static_poses(
+            topic, kind
+        ):  # of every sensor; they have the pose of the colour camera
             return self.with_colour
         if not topic.startswith(self.prefix):
             return False
@@ -78,7 +80,7 @@ class TopicNames:
         return kind == COMPRESSED_IMAGE or is_called_colour(topic)
 
 
-# What a message says; any damage is a ValueError.
+# Decoding of messages; any damage is a ValueError.
 
 
 def stamp_of(payload: bytes) -> int:
@@ -99,5 +101,5 @@ def decode(message: Message) -> Any:
         raise ValueError("no CDR encapsulation")
     try:
         return ros2_types().deserialize_cdr(payload, message.type)
-    except (Exception, MemoryError) as error:  # rosbags believes the sizes it reads
+    except (Exception, MemoryError) as error:  # rosbags allocates the sizes it reads
         raise ValueError(f"no {message.type}") from error

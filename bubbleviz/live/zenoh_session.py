@@ -23,18 +23,18 @@ from bubbleviz.live.live_source import SourceUri
 class Credentials:
     """Files for encryption and login; each is optional."""
 
-    ca: str | None = None  # certificate of the authority that the other side's must be of
-    # cert, key: own certificate and its private key: of who listens at `tls/…`, and of who connects
-    # where that is asked for, by a `ca` of who listens
+    ca: str | None = None  # certificate of the authority that must have signed the other side's
+    # cert, key: own certificate and private key: required to listen at `tls/…`, and to connect if
+    # the listening side has a `ca`
     cert: str | None = None
     key: str | None = None
-    # lines `user:password`: who listens lets these in, who connects is the first of them
+    # lines `user:password`: accepted when listening; the first one is used to connect
     login: str | None = None
 
     def settings(self, *, connects: bool) -> dict[str, Any]:
-        """Zenoh's settings of them.
+        """Settings for Zenoh.
 
-        Raises InputError: a file is not there, or the first line of `login` is no `user:password`.
+        Raises InputError: a file is missing, or the first line of `login` is no `user:password`.
         """
         for file in filter(None, (self.ca, self.cert, self.key, self.login)):
             if not Path(file).is_file():
@@ -61,24 +61,24 @@ def _first_login(file: str) -> dict[str, str]:
     return {f"{auth}/user": user.strip(), f"{auth}/password": password.strip()}
 
 
-# Why there is no session with a Zenoh endpoint: Zenoh itself gives no reason.
+# Diagnosis of failed connections to a Zenoh endpoint: Zenoh itself gives no reason.
 
 
-PATIENCE_S = 1.0  # longest wait for an answer of the host, s; chosen
-UNTRUSTED = range(18, 22)  # OpenSSL's codes of certificates that no authority known here has signed
+TIMEOUT_S = 1.0  # longest wait for an answer of the host, s; chosen
+UNTRUSTED = range(18, 22)  # OpenSSL's codes of certificates signed by no known authority
 
 
 def why_no_session(
     endpoint: str,  # `tcp/HOST:PORT` or `tls/HOST:PORT`, which Zenoh could not open a session with
     given: Credentials,
 ) -> str:
-    """Why there is no session, and what to do; empty where that is not known."""
+    """Text: why there is no session, and what to do; empty if unknown."""
     parts = re.match(r"(tcp|tls)/\[?([^\[\]]+?)\]?:(\d+)", endpoint)
     if parts is None:
         return ""
     protocol, host, port = parts[1], parts[2], int(parts[3])
     try:
-        link = socket.create_connection((host, port), PATIENCE_S)
+        link = socket.create_connection((host, port), TIMEOUT_S)
     except OSError as error:
         return _absence(error, host, port)
     with link:
@@ -88,7 +88,7 @@ def why_no_session(
 
 
 def _absence(error: OSError, host: str, port: int) -> str:
-    """Why the host does not answer; it may later."""
+    """Text: why the host does not answer, perhaps temporarily."""
     if isinstance(error, socket.gaierror):
         return f"the host {host} is not known to this computer; check the name"
     if isinstance(error, ConnectionRefusedError):
@@ -120,10 +120,10 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
                 "it signed"
             )
         try:
-            secure.recv(1)  # who misses our certificate says so only after the handshake
+            secure.recv(1)  # a missing client certificate is reported only after the handshake
         except ssl.SSLError as error:
             return _other_side(error, host, given)
-        except OSError:  # nothing is wrong with it
+        except OSError:  # not a problem of certificates
             pass
     return ""
 
@@ -157,7 +157,7 @@ def _login(place: str, given: Credentials, encrypted: bool) -> str:
 ROUTER = "tcp/127.0.0.1:7447"  # where `rmw_zenohd`, `zenohd` and `zenoh-bridge-ros2dds` listen
 
 _RETRY = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 1.5}
-"""Zenoh connects again by itself, at these intervals."""
+"""Zenoh reconnects by itself, at these intervals."""
 
 
 class NotConnectedError(InputError):
@@ -172,8 +172,8 @@ class NotConnectedError(InputError):
 class SessionOptions:
     """Where a session connects to, or where it listens.
 
-    A session that connects is a client and listens nowhere. A router hands messages to and from
-    clients only, not between the peers that ROS 2 nodes are: they connect to each other directly.
+    A session that connects is a client and does not listen. ROS 2 nodes are peers, which connect to
+    each other directly; a router forwards messages only to and from clients.
     """
 
     text: str  # for messages to the user
@@ -196,7 +196,7 @@ class SessionOptions:
 def make_config(options: SessionOptions) -> Any:
     """Configuration of a session.
 
-    Raises InputError: the endpoint is malformed, or a file of the credentials is not there.
+    Raises InputError: the endpoint is malformed, or a file of the credentials is missing.
     """
     connects = options.connect is not None
     settings: dict[str, Any] = {
@@ -239,7 +239,7 @@ def open_session(options: SessionOptions) -> Any:
 
 
 def listening_warning(options: SessionOptions) -> str:
-    """What to say of a session that listens to other computers; empty where it does not."""
+    """Warning about a session that listens to other computers; else empty."""
     parts = re.match(r"(\w+)/\[?([^\[\]]+?)\]?:\d+", options.listen or "")
     if parts is None or parts[2] == "localhost" or re.fullmatch(r"127\.[\d.]+|::1", parts[2]):
         return ""
@@ -265,7 +265,7 @@ def _no_session(options: SessionOptions, error: Exception) -> InputError:
     )
 
 
-# How ROS 2 topics are named in Zenoh, in the two ways that are in use.
+# Names of ROS 2 topics in Zenoh, in the two layouts in use.
 #
 # `rmw_zenoh` publishes `/cam/depth` as `0/cam/depth/sensor_msgs::msg::dds_::Image_/RIHS01_…`
 # (domain, topic, type, hash of the type) and announces it by the liveliness token
@@ -302,7 +302,7 @@ class Attachment(NamedTuple):
 
 
 def parse_token(key: str, domain: int) -> Announced | None:
-    """Publisher that a liveliness token announces; None where it announces something else."""
+    """Publisher that a liveliness token announces; None if it announces something else."""
     parts = key.split("/")
     if parts[0] == "@" and len(parts) >= 6 and parts[2] == "@ros2_lv":
         return _bridged(parts[3:])
@@ -328,7 +328,7 @@ def _announced(key: str, kind: str | None, layout: Layout) -> Announced | None:
 
 
 def is_topic(name: str) -> bool:
-    """Whether a topic may have a name; others Zenoh refuses, or takes for a pattern of several."""
+    """Whether a topic name is valid; Zenoh refuses others, or interprets them as patterns."""
     return _TOPIC.fullmatch(name) is not None
 
 
@@ -339,7 +339,7 @@ def subscription(topic: str, layout: Layout, domain: int) -> str:
 
 
 def type_of(key: str) -> str | None:
-    """Type that the key of a message in rmw_zenoh's layout tells; None where it tells none."""
+    """Type in the key of a message in rmw_zenoh's layout; None without one."""
     parts = key.split("/")
     return ros_type(parts[-2]) if len(parts) >= 4 else None
 
@@ -377,13 +377,13 @@ def announcement(
 
 
 def pack_attachment(attachment: Attachment) -> bytes:
-    """Attachment as rmw_zenoh 0.2.4 and later expects it: a subscriber there insists on one."""
+    """Attachment in the format of rmw_zenoh 0.2.4 and later, whose subscribers require it."""
     sequence, stamp, publisher = attachment
     return _ATTACHMENT.pack(sequence, stamp, 16, publisher)
 
 
 def unpack_attachment(data: bytes | None) -> Attachment | None:
-    """Attachment in the present or the former form, which names its fields; None in any other."""
+    """Attachment in the current or the old format (with field names); None in any other."""
     if data is None:
         return None
     if len(data) == _ATTACHMENT.size:

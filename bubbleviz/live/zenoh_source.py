@@ -45,17 +45,17 @@ from bubbleviz.recordings import (
 
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
 BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
-LOOK_S = 0.1  # how often newly announced topics are subscribed to, and the connection is looked at
-MOST_ANNOUNCED = 4096  # publishers that are kept in mind, ten times a large robot's; chosen
-WHY_EVERY_S = 3.0
-"""How often it is asked why a session does not come back: Zenoh tries every 2 s at least."""
+POLL_S = 0.1  # interval of checks for newly announced topics and of the connection
+MAX_ANNOUNCED = 4096  # publishers remembered, ten times a large robot's; chosen
+DIAGNOSE_EVERY_S = 3.0
+"""Interval of checks why a session does not return; Zenoh retries every 2 s at least."""
 
 
 class ZenohSource(LiveSource):
     """Subscribes to every announced topic of a useful type, and to the topics named.
 
-    Zenoh itself connects again when a connection is lost, with back-off; subscriptions outlive
-    that, and those of a publisher that comes back are the same.
+    Zenoh itself reconnects after a loss, with back-off; subscriptions remain valid, also for a
+    publisher that returns.
     """
 
     closing_s = 2.0  # chosen: the thread may be waiting for a host that does not answer
@@ -136,17 +136,17 @@ class ZenohSource(LiveSource):
                 liveliness.declare_subscriber(key, self._callback(self._on_token), history=True)
                 for key in TOKENS
             ]
-            while self._wait_until(time.monotonic() + LOOK_S):
+            while self._wait_until(time.monotonic() + POLL_S):
                 while not self._tokens.empty():
                     self._take_token(*self._tokens.get())
                 self._subscribe_to_wanted()
-                self._let_go_of_colour()
+                self._unsubscribe_unwanted()
                 if connected(self._session):
                     self.link, self.problem, looked = "up", "", time.monotonic()
                 elif self.link != "connecting":
                     self.link = "lost"
-                    if time.monotonic() - looked >= WHY_EVERY_S:
-                        why, looked = self._look_why(why), time.monotonic()
+                    if time.monotonic() - looked >= DIAGNOSE_EVERY_S:
+                        why, looked = self._diagnose(why), time.monotonic()
         finally:
             self._session.close()
             self._join_callbacks()
@@ -164,8 +164,8 @@ class ZenohSource(LiveSource):
             except queue.Empty:
                 return
 
-    def _look_why(self, before: str) -> str:
-        """Why the session is not back, once two checks agree: it may just be returning."""
+    def _diagnose(self, before: str) -> str:
+        """Determine why the session is lost; two checks must agree, as it may be returning."""
         place = self._options.connect
         why = "" if place is None else why_no_session(place, self._options.credentials)
         if why == before:
@@ -179,7 +179,7 @@ class ZenohSource(LiveSource):
             try:
                 self._session = open_session(self._options)
                 self.problem = ""
-            except InputError as error:  # no router or peer yet, or one with other passwords
+            except InputError as error:  # no router or peer yet, or wrong password
                 self.problem = error.why if isinstance(error, NotConnectedError) else ""
                 if not self._wait_until(time.monotonic() + wait):
                     return False
@@ -190,7 +190,7 @@ class ZenohSource(LiveSource):
         announced = parse_token(key, self._domain)
         if announced is None:
             return
-        if alive and len(self._announced) < MOST_ANNOUNCED:
+        if alive and len(self._announced) < MAX_ANNOUNCED:
             self._announced[key] = announced
         elif not alive:
             self._announced.pop(key, None)
@@ -199,9 +199,9 @@ class ZenohSource(LiveSource):
         self.topics = tuple(OfferedTopic(*topic) for topic in ours)
 
     def _subscribe_to_wanted(self) -> None:
-        """Subscribe to what is named, and announced, but to no compressed images beside raw ones.
+        """Subscribe to named and announced topics, except compressed images that also come raw.
 
-        Robots announce them for every camera, and compress only for who subscribes.
+        Robots announce them for every camera, and compress only for subscribers.
         """
         for topic, kind in self._named():
             for layout in LAYOUTS:
@@ -221,7 +221,7 @@ class ZenohSource(LiveSource):
         if place in self._subscribers:
             return
         key = subscription(announced.topic, announced.layout, self._domain)
-        self._subscribers[place] = (announced.type, None)  # refused ones are not tried again
+        self._subscribers[place] = (announced.type, None)  # not retried if refused
 
         receive = self._callback(lambda sample: self._on_sample(sample, announced))
         try:
@@ -237,7 +237,7 @@ class ZenohSource(LiveSource):
             return
         self._subscribers[place] = (announced.type, subscriber)
 
-    def _let_go_of_colour(self) -> None:
+    def _unsubscribe_unwanted(self) -> None:
         """Unsubscribe topics no longer needed; unsubscribed topics do not count as missing."""
         if self._names.with_colour:
             return
@@ -273,17 +273,17 @@ class ZenohSource(LiveSource):
                 deliver(message)
 
     def _count(self, publisher: bytes, topic: str, sequence: int) -> None:
-        """Take note of gaps in a publisher's own count."""
+        """Count gaps in a publisher's sequence numbers."""
         last = self._counts.get((publisher, topic))
         if last is not None and sequence > last:
             self.missed += sequence - last - 1
         if last is None or sequence > last:
             self._counts[publisher, topic] = sequence
-        if len(self._counts) > MOST_ANNOUNCED:
+        if len(self._counts) > MAX_ANNOUNCED:
             del self._counts[next(iter(self._counts))]
 
 
 def _image_type(topic: str | None) -> str:
-    """Type that a topic of images has by its name, for those that are not announced."""
+    """Type of an image topic by its name, for those that are not announced."""
     compressed = topic is not None and topic.endswith((f"/{COMPRESSED}", "/compressed"))
     return COMPRESSED_IMAGE if compressed else IMAGE

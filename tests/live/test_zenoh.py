@@ -367,7 +367,7 @@ def test_a_missing_or_wrong_certificate_is_reported(certificates, refusal):
 
 def test_a_refused_reconnection_is_reported(small_sensor, certificates, eventually, monkeypatch):
     """The robot restarts with another certificate; then its port is closed."""
-    monkeypatch.setattr("bubbleviz.live.zenoh_source.WHY_EVERY_S", 0.2)
+    monkeypatch.setattr("bubbleviz.live.zenoh_source.DIAGNOSE_EVERY_S", 0.2)
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
     ca, cert, key, other, other_key = (str(certificates / name) for name in files)
     at = f"tls/localhost:{free_port()}"
