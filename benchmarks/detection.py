@@ -33,7 +33,7 @@ from bubbleviz.study.harness import Case, Column, Report, Study, Table
 
 FOUND = 0.95
 ALARMS = 1e-3
-_SHALLOWEST_M, _RATIO, _DEPTHS = 1e-4, 1.25, 20
+_MIN_DEPTH_M, _RATIO, _DEPTHS = 1e-4, 1.25, 20
 """Tested depths: 0.1 mm to 7 mm in steps of 25 %."""
 _FINER = (0.2, 0.13, 0.09)
 """Radii of mesh refinement around the contact, relative to the rim's: the smallest dents are
@@ -150,7 +150,7 @@ class Ladder:
 
     def depth_m(self, step: int) -> float:
         """Depth along the normal, m."""
-        return float(_SHALLOWEST_M * _RATIO**step)
+        return float(_MIN_DEPTH_M * _RATIO**step)
 
     def truth(self, step: int) -> RubberTruth:
         """Equilibrium at a step."""

@@ -52,8 +52,8 @@ EDGE_OBJECTS = tuple(map(str, sorted(Path(__file__).with_name("objects").glob("*
 SETUPS = (accuracy.RUBBER, accuracy.Setup("rubber-base"))
 """With the finer mesh at the contact, and without."""
 THRESHOLDS_M = np.geomspace(1e-4, 4e-2, 120)  # from below noise to above any press
-_LEAST_IOU = {"0.05 mm": 0.90, "0.15 mm": 0.88, "0.5 mm": 0.83, "1 %": 0.78}
-_LARGEST_AREA_ERROR, _LEAST_IN_BAND = 0.04, 0.9
+_MIN_IOU = {"0.05 mm": 0.90, "0.15 mm": 0.88, "0.5 mm": 0.83, "1 %": 0.78}
+_LARGEST_AREA_ERROR, _MIN_IN_BAND = 0.04, 0.9
 
 
 @dataclass(frozen=True)
@@ -240,12 +240,12 @@ def targets(rows: Sequence[EdgeRow]) -> list[Target]:
     """Whether each group of objects meets the targets of the patch."""
     found = []
     for one in summaries(rows, ("objects", "noise", "setup"), _MEANS):
-        if one["setup"] == SETUPS[0].label and one["noise"] in _LEAST_IOU:
+        if one["setup"] == SETUPS[0].label and one["noise"] in _MIN_IOU:
             name, area = f"{one['objects']}, {one['noise']}", abs(one["area_error_relative"])
             found += [
-                at_least(f"{name}: mean IoU", one["iou"], _LEAST_IOU[one["noise"]]),
+                at_least(f"{name}: mean IoU", one["iou"], _MIN_IOU[one["noise"]]),
                 at_most(f"{name}: |mean area error|", area, _LARGEST_AREA_ERROR),
-                at_least(f"{name}: true edge in the band", one["edge_in_band"], _LEAST_IN_BAND),
+                at_least(f"{name}: true edge in the band", one["edge_in_band"], _MIN_IN_BAND),
             ]
     return found
 

@@ -43,7 +43,7 @@ from bubbleviz.sensor import Calibration, Camera, Membrane, Pneumatics, Sensor, 
 from bubbleviz.simulation import read_truth
 
 MEMORY_BYTES = 2 << 30
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 BATCH = 400  # inputs of a process
 POSE = "0.005 0 0.042 0 0 0 1"
 
@@ -551,13 +551,13 @@ def _in_process(corpus: Corpus, numbers: range, seed: int, folder: Path) -> Iter
     os.close(write)
     with os.fdopen(read, "rb", buffering=0) as pipe:
         for number in numbers:
-            ready, _, _ = select.select([pipe], [], [], PATIENCE_S)
+            ready, _, _ = select.select([pipe], [], [], TIMEOUT_S)
             line = pipe.readline() if ready else b""
             if not line:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(child, signal.SIGKILL)
-                why = "the process died" if ready else f"no end after {PATIENCE_S:g} s"
-                yield Outcome(number, list(KINDS)[number % len(KINDS)], why, PATIENCE_S, 0)
+                why = "the process died" if ready else f"no end after {TIMEOUT_S:g} s"
+                yield Outcome(number, list(KINDS)[number % len(KINDS)], why, TIMEOUT_S, 0)
                 break
             yield Outcome(*json.loads(line))
     os.waitpid(child, 0)

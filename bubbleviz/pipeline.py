@@ -483,17 +483,17 @@ def stages(products: frozenset[Product]) -> frozenset[Product]:
     return products.union(*(stages(frozenset(some)) for some in needs))
 
 
-def _evenly(chosen: np.ndarray, most: int) -> np.ndarray:
-    """Ascending flat indices of at most so many pixels of a mask (H, W), on a lattice.
+def _evenly(chosen: np.ndarray, limit: int) -> np.ndarray:
+    """Ascending flat indices of a lattice of at most `limit` pixels of a mask (H, W).
 
     Every n-th pixel in reading order would form stripes.
     """
     height, width = chosen.shape
-    step = -(-np.count_nonzero(chosen) // most)
+    step = -(-np.count_nonzero(chosen) // limit)
     rows = np.arange(height)[:, None]
     columns = -round(_GOLDEN * step) * rows % step + step * np.arange(-(-width // step))
     pixels = (rows * width + columns)[columns < width]
-    return pixels[chosen.ravel()[pixels]][:most]
+    return pixels[chosen.ravel()[pixels]][:limit]
 
 
 def _required(product: _T | None) -> _T:

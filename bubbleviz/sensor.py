@@ -28,7 +28,7 @@ Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: values outside 0.1 mm … 1 m are in a wrong unit."""
 Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
 """Up to ten times the largest image."""
-LEAST_NOISE = 1e-6
+MIN_NOISE = 1e-6
 """Smallest relative noise: 0.1 µm at 100 mm, a thousandth of what depth cameras resolve."""
 
 Vector3 = tuple[float, float, float]
@@ -107,7 +107,7 @@ class Camera(_Section):
     )
     position_m: Vector3
     quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    noise_relative: float = Field(default=0.01, ge=LEAST_NOISE, lt=1.0)
+    noise_relative: float = Field(default=0.01, ge=MIN_NOISE, lt=1.0)
     colour_delay_s: float = Field(default=0.0, ge=-MAX_COLOUR_DELAY_S, le=MAX_COLOUR_DELAY_S)
     """Stamp of a colour image minus that of the depth image of the same scene, s; negative if
     colour leads depth, as with depth cameras that filter in time."""

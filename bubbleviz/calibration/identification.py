@@ -17,7 +17,7 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import DepthStatistics
 from bubbleviz.sensor import (
     ATMOSPHERES,
-    LEAST_NOISE,
+    MIN_NOISE,
     WEATHER_SIGMA_PA,
     Camera,
     Membrane,
@@ -178,6 +178,6 @@ def _camera_section(
         update={
             **vars(camera.intrinsics),
             "position_m": tuple(round(float(x), 6) for x in camera.T_B_C[:3, 3]),
-            "noise_relative": max(float(f"{relative:.3g}"), LEAST_NOISE),
+            "noise_relative": max(float(f"{relative:.3g}"), MIN_NOISE),
         }
     )

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.recordings import robust_sigma
 
-_STEP_SIGMA = 6.0  # differences of neighbours beyond so many standard deviations are steps
+_STEP_SIGMA = 6.0  # standard deviations beyond which differences of neighbours are steps
 
 
 def membrane_pixels(

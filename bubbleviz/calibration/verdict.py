@@ -15,8 +15,8 @@ Grade = Literal["good", "usable", "doubtful"]
 PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 
 _GOOD, _USABLE = 0.02, 0.05  # largest relative half-width of γ0 for each grade
-_ENOUGH_VISIBLE = 0.8  # share of the dome's area; chosen
-_ENOUGH_FRAMES = 30  # one second of most depth cameras
+_MIN_VISIBLE = 0.8  # share of the dome's area; chosen
+_MIN_FRAMES = 30  # one second of most depth cameras
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
     " their gas pressures (--level), or press it and hold"
@@ -111,7 +111,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: inflate as before, and make sure that nothing touches the sensor."
         )
-    if surfaces.visible_share < _ENOUGH_VISIBLE:
+    if surfaces.visible_share < _MIN_VISIBLE:
         out.append(
             f"{_percent(1.0 - surfaces.visible_share)} of the dome is not visible: there the "
             "surface is extrapolated from the fitted cap, and contact is only inferred."
@@ -132,8 +132,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             " varies, so no uniform tension fits this shape exactly."
         )
     frames = found.samples.statistics.frames
-    if frames < _ENOUGH_FRAMES:
-        out.append(f"Only {frames} frames: record {_ENOUGH_FRAMES} or more.")
+    if frames < _MIN_FRAMES:
+        out.append(f"Only {frames} frames: record {_MIN_FRAMES} or more.")
     return out
 
 

@@ -47,7 +47,7 @@ def exists(path: Path) -> bool:
 
 
 def read_npy(file: IO[bytes], size: int) -> np.ndarray:
-    """Array of a `.npy` file of so many bytes.
+    """Array of a `.npy` file of a given size.
 
     Raises ValueError: the array is larger than the file, or not of numbers or texts.
     """

@@ -157,7 +157,7 @@ def _folder_reader() -> Any:
     from rosbags.rosbag2.reader import DirectoryReader
 
     class NamedFile:
-        """A file of the folder, which is opened here and not by rosbags."""
+        """A file of the folder, not opened by rosbags."""
 
         connections: ClassVar[list[Any]] = []
 

@@ -192,7 +192,7 @@ def table_of(rows: Any) -> np.ndarray:
 
 
 class Ros1Storage:
-    """Messages of one ROS 1 bag; a position's chunk is where the chunk begins in the file."""
+    """Messages of one ROS 1 bag; a position's chunk is its offset in the file."""
 
     def __init__(
         self,

@@ -102,7 +102,7 @@ def _decode_compressed(message: Any) -> np.ndarray:
 
 
 def metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
-    """Depth in m, float32, NaN for what is no distance."""
+    """Depth in m, float32, NaN for invalid values."""
     with np.errstate(invalid="ignore"):  # signalling NaNs
         depth = raw * np.float32(unit_m)
     depth[~((depth > 0) & (depth < MAX_DEPTH_M))] = np.nan

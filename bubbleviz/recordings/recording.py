@@ -67,7 +67,7 @@ class Recording:
     depth_topic, info_topic, pressure_topic, wrench_topic, colour_topic : str, optional
         Topics to use; without them the first depth images, and of the others those of the right
         message type that are nearest by name (and for the camera info: of the image's size), so
-        that two sensors in one recording are told apart by `depth_topic` alone.
+        that `depth_topic` alone selects one of two sensors in a recording.
 
     Raises InputError: the file is missing, damaged or truncated, or has no depth images.
     """

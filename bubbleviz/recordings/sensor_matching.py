@@ -29,7 +29,7 @@ def image_size(source: FrameSource) -> tuple[int, int]:
 def check_fits(source: FrameSource, sensor: Sensor, sensor_name: str | Path) -> None:
     """Refuse frames that are not of the sensor's camera.
 
-    Raises InputError: the images, or the camera info recorded beside them, have another size.
+    Raises InputError: the images, or the recorded camera info, have another size.
     """
     if isinstance(source, Recording):
         _check_camera_info(source)

@@ -120,7 +120,7 @@ def resized(sensor: Sensor, width: int, height: int) -> Sensor:
 
 
 def with_pixels(sensor: Sensor, pixels: int | None) -> Sensor:
-    """Sensor whose camera has the same view with about so many pixels."""
+    """Sensor with the same field of view and about `pixels` pixels."""
     if pixels is None:
         return sensor
     own = sensor.camera

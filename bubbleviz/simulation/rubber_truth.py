@@ -151,7 +151,7 @@ class RubberPresses(Presses):
 
     @classmethod
     def of(cls, model: SensorModel, nodes: int = TRUTH_NODES) -> RubberPresses:
-        """Presses into a sensor's membrane, on a mesh of about so many nodes."""
+        """Presses into a sensor's membrane, on a mesh of about `nodes` nodes."""
         rubber = partial(_rubber_of, model.sensor, model.tension_n_per_m)
         mesh = simulation_mesh(model, nodes)
         return cls(model.camera, mesh, model.sensor.pneumatics, rubber)
@@ -168,7 +168,7 @@ class LinearPresses(Presses):
 
     @classmethod
     def of(cls, model: SensorModel, nodes: int = LINEAR_NODES) -> LinearPresses:
-        """Presses into a sensor's membrane, on a mesh of about so many nodes."""
+        """Presses into a sensor's membrane, on a mesh of about `nodes` nodes."""
         mesh = simulation_mesh(model, nodes)
         return cls(model.camera, mesh, model.sensor.pneumatics, model.tension_n_per_m)
 

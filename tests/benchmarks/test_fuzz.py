@@ -19,7 +19,7 @@ def test_fuzzing_finds_a_planted_fault(tmp_path, monkeypatch):
         while True:
             pass
 
-    monkeypatch.setattr("benchmarks.fuzz.PATIENCE_S", 0.5)
+    monkeypatch.setattr("benchmarks.fuzz.TIMEOUT_S", 0.5)
     monkeypatch.setattr("benchmarks.fuzz.KINDS", {"broken": broken, "endless": endless})
     faults = [each.fault for each in fuzz(range(3), 0, tmp_path)]
     assert faults[0].startswith("KeyError at test_fuzz.py")
