@@ -284,6 +284,11 @@ class Pipeline:
 
         self.tracker = PoseTracker(self.estimator, obj, initial_pose, membrane=self.model.rubber)
 
+    @property
+    def object(self) -> RigidObject | None:
+        """The object that is tracked."""
+        return None if self.tracker is None else self.tracker.model.obj
+
     def use_optical_flow(
         self,
         optical_flow: FlowFunction | None,  # None: without colour, traction from depth alone

@@ -144,6 +144,11 @@ class Estimate:
         return f"<estimate: {self.status}{force + misfit if self.trusted else ''}>"
 
     @property
+    def status_text(self) -> str:
+        """Status, and the reason if there is one."""
+        return f"{self.status}: {self.reason}" if self.reason else self.status
+
+    @property
     def force_half_width_n(self) -> float:
         """Half of the 95 % interval of |F|, N; NaN without contact, or for the paper's solver."""
         size = 0.0 if self.force_n is None else float(np.linalg.norm(self.force_n))

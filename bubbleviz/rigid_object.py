@@ -44,6 +44,22 @@ def load_object(
     return RigidObject(path.stem, vertices, triangles)
 
 
+def merged(obj: RigidObject, most: int) -> RigidObject:
+    """The object with at most so many triangles, for display: vertices that are close are one."""
+    vertices, triangles = obj.vertices, obj.triangles
+    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    cells = 64.0
+    while len(triangles) > most:
+        place = np.floor(cells * (obj.vertices - low) / size)
+        _, cell, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
+        cell = cell.reshape(-1)
+        sums = [np.bincount(cell, obj.vertices[:, k], len(count)) for k in range(3)]
+        vertices, triangles = np.column_stack(sums) / count[:, None], cell[obj.triangles]
+        triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+        cells *= 0.8
+    return RigidObject(obj.name, vertices, triangles)
+
+
 def object_mesh(
     path: str | Path,  # PLY, OBJ, STL or VTK
     # unit of the file; None: millimetres if the name ends in `_mm`, else metres

@@ -21,7 +21,7 @@ def publish_results(stream: LiveStream, out: ZenohPublisher, prefix: str = "/bub
     for found in bv.estimate(stream):
         count += 1
         messages = messages or ResultMessages(found.model.mesh, prefix)
-        for message in messages.of(found.result):
+        for message in messages.of(found.result, out.is_subscribed):
             out.put(message)
     return count
 

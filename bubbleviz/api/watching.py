@@ -195,17 +195,23 @@ def watch(
             if recorder is not None:
                 recorder.push(message._replace(arrival_ns=time.time_ns()))
 
-        return _watch(watcher, send, stop, duration_s)
+        def is_wanted(topic: str, kind: str) -> bool:
+            subscribed = publisher is not None and publisher.is_subscribed(topic, kind)
+            return subscribed or recorder is not None
+
+        return _watch(watcher, send, is_wanted, stop, duration_s)
 
 
 def _watch(
     watcher: Watcher,
     send: Callable[[Message], None],
+    is_wanted: Callable[[str, str], bool],
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
     stream, zero, texture = watcher.stream, watcher.solver.zero, watcher.solver.texture
-    messages = ResultMessages(watcher.solver.pipeline.mesh, RESULTS)
+    pipeline = watcher.solver.pipeline
+    messages = ResultMessages(pipeline.mesh, RESULTS, obj=pipeline.object)
     statuses: Counter[str] = Counter()
     max_force_n: float | None = None
     shear = None if texture is None else ShearSummary()
@@ -221,7 +227,7 @@ def _watch(
                     max_force_n = max(max_force_n or 0.0, float(np.linalg.norm(trusted.force_n)))
                 if shear is not None:
                     shear.add(result)
-                for message in messages.of(result):
+                for message in messages.of(result, is_wanted):
                     send(message)
                 bar.update()
             silent = _warn_of_silence(stream, silent)

@@ -24,14 +24,15 @@ from .opening import (
     open_stream as open_stream,
     sensor_for_source as sensor_for_source,
 )
-from .publisher import (
-    DIAGNOSTICS as DIAGNOSTICS,
-    POSE as POSE,
-    ResultMessages as ResultMessages,
-    ZenohPublisher as ZenohPublisher,
-)
+from .publisher import ZenohPublisher as ZenohPublisher
 from .recorder import Recorder as Recorder, RecorderStatus as RecorderStatus
 from .replay import Replay as Replay, SyntheticLive as SyntheticLive
+from .result_messages import (
+    DIAGNOSTICS as DIAGNOSTICS,
+    POSE as POSE,
+    RESULT_TOPICS as RESULT_TOPICS,
+    ResultMessages as ResultMessages,
+)
 from .topic_names import (
     DEPTH_TYPES as DEPTH_TYPES,
     TopicNames as TopicNames,

@@ -88,6 +88,7 @@ from .message_encoding import (
     FrameMessages as FrameMessages,
     Message as Message,
     make_header as make_header,
+    make_pose as make_pose,
     make_static_pose as make_static_pose,
     make_wrench as make_wrench,
     ros2_types as ros2_types,

@@ -76,6 +76,15 @@ def make_wrench(header: Any, values: np.ndarray) -> Any:
     return kinds[WRENCH](header, wrench(vector(*numbers[:3]), vector(*numbers[3:])))
 
 
+def make_pose(pose: np.ndarray) -> Any:
+    """`geometry_msgs/Pose` of a pose (4, 4)."""
+    kinds = ros2_types().types
+    return kinds["geometry_msgs/msg/Pose"](
+        kinds["geometry_msgs/msg/Point"](*pose[:3, 3].tolist()),
+        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
+    )
+
+
 def make_static_pose(parent: str, child: str, pose: np.ndarray, stamp_ns: int) -> Message:
     """Message on `/tf_static` of T_parent_child (4, 4), which does not change."""
     kinds = ros2_types().types

@@ -101,6 +101,9 @@ class UntilArrived:
     def __init__(self, out, stream, arrived):
         self.out, self.stream, self.arrived = out, stream, arrived
 
+    def is_subscribed(self, topic, kind):
+        return self.out.is_subscribed(topic, kind)
+
     def put(self, message):
         self.out.put(message)
         if WRENCH in self.arrived:

@@ -15,7 +15,10 @@ TOPICS = {
     "/bubble/depth/image_raw": "sensor_msgs/msg/Image",
     "/bubble/pressure": "sensor_msgs/msg/FluidPressure",
     "/bubbleviz/contact_patch": "sensor_msgs/msg/PointCloud2",
+    "/bubbleviz/contact_markers": "visualization_msgs/msg/MarkerArray",
     "/bubbleviz/contact_wrench": "geometry_msgs/msg/WrenchStamped",
+    "/bubbleviz/contact_wrench_sigma": "geometry_msgs/msg/WrenchStamped",
+    "/bubbleviz/membrane": "sensor_msgs/msg/PointCloud2",
     "/bubbleviz/object_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/tf_static": "tf2_msgs/msg/TFMessage",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
@@ -25,7 +28,10 @@ DECODED = {
     "/bubble/depth/image_raw": "DepthImage:buffer",
     "/bubble/pressure": "Measurements:values",
     "/bubbleviz/contact_patch": "Points3D:positions",
+    "/bubbleviz/contact_markers": "visualization_msgs.msg.MarkerArray:message",
     "/bubbleviz/contact_wrench": "geometry_msgs.msg.WrenchStamped:message",
+    "/bubbleviz/contact_wrench_sigma": "geometry_msgs.msg.WrenchStamped:message",
+    "/bubbleviz/membrane": "Points3D:positions",
     "/bubbleviz/object_pose": "geometry_msgs.msg.PoseWithCovarianceStamped:message",
     "/tf_static": "Transform3D:translation",
     "/diagnostics": "diagnostic_msgs.msg.DiagnosticArray:message",
@@ -50,8 +56,10 @@ def test_rosbags_reads_every_topic_and_all_frames_of_reference_are_connected(wat
             message = bag.deserialize(raw, connection.msgtype)  # by the schema in the file
             if connection.topic == "/tf_static":
                 poses = poses.after(message)
-            elif message.header.frame_id:  # diagnostics have no place
-                named[message.header.frame_id].add(connection.topic)
+                continue
+            stamped = getattr(message, "markers", [message])
+            for frame_id in {each.header.frame_id for each in stamped} - {""}:  # diagnostics
+                named[frame_id].add(connection.topic)
     assert named.keys() == {"bubble", "bubble_depth_optical_frame"}
     T_B_C = poses.pose("bubble_depth_optical_frame", "bubble")
     np.testing.assert_allclose(T_B_C, small_sensor.camera.T_B_C, atol=1e-12)

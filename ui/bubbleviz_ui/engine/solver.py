@@ -271,7 +271,7 @@ class Solver:
                 return None
         lost_before = "" if process is None else process.lost
         solved = self._solved(current, demand, frame, solver_process=process)
-        stream.publish(solved.result, current.pipeline.mesh)
+        stream.publish(solved.result, current.pipeline)
         lost = "" if process is None else process.lost
         remark = "" if lost == lost_before else _process_ended_remark(current, lost)
         return replace(solved, outages=stream.outages, remark=remark)

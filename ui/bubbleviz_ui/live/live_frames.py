@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.live import LiveStream
-from bubbleviz.membrane import MembraneMesh
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import Frame, Gap, usual_step
 from bubbleviz.result import Result
@@ -25,7 +25,7 @@ MIN_KEPT = 3
 STEP_FRAMES = 100
 """Frames from which the typical frame interval is computed."""
 
-Listener = Callable[[Result, MembraneMesh], None]
+Listener = Callable[[Result, Pipeline], None]
 
 
 class LiveFrames:
@@ -138,10 +138,10 @@ class LiveFrames:
 
         return unsubscribe
 
-    def publish(self, result: Result, mesh: MembraneMesh) -> None:
-        """Pass a new result to all listeners."""
+    def publish(self, result: Result, pipeline: Pipeline) -> None:
+        """Pass a new result to all listeners, with the pipeline that made it."""
         for listener in self._listeners:
-            listener(result, mesh)
+            listener(result, pipeline)
 
     def _take(self, frame: Frame) -> Frame:
         with self._lock:

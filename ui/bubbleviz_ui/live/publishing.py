@@ -12,9 +12,10 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.live import LiveStream, ResultMessages
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.pipeline import Product
+from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import RESULTS, Message
 from bubbleviz.result import Result
+from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.model.messages import UserMessage
@@ -35,26 +36,28 @@ DIAGNOSTICS_S = 1.0  # period of diagnostics, as usual in ROS
 class ResultSender:
     """Converts the results of a stream to messages.
 
-    `send`: Receives a message, in any thread.
     `name`: Of the sensor, if there are two; part of the topics, and the frame id.
     """
 
-    def __init__(self, stream: LiveStream, send: Callable[[Message], None], name: str = "") -> None:
+    def __init__(self, stream: LiveStream, send: _Sender, name: str = "") -> None:
         self._stream, self._send = stream, send
         self._prefix, self._frame_id = f"{RESULTS}{name}", name or "bubble"
         self._mesh: MembraneMesh | None = None
+        self._obj: RigidObject | None = None
         self._messages: ResultMessages | None = None
         self._last: Result | None = None
         self._last_s = 0.0
 
-    def __call__(self, result: Result, mesh: MembraneMesh) -> None:
+    def __call__(self, result: Result, pipeline: Pipeline) -> None:
         """Send a result; called in the solver thread."""
-        if self._messages is None or mesh is not self._mesh:
-            self._mesh, self._messages = mesh, ResultMessages(mesh, self._prefix, self._frame_id)
+        mesh, obj = pipeline.mesh, pipeline.object
+        if self._messages is None or self._mesh is not mesh or self._obj is not obj:
+            self._mesh, self._obj = mesh, obj
+            self._messages = ResultMessages(mesh, self._prefix, self._frame_id, obj)
             for message in self._messages.placed(self._stream):
                 self._send(message)
         self._last = result
-        for message in self._messages.of(result):
+        for message in self._messages.of(result, self._send.is_wanted):
             self._send(message)
 
     def diagnose(self) -> None:
@@ -121,6 +124,11 @@ class Publishing(QObject):
             if self._publisher is not None:
                 self._publisher.put(message)
 
+    def is_subscribed(self, topic: str, kind: str) -> bool:
+        """Whether a topic has a subscriber; in any thread."""
+        with self._lock:
+            return self._publisher is not None and self._publisher.is_subscribed(topic, kind)
+
     def close(self) -> None:
         """Stop, and wait for the thread."""
         self.stop()
@@ -150,6 +158,9 @@ class _Sender:
         self._publishing.put(message)
         if self._recorder.recording:
             self._recorder.push(message._replace(arrival_ns=time.time_ns()))
+
+    def is_wanted(self, topic: str, kind: str) -> bool:
+        return self._publishing.is_subscribed(topic, kind) or self._recorder.recording
 
 
 def _publisher(endpoint: str) -> ZenohPublisher:

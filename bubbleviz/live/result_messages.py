@@ -1,0 +1,266 @@
+"""Results as ROS 2 messages: membrane, patch, force, pose, markers and diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bubbleviz.live.assembler import Counters
+from bubbleviz.live.contact_markers import CONTACT_MARKERS, ContactMarkers
+from bubbleviz.live.live_stream import LiveStream, Status
+from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import (
+    POINT_CLOUD,
+    WRENCH,
+    Message,
+    make_header,
+    make_pose,
+    make_static_pose,
+    make_wrench,
+    ros2_types,
+    serialise,
+)
+from bubbleviz.result import Estimate, Result, Traction
+from bubbleviz.rigid_object import RigidObject
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POINT = "geometry_msgs/msg/PointStamped"
+NUMBER = "std_msgs/msg/Float64"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+_LEVELS = {"ok": _OK, "no_contact": _OK, "no_data": _WARN}
+_UINT8, _FLOAT32 = 2, 7  # datatypes of sensor_msgs/PointField
+
+
+class ResultMessages:
+    """Makes the messages of results; everything is in the bubble's frame B.
+
+    Behind the prefix are the `RESULT_TOPICS`; besides `/tf_static` and `/diagnostics`. Of an
+    estimate that is not to be trusted there are no numbers: the membrane has no pressure, the
+    markers and the diagnostics say why.
+    """
+
+    def __init__(
+        self,
+        mesh: MembraneMesh,  # of the pipeline that makes the results
+        prefix: str = "/bubble",  # what the topic names begin with
+        frame_id: str = "bubble",  # name of B in the headers
+        obj: RigidObject | None = None,  # that is tracked
+    ) -> None:
+        self.mesh, self.markers = mesh, ContactMarkers(mesh, obj)
+        self._prefix, self._frame_id = prefix.rstrip("/"), frame_id
+
+    def placed(self, stream: LiveStream) -> Iterator[Message]:
+        """Pose of B in the frame of reference of a stream's depth images, on `/tf_static`.
+
+        B is the child, as the camera may have a parent on the robot. Nothing where the images name
+        no frame, or before the first.
+        """
+        camera_frame = stream.depth_frame
+        if camera_frame not in ("", self._frame_id):
+            T_C_B = np.linalg.inv(stream.sensor.camera.T_B_C)
+            yield make_static_pose(camera_frame, self._frame_id, T_C_B, time.time_ns())
+
+    def of(
+        self, result: Result, is_wanted: Callable[[str, str], bool] = lambda topic, kind: True
+    ) -> Iterator[Message]:
+        """Messages of what there is of a result, stamped as its frame.
+
+        `is_wanted` is asked for topic and type before the message is made.
+        """
+        stamp = result.frame.stamp_ns
+        header = make_header(max(stamp, 0), self._frame_id)
+        for name, (kind, product, make) in RESULT_TOPICS.items():
+            topic = f"{self._prefix}/{name}"
+            if getattr(result, product) is None or not is_wanted(topic, kind):
+                continue
+            if (content := make(self, header, result)) is not None:
+                yield Message(topic, kind, serialise(content, kind), stamp)
+
+    def diagnostics(
+        self, now_ns: int, status: Status, counters: Counters, result: Result | None
+    ) -> Message:
+        """How the source and the estimate are doing."""
+        kinds = ros2_types().types
+        entry, pair = (
+            kinds["diagnostic_msgs/msg/DiagnosticStatus"],
+            kinds["diagnostic_msgs/msg/KeyValue"],
+        )
+        estimate = None if result is None else result.estimate
+        values = {name: str(value) for name, value in counters.as_dict().items()}
+        if estimate is not None and result is not None:
+            values["residual_rms_m"] = f"{estimate.residual_rms_m:.3g}"
+            values["total_ms"] = f"{result.times_ms.get('total', np.nan):.3g}"
+        if result is not None and (traction := result.traction) is not None:
+            values["traction"] = ": ".join(filter(None, (traction.status, traction.reason)))
+        level, text = _level(status, estimate)
+        body = entry(
+            level=level,
+            name=f"{self._prefix.strip('/')}: contact",
+            message=text,
+            hardware_id=self._frame_id,
+            values=[pair(key=key, value=value) for key, value in values.items()],
+        )
+        message = kinds[DIAGNOSTICS](make_header(now_ns, ""), [body])
+        return Message("/diagnostics", DIAGNOSTICS, serialise(message, DIAGNOSTICS), now_ns)
+
+
+def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:
+    if status.state == "connecting":
+        return _WARN, status.text
+    if status.state != "live":
+        return _STALE, status.text
+    if estimate is None:
+        return _OK, status.text
+    return _LEVELS.get(estimate.status, _ERROR), estimate.status_text
+
+
+def _membrane(messages: ResultMessages, header: Any, result: Result) -> Any:
+    """All nodes; of an untrusted estimate where they are at rest, without pressure."""
+    mesh = messages.mesh
+    if (trusted := result.trusted_estimate) is None:
+        count = len(mesh.nodes)
+        return _cloud(header, mesh.nodes, np.full(count, np.nan), np.zeros(count, bool))
+    inside = result.solution[1].node_mask
+    return _cloud(header, mesh.deformed(trusted.motion_m), trusted.contact_pressure_pa, inside)
+
+
+def _patch(messages: ResultMessages, header: Any, result: Result) -> Any:
+    estimate, patch = result.solution
+    if not estimate.trusted:
+        return None
+    inside = patch.node_mask
+    points = messages.mesh.deformed(estimate.motion_m)[inside]
+    return _cloud(header, points, estimate.contact_pressure_pa[inside])
+
+
+def _cloud(
+    header: Any, points: np.ndarray, pressure_pa: np.ndarray, inside: np.ndarray | None = None
+) -> Any:
+    """x, y, z and pressure as float32, and whether in the patch as uint8."""
+    columns = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "pressure": pressure_pa}
+    kinds = dict.fromkeys(columns, "<f4")
+    if inside is not None:
+        columns["in_patch"], kinds["in_patch"] = inside, "u1"
+    table = np.zeros(len(points), np.dtype(list(kinds.items()), align=True))
+    for name, values in columns.items():
+        table[name] = values
+    field, size = ros2_types().types["sensor_msgs/msg/PointField"], table.itemsize
+    return ros2_types().types[POINT_CLOUD](
+        header=header,
+        height=1,
+        width=len(table),
+        fields=[
+            field(name, 4 * k, _UINT8 if kind == "u1" else _FLOAT32, 1)
+            for k, (name, kind) in enumerate(kinds.items())
+        ],
+        is_bigendian=False,
+        point_step=size,
+        row_step=size * len(table),
+        data=table.view(np.uint8).reshape(-1),
+        is_dense=bool(np.isfinite(pressure_pa).all()),
+    )
+
+
+def _wrench(_: ResultMessages, header: Any, result: Result) -> Any:
+    """Force of the patch and its torque about B's origin; zero without contact."""
+    patch = result.trusted_patch
+    if patch is None:
+        return None
+    center, torque = patch.center_of_pressure_m, np.zeros(3)
+    if np.isfinite(center).all():
+        torque = patch.torque_nm + np.cross(center, patch.force_n)
+    return make_wrench(header, np.concatenate([patch.force_n, torque]))
+
+
+def _wrench_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
+    """Of the force; that of the torque is not known."""
+    estimate = result.trusted_estimate
+    if estimate is None or estimate.force_sigma_n is None:
+        return None
+    return make_wrench(header, np.concatenate([estimate.force_sigma_n, np.full(3, np.nan)]))
+
+
+def _markers(messages: ResultMessages, header: Any, result: Result) -> Any:
+    return messages.markers.of(header, result)
+
+
+def _object_pose(_: ResultMessages, header: Any, result: Result) -> Any:
+    pose, kinds = result.pose, ros2_types().types
+    if pose is None or pose.status != "ok":  # no stale one as if found now
+        return None
+    covariance = np.ascontiguousarray(pose.origin_covariance.ravel())
+    body = kinds["geometry_msgs/msg/PoseWithCovariance"](make_pose(pose.T_B_O), covariance)
+    return kinds[POSE](header, body)
+
+
+def _friction(result: Result) -> Traction | None:
+    """The traction with friction, if it is known."""
+    traction = result.traction
+    known = traction is not None and traction.status == "ok" and result.trusted_estimate is not None
+    return traction if known else None
+
+
+def _traction_wrench(_: ResultMessages, header: Any, result: Result) -> Any:
+    """About B's origin, as transform libraries take it to be; zero without contact."""
+    if (traction := _friction(result)) is not None:
+        torque = traction.torque_about(np.zeros(3))
+        return make_wrench(header, np.concatenate([traction.force_n, torque]))
+    untouched = result.traction is not None and result.traction.status == "no_contact"
+    if untouched and result.trusted_estimate is not None:
+        return make_wrench(header, np.zeros(6))
+    return None
+
+
+def _traction_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
+    if (traction := _friction(result)) is None:
+        return None
+    sigma = traction.torque_sigma_about(np.zeros(3))
+    return make_wrench(header, np.concatenate([traction.force_sigma_n, sigma]))
+
+
+def _traction_center(_: ResultMessages, header: Any, result: Result) -> Any:
+    if (traction := _friction(result)) is None:
+        return None
+    kinds = ros2_types().types
+    return kinds[POINT](header, kinds["geometry_msgs/msg/Point"](*traction.center_m.tolist()))
+
+
+def _slip_share(_: ResultMessages, header: Any, result: Result) -> Any:
+    if result.slip is None or _friction(result) is None:
+        return None
+    return ros2_types().types[NUMBER](float(result.slip.share))
+
+
+def _slip_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
+    if result.slip is None or _friction(result) is None:
+        return None
+    return ros2_types().types[NUMBER](float(result.slip.share_sigma))
+
+
+class ResultTopic(NamedTuple):
+    """Type of a topic, field of `Result` that it needs, and what makes its message, if any."""
+
+    type: str
+    product: str
+    make: Callable[[ResultMessages, Any, Result], Any]
+
+
+RESULT_TOPICS = {
+    "membrane": ResultTopic(POINT_CLOUD, "patch", _membrane),
+    "contact_patch": ResultTopic(POINT_CLOUD, "patch", _patch),
+    "contact_wrench": ResultTopic(WRENCH, "patch", _wrench),
+    "contact_wrench_sigma": ResultTopic(WRENCH, "patch", _wrench_sigma),
+    "contact_markers": ResultTopic(CONTACT_MARKERS, "patch", _markers),
+    "object_pose": ResultTopic(POSE, "pose", _object_pose),
+    "traction_wrench": ResultTopic(WRENCH, "traction", _traction_wrench),
+    "traction_wrench_sigma": ResultTopic(WRENCH, "traction", _traction_sigma),
+    "traction_center": ResultTopic(POINT, "traction", _traction_center),
+    "slip_share": ResultTopic(NUMBER, "slip", _slip_share),
+    "slip_share_sigma": ResultTopic(NUMBER, "slip", _slip_sigma),
+}
+"""Topics by their names behind the prefix."""
