@@ -39,7 +39,7 @@ _UINT8, _FLOAT32 = 2, 7  # datatypes of sensor_msgs/PointField
 class ResultMessages:
     """Makes the messages of results; everything is in the bubble's frame B.
 
-    Behind the prefix are the `RESULT_TOPICS`; besides `/tf_static` and `/diagnostics`. Of an
+    After the prefix are the `RESULT_TOPICS`; there are also `/tf_static` and `/diagnostics`. Of an
     estimate that is not to be trusted there are no numbers: the membrane has no pressure, the
     markers and the diagnostics say why.
     """
@@ -68,7 +68,7 @@ class ResultMessages:
     def of(
         self, result: Result, is_wanted: Callable[[str, str], bool] = lambda topic, kind: True
     ) -> Iterator[Message]:
-        """Messages of what there is of a result, stamped as its frame.
+        """Messages of a result, stamped as its frame.
 
         `is_wanted` is asked for topic and type before the message is made.
         """
@@ -84,7 +84,7 @@ class ResultMessages:
     def diagnostics(
         self, now_ns: int, status: Status, counters: Counters, result: Result | None
     ) -> Message:
-        """How the source and the estimate are doing."""
+        """State of the source and of the estimate."""
         kinds = ros2_types().types
         entry, pair = (
             kinds["diagnostic_msgs/msg/DiagnosticStatus"],
