@@ -36,7 +36,7 @@ def connect_two(bench, port):
 
 def in_use():
     """Number of solver processes."""
-    return sum(thread.name == "solver watch" for thread in threading.enumerate())
+    return sum(thread.name == "solver watchdog" for thread in threading.enumerate())
 
 
 def none_left():
