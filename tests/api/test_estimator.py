@@ -143,7 +143,7 @@ def test_damaged_image_of_a_known_unit_gives_a_status(frames, estimator):
 
 @pytest.mark.parametrize("pressure", [2585.0, 103.9, 0.0, np.float32(-1.0)])
 def test_gas_pressure_not_absolute_or_not_in_pascals_is_refused(pressure, frames, estimator):
-    with pytest.raises(bv.InputError, match=r"the absolute pressure in Pa is expected, near 1039"):
+    with pytest.raises(bv.InputError, match=r"expected the absolute pressure in Pa, near 1039"):
         estimator.update(frames[0].depth_m, gas_pressure_pa=pressure)
 
 

@@ -287,6 +287,7 @@ class Controller(QObject):
     def _request_frame(self) -> None:
         """Request the frame at the cursor, unless another source is being opened."""
         if self.state.facts is not None and self.state.facts is self.client.facts:
+            self._cold_solve_timer.stop()  # of the frame shown before
             self.client.request_frame(self.state.frame, Demand.of(self.state.settings))
 
     def _request_newest(self) -> None:
