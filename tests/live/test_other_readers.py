@@ -49,7 +49,7 @@ def watched(tmp_path_factory, small_sensor):
 
 
 def test_rosbags_reads_every_topic_and_all_frames_of_reference_are_connected(watched, small_sensor):
-    named, poses = defaultdict(set), StaticPoses()
+    named, poses, drawn = defaultdict(set), StaticPoses(), set()
     with AnyReader([watched]) as bag:
         assert {name: topic.msgtype for name, topic in bag.topics.items()} == TOPICS
         for connection, _, raw in bag.messages():
@@ -58,8 +58,10 @@ def test_rosbags_reads_every_topic_and_all_frames_of_reference_are_connected(wat
                 poses = poses.after(message)
                 continue
             stamped = getattr(message, "markers", [message])
+            drawn |= {each.ns for each in getattr(message, "markers", [])}
             for frame_id in {each.header.frame_id for each in stamped} - {""}:  # diagnostics
                 named[frame_id].add(connection.topic)
+    assert drawn == {"", "patch", "force", "object"}
     assert named.keys() == {"bubble", "bubble_depth_optical_frame"}
     T_B_C = poses.pose("bubble_depth_optical_frame", "bubble")
     np.testing.assert_allclose(T_B_C, small_sensor.camera.T_B_C, atol=1e-12)

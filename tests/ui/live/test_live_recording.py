@@ -111,6 +111,16 @@ def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):
         live.wait(lambda: results <= topics)
     finally:
         source.stop()
+    # a recording that begins later also has the frame of reference, which is sent once
+    live.record()
+    live.wait_for_frames(5)
+    with AnyReader([live.stop()]) as bag:
+        assert bag.topics["/bubbleviz/membrane"].msgcount > 0
+        placed = set()
+        for connection, _, raw in bag.messages(bag.topics["/tf_static"].connections):
+            for each in bag.deserialize(raw, connection.msgtype).transforms:
+                placed.add((each.header.frame_id, each.child_frame_id))
+    assert placed == {("bubble_depth_optical_frame", "bubble")}
     live.window.live.publish.click()
     live.wait(lambda: not listens())
     live.wait(lambda: not live.window.controller.client.extra_products)

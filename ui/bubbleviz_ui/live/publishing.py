@@ -13,7 +13,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.live import LiveStream, ResultMessages
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.recordings import RESULTS, Message
+from bubbleviz.recordings import RESULTS, Message, are_static_poses
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.engine.worker import Failed, Worker
@@ -90,13 +90,8 @@ class Publishing(QObject):
         if self.on:
             return
         self.on, endpoint = True, self.endpoint
-        several = len(run.frames) > 1
-        for frames, each in zip(run.frames, run.session.sensors, strict=True):
-            send = _Sender(self, run)
-            sender = ResultSender(frames.stream, send, each.place.name if several else "")
-            self._senders.append(sender)
-            self._unsubscribe.append(frames.listen(sender))
-        self._worker.submit(partial(_publisher, endpoint), self._on_open, self._on_refused)
+        then = partial(self._on_open, run)
+        self._worker.submit(partial(_publisher, endpoint), then, self._on_refused)
         self.changed.emit()
 
     def stop(self) -> None:
@@ -140,12 +135,18 @@ class Publishing(QObject):
             UserMessage("error", f"Not publishing: {failed.message}", failed.details)
         )
 
-    def _on_open(self, publisher: ZenohPublisher) -> None:
+    def _on_open(self, run: LiveRun, publisher: ZenohPublisher) -> None:
         if not self.on:
             self._worker.submit(publisher.close)
-        else:
-            with self._lock:
-                self._publisher = publisher
+            return
+        with self._lock:
+            self._publisher = publisher
+        several = len(run.frames) > 1
+        for frames, each in zip(run.frames, run.session.sensors, strict=True):
+            send = _Sender(self, run)
+            sender = ResultSender(frames.stream, send, each.place.name if several else "")
+            self._senders.append(sender)
+            self._unsubscribe.append(frames.listen(sender))
 
 
 class _Sender:
@@ -156,7 +157,7 @@ class _Sender:
 
     def __call__(self, message: Message) -> None:
         self._publishing.put(message)
-        if self._recorder.recording:
+        if self._recorder.recording or are_static_poses(message.topic, message.type):
             self._recorder.push(message._replace(arrival_ns=time.time_ns()))
 
     def is_wanted(self, topic: str, kind: str) -> bool:
