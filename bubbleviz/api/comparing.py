@@ -203,7 +203,10 @@ def compare(
         None if out is None else str(out),
     )  # fmt: skip
     if not np.isfinite(found.force_difference_n).any():
-        raise InputError(f"{names[0]}, {names[1]}: no frames to compare at the same times")
+        raise InputError(
+            f"{names[0]}, {names[1]}: at no time have both a trusted force; align by contact, or "
+            "check the status of the frames"
+        )
     if out is not None:
         found.save(out, overwrite=overwrite)
     return found

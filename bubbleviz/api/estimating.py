@@ -165,7 +165,7 @@ def estimate(
         solving |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
         return _watched(frames, sensor, timeout_s, out, csv, **solving)
     if csv is not None and out is None:
-        raise InputError(f"{csv}: a CSV is written only together with RESULT.npz; give out as well")
+        raise InputError(f"{csv}: a CSV is written only together with RESULT.npz; set out as well")
     _check_outputs(out, csv, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
@@ -343,13 +343,13 @@ def sensor_for(frames: Frames, sensor: SensorName) -> tuple[str, Sensor, Intrins
 
 
 def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
-    """Have a pipeline see shear in a recording's colour images; what it is measured against."""
+    """Use a recording's colour images for shear; returns a text about their reference."""
     from bubbleviz.shear import watch_recorded_texture  # needs OpenCV
 
     if not isinstance(frames.source, Recording):
         raise InputError(
-            f"{frames.name}: shear needs a recording with colour images; record the source to a "
-            "file and open that"
+            f"{frames.name}: shear needs a ROS recording with colour images, not frames in memory "
+            "or another format"
         )
     source = frames.source
     return watch_recorded_texture(

@@ -528,8 +528,8 @@ def _check_rise(shape: _MeasuredShape, gauge_pa: float, *, pressed: bool) -> Non
         )
     if abs(rise) < _MIN_RISE * gauge_pa:
         raise InputError(
-            f"{name}: its gas pressure differs from that at rest by {rise:.0f} Pa only;"
-            + (" press deeper" if pressed else " inflate by 15 % more and less")
+            f"{name}: its gas pressure is only {rise:.0f} Pa from that at rest;"
+            + (" press deeper" if pressed else " record levels 15 % above and below it")
         )
 
 

@@ -148,7 +148,7 @@ def check_sensor(
     largest = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
     names = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
-    force = "" if error is None else f", {error:.2g} N of a press of {press:.2g} N"
+    force = "" if error is None else f", which changes a press of {press:.2g} N by {error:.2g} N"
     reason = (
         f"drifted by {1e3 * rest.bias_m:+.2f} mm{force} ({names or 'pattern of the pixels'}):"
         f" {largest.todo if largest else _REMEDY[False]}"

@@ -53,7 +53,9 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     """
     intrinsics = new.model.camera.intrinsics
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
-        raise InputError(f"{old.name}: from another camera; pixels cannot be compared")
+        raise InputError(
+            f"{old.name}: has images of another size; compare with a sensor of this camera"
+        )
     measured = np.where(new.pixels.mask, new.statistics.range_m, np.nan)
     models = SensorModel.of(old, intrinsics), new.model
     before, after = (_numbers(model, measured) for model in models)

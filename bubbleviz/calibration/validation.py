@@ -1,4 +1,4 @@
-"""Validation by a known object at a known pose: predicted membrane against the measured cloud."""
+"""Validation by a known object at a known pose: membrane, patch and force against prediction."""
 
 from __future__ import annotations
 

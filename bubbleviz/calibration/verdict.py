@@ -80,10 +80,10 @@ def _surface(found: Identification) -> str:
             "rms)."
         )
     if surfaces.chosen == "ellipsoid":
-        return f"Dome not spherical: misfit of the sphere {sphere}; use the ellipsoid ({cap})."
+        return f"The dome is not spherical: the ellipsoid is used (misfit {cap}; sphere {sphere})."
     return (
-        f"Dome not spherical: misfit of the sphere {sphere}, of the ellipsoid {cap}; use the "
-        f"free-form surface ({free})."
+        f"The dome is not spherical: the free-form surface is used (misfit {free}; sphere "
+        f"{sphere}, ellipsoid {cap})."
     )
 
 
@@ -94,8 +94,9 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     if found.samples.gas_pressure_pa is None:
         out.append(
             "The recording has no gas pressure: γ0 is computed from the sensor file's gauge "
-            f"pressure and has the same relative error ({pressure(100.0)}:"
-            f" {100 * tension.per_pascal:.2f} N/m). Record the pressure, or measure it."
+            f"pressure: an error there of {pressure(100.0)} changes γ0 by"
+            f" {100 * tension.per_pascal:.2f} N/m. Record the gas pressure, or measure the gauge"
+            " pressure and enter it."
         )
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
     change = tension.gauge_pressure_pa / given - 1.0
@@ -133,7 +134,9 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:
-        out.append(f"Only {frames} frames: record {_MIN_FRAMES} or more.")
+        out.append(
+            f"Only {frames} contact-free frames: record {_MIN_FRAMES} or more without contact."
+        )
     return out
 
 
@@ -148,14 +151,14 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         gauge_text = f"{pressure(gauge.value)}, 95 % interval {interval}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
-        "pixels": "record more frames or levels (noise and fixed pattern of the pixels)",
-        "frames": "let gas and camera settle (drift between frames)",
-        "gas_pressure": "record longer (noise of the gas pressure)",
-        "facets": "use more nodes (flat facets of the mesh)",
+        "pixels": "record more frames or levels (largest error: noise and pattern of the pixels)",
+        "frames": "let gas and camera settle (largest error: drift between frames)",
+        "gas_pressure": "record longer (largest error: noise of the gas pressure)",
+        "facets": "use more nodes (largest error: flat facets of the mesh)",
         "gauge_pressure": "measure the gauge pressure more accurately",
-        "statics": "nothing: with an oval rim, shape and pressure do not determine the mean "
-        "tension",
-        "surface": "uncover the rim (shape that is hidden or too fine for the fit)",
+        "statics": "nothing, as shape and pressure of a sensor with an oval rim do not determine "
+        "the mean tension",
+        "surface": "uncover the rim (largest error: shape that is hidden or too fine for the fit)",
     }[part]
     if rubber is None:
         source, narrower = "neither levels nor a press were recorded", _LEVELS
@@ -194,9 +197,11 @@ def validation_advice(validation: Validation | None) -> list[str]:
         return []
     share = validation.rms_m / max(validation.untouched_rms_m, 1e-12)
     text = (
-        f"Known press: the prediction misses the cloud by {1e3 * validation.rms_m:.2f} mm rms, the"
-        f" untouched membrane by {1e3 * validation.untouched_rms_m:.2f} mm rms"
+        f"predicted membrane {1e3 * validation.rms_m:.2f} mm rms from the measured points, without"
+        f" the press {1e3 * validation.untouched_rms_m:.2f} mm rms"
     )
     if share > 0.5:
-        return [f"{text}: check the pose, the object, the gauge pressure and γ0."]
-    return [f"{text}."]
+        return [
+            f"Known press, poor: {text}. Check the pose, the object, the gauge pressure and γ0."
+        ]
+    return [f"Known press, good: {text}."]

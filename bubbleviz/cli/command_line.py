@@ -129,9 +129,7 @@ class AllCommands(OneLineErrors):
         if name in self.commands:
             return self.commands[name]
         if name in MOVED:
-            raise InputError(
-                f"{name} is not installed since version 0.3; in a checkout: {MOVED[name]}"
-            )
+            raise InputError(f"{name} is no longer installed; run in a checkout: {MOVED[name]}")
         for entry in entry_points(group=WINDOW_GROUP, name=name):
             command: click.Command = entry.load()
             return command

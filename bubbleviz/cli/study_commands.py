@@ -34,7 +34,7 @@ class Studies(click.Group):
 
 def _moved(name: str) -> NoReturn:
     command = f"python -m benchmarks {MOVED[name]}"
-    raise InputError(f"study {name} is not installed since version 0.3; in a checkout: {command}")
+    raise InputError(f"study {name} is no longer installed; run in a checkout: {command}")
 
 
 def _moved_option(option: str) -> Callable[..., Any]:

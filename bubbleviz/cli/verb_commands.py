@@ -1,6 +1,6 @@
-"""Functions of `bubbleviz.api` as commands with the same options; imports inside functions.
+"""Commands, one for each function of `bubbleviz.api`.
 
-An option has the name of the parameter, without a plain SI unit.
+Options are named like its parameters, mostly without the unit.
 """
 
 from __future__ import annotations

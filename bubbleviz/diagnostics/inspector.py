@@ -101,7 +101,7 @@ def inspection(
     kappa: float | None = None,
     truth: np.ndarray | None = None,
 ) -> Inspection:
-    """Requested diagnostics of a result, without those whose products it lacks.
+    """The requested diagnostics that can be computed from this result.
 
     Parameters as in `Pipeline.diagnose`; κ is that of the result's patch.
     """

@@ -1,4 +1,4 @@
-"""Atomic output files that never silently overwrite."""
+"""Atomic output files that never silently overwrite; tables as CSV, JSON and text."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ class Estimator:
         if len(self.mesh.nodes) > MAX_NODES:
             raise InputError(
                 f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
-                f"use at most {MAX_NODES}, as noise hides what 3,000 cannot resolve"
+                f"use at most {MAX_NODES:,}; more than 3,000 gain nothing beyond the noise"
             )
         self.observer, self.bubble = observer, bubble
         self.options = options or EstimatorOptions()

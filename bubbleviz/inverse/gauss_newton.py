@@ -51,11 +51,11 @@ _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
 `_MAX_STEP`: a frame that has not converged by then contradicts the model."""
 _MAX_STALLED, _STALLED_SHARE = 3, 0.72
 """Consecutive large steps that leave more than this share of the smallest χ² so far, after which a
-frame counts as failed. A step of the largest length that leads to a contact leaves less, as a share
-of the distance remains: of frames that converged a plane across a dome, 29 mm deep, had two in a
-row, all others one at most, on the real press, on rubber dragged and twisted by another solver, and
-in presses of six objects. A plate that presses 40 of 50 mm into a dome is refused by this. Images
-of no membrane took up to 15 such steps, of 0.3 s each."""
+frame counts as failed. Steps of the largest length towards a contact reduce χ² more than this. Of
+the converged frames of the real press, of rubber dragged and twisted by another solver, and of
+presses of six objects, one (a plane 29 mm deep across a dome) had two such steps in a row, all
+others one at most. A plate that presses 40 of 50 mm into a dome is refused by this. Images of no
+membrane took up to 15 such steps, of 0.3 s each."""
 _MAX_SELECTIONS, _SELECTION_ROUNDS = 2, 6
 """Selections of the support at a converged shape, and how often each may add nodes with a negative
 gradient."""

@@ -286,8 +286,8 @@ class LiveStream:
         """The error to raise about a source without a depth image, with the reason if known."""
         reason = self.source.problem or self.counters.problem or self.offered
         return InputError(
-            f"--source {self.uri}: no depth image arrived: {reason}; check the place and the depth "
-            "topic"
+            f"--source {self.uri}: no depth image arrived: {reason}; check the address or "
+            "file, and the depth topic"
         )
 
     @property

@@ -1,4 +1,4 @@
-"""Opening a live stream from a source URI."""
+"""Opening live streams from URIs and session presets; choice of the sensor."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Gas:
     def at(self, growth_m3: float, give: float = 0.0) -> tuple[float, float]:
         """p_v, Pa, and −dp_v/dV, Pa/m³, at a volume change; inf for a volume of 0 or less.
 
-        With a `give` c in m³/Pa, by which something else makes room, it is the upper root of
+        `give` is the compliance c, m³/Pa, of another volume: p_v then is the upper root of
         (P0 + p_v)(V + c p_v) = P0 V0.
         """
         volume = self.V0 + growth_m3

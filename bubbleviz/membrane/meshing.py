@@ -131,8 +131,8 @@ class EllipsoidalCap:
             c_m = (a2 + height_m**2) / (2.0 * height_m)
         if not c_m > 0.5 * height_m:
             raise InputError(
-                f"vertical semi-axis {c_m} m: at most half the height {height_m} m;"
-                " give a larger one"
+                f"vertical semi-axis {c_m} m is too small; it must exceed half the height, "
+                f"{0.5 * height_m} m"
             )
         return cls((ax, ay), height_m, c_m)
 
@@ -452,7 +452,8 @@ def _check_connected(
     if pieces > 1:
         t = int(np.flatnonzero(label == np.bincount(label).argmin())[0])
         raise InputError(
-            f"{pieces} separate pieces, one at {_place(nodes[triangles[t, 0]])}; keep the membrane"
+            f"{pieces} separate pieces, one at {_place(nodes[triangles[t, 0]])}; delete all but "
+            "the membrane"
         )
 
 

@@ -44,7 +44,7 @@ def area_and_bending(mesh: MembraneMesh) -> tuple[float, float]:
 
 
 def area_shares(mesh: MembraneMesh) -> np.ndarray:
-    """Area represented by each node over its own, (n,): rim nodes' goes to their neighbours."""
+    """Factor (n,) by which nodes' areas grow when free nodes take over those of the rim."""
     start, end = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
     both = np.stack([np.concatenate([start, end]), np.concatenate([end, start])], axis=1)
     edges = np.unique(both, axis=0)
@@ -70,7 +70,7 @@ def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
     if not bending > 0.0:
         raise InputError(
             "reference surface: flat or concave, so no tension can balance the gauge pressure; "
-            "inflate it"
+            "identify the inflated sensor, or correct the surface in the sensor file"
         )
     return gauge_pressure_pa * area / bending
 

@@ -39,8 +39,8 @@ from bubbleviz.pose.registration import ContactPoints
 _TRIES = 30
 _MAX_TRIES = 200_000  # random points for each one that is kept, and in total
 _SHARPEST = 0.1
-"""1 + cosine between the normals of an edge of 26°. Sharper ones are rounded as if they had that
-angle: the tip of a rounded blade would be far back."""
+"""Lower limit of 1 + cos(angle between the normals of an edge): sharper edges are treated as edges
+of 26°, as rounding would move their tip too far back."""
 
 
 def contact_samples(model: ObjectSurface, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -27,9 +27,9 @@ from bubbleviz.wording import count_of
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 INTRINSICS = ("intrinsics.toml", "intrinsics.json")
-"""Files in the folder that may have its intrinsics."""
+"""Names under which intrinsics are looked for in folders."""
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 10.0
-"""Range of the median depth of a camera inside a bubble, with ample margin: else wrong unit."""
+"""Range of the median depth of a camera inside a bubble; outside it the unit is wrong."""
 MIN_GAS_PA, MAX_GAS_PA = 20e3, 1e6
 """Range of the absolute gas pressure of a bubble: else another unit, or a gauge pressure."""
 FOLDERS = ("color", "colour", "rgb")  # names of a subfolder of colour images
@@ -86,7 +86,10 @@ class ImageFolder:
             )
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
-            raise InputError(f"{folder}: the time of image {late} is not after the one before")
+            raise InputError(
+                f"{self._files[late]}: its time is not after that of the image before; correct the "
+                "times"
+            )
         self._clock_s = np.asarray(stamps, dtype=np.float64)
         self.times_s = self._clock_s - self._clock_s[0]
         self._colour = self._find_colour()

@@ -264,7 +264,7 @@ def _stacked(images: Iterable[np.ndarray]) -> np.ndarray:
     found = [np.asarray(image, np.uint8) for image in images]
     if len(found) < MIN_FRAMES:
         raise InputError(
-            f"colour images: {len(found)} of contact-free frames; give at least {MIN_FRAMES}"
+            f"only {len(found)} contact-free colour images; give at least {MIN_FRAMES}"
         )
     if len({image.shape for image in found}) > 1:
         raise InputError("colour images: sizes differ; give frames of one camera and mode")

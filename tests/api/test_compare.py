@@ -106,7 +106,7 @@ def test_what_cannot_be_compared_is_refused(runs, tmp_path):
     clear = runs[1][: 2 + LATER]
     with pytest.raises(InputError, match=r"b\.mcap: no contact was found; align by time"):
         bv.compare(runs[0], clear, align="contact")
-    with pytest.raises(InputError, match="no frames to compare"):
+    with pytest.raises(InputError, match="at no time have both a trusted force"):
         bv.compare(runs[0][:2], runs[0][4:])
     with pytest.raises(InputError, match=r"end it in \.png"):
         bv.compare(*runs, out=tmp_path / "a.xyz")

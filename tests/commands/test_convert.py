@@ -243,7 +243,7 @@ def test_force_equals_that_of_the_original(tmp_path):
         (lambda p: np.save(p / "0.npy", np.full((24, 32), -0.1)), "most depths are negative"),
         (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "need the camera's intrinsics"),
         (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: missing; add it"),
-        (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "the time of image 2 is not after"),
+        (lambda p: (p / "times.csv").write_text("0\n1\n1\n"), "3.npy: its time is not after"),
     ],
 )
 def test_invalid_input_gives_one_sentence(spoil, words, tmp_path):

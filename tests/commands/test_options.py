@@ -158,7 +158,7 @@ def test_run_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path
 
 
 def test_unused_output_options_are_refused(press, sensor, tmp_path):
-    with pytest.raises(bv.InputError, match=r"r\.csv: .* give out as well"):
+    with pytest.raises(bv.InputError, match=r"r\.csv: .* set out as well"):
         bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
     with bv.connect(f"replay:{press}", sensor) as stream:
         for verb in (bv.estimate, partial(bv.track, object="sphere")):

@@ -51,8 +51,8 @@ class ScorePlot(QWidget):
         super().__init__()
         self.setFixedHeight(HEIGHT)
         self.setToolTip(
-            "Change since rest, in standard deviations, of the gas pressure and of the 1 % of "
-            f"pixels that changed most; dashed: {SIGNIFICANT:g} σ, above it is contact"
+            "Change since rest, in standard deviations: gas pressure, and the 1 % of pixels that "
+            f"changed most. Above the dashed line ({SIGNIFICANT:g} σ): contact"
         )
         self._scores: dict[str, np.ndarray] = {}
         self._axis = TimeAxis(np.zeros(0))

@@ -71,7 +71,7 @@ class SourceFacts:
         return (self.frames - 1) / span if span > 0 else float("nan")
 
     def badge(self, connection: ConnectionState, *, frozen: bool) -> Badge:
-        """Status in one word; the connection state counts only for its own frames."""
+        """Status in one word; the connection state matters only while frames are added."""
         if not self.live:
             return ""
         if self.grows and connection != "live":

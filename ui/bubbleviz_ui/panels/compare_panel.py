@@ -156,7 +156,7 @@ class OtherRecording(QWidget):
     def _lay_out(self) -> None:
         self.align.setAccessibleName("Alignment")
         self.align.setToolTip(
-            "What happens at one time: since the recordings began, or since contact"
+            "Align the recordings by the time since their start, or since first contact"
         )
         self.start.setToolTip("Solve all frames of both with the settings of the window")
         self.remove.setToolTip("Forget the other recording and sensor file")

@@ -50,7 +50,7 @@ class KappaPanel(QWidget):
         self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
-            "From the physics of contact: each patch must reach the gas pressure somewhere.\n"
+            "From the physics of contact: contact pressure reaches the gas pressure somewhere.\n"
             "Untick to draw the patch where the contact pressure p_c exceeds κ times its mean"
             " (section V-C of the paper)"
         )
@@ -68,8 +68,8 @@ class KappaPanel(QWidget):
         self.solver = control(state, "solver")
         self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
         self.area.setToolTip(
-            "Area on the membrane; in brackets the areas inside the inner and the outer thin line,"
-            " between which noise may put the patch's edge"
+            "Area on the membrane. In brackets the areas inside the two thin lines: the smallest"
+            " and the largest patch that noise allows"
         )
         self.by_object.setToolTip("Patch from the object at its pose (green outline)")
         self.doubt = QLabel(wordWrap=True)

@@ -270,7 +270,9 @@ class SensorPanel(QWidget):
         path, short = str(sensor.resolve(sensor.file).absolute()), file_text(sensor)
         is_path = short == sensor.file
         self.file.setText(path if is_path else short)
-        self.file.setToolTip(path if sensor.file else "Calibration → Report saves it")
+        self.file.setToolTip(
+            path if sensor.file else "Not saved yet; save it in Calibration → Report"
+        )
 
     # -- a copy -------------------------------------------------------------------------------
 
