@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Alignment = Literal["time", "contact"]
-"""By the time since the recordings began, or since the first frame with contact."""
-_SAME_S = 1e-4  # two frames nearer in time than this are of one moment
+"""By the time since the start of each recording, or since its first frame with contact."""
+_SAME_S = 1e-4  # frames closer in time than this count as simultaneous
 _STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
     "median": np.median,
     "p95": lambda values: np.percentile(values, 95.0),
@@ -32,22 +32,22 @@ _STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
 
 @dataclass(frozen=True)
 class Comparison(SavedSummary):
-    """Two runs in the F frames of the first; the other one is interpolated between its frames.
+    """Two runs at the F frames of the first; the other one is interpolated between its frames.
 
     Attributes
     ----------
     recording, other : str
     align : {"time", "contact"}
     shift_s : float
-        What happens in the first at t happens in the other at t + `shift_s`, s.
+        Time t of the first corresponds to t + `shift_s` of the other, s.
     time_s : (F,) array
         Since the first recording began, s.
     force_n, other_force_n : (F, 3) array
-        N in the bubble frame of each; NaN where there is none to trust.
+        N in the bubble frame of each; NaN without a trusted estimate.
     area_m2, other_area_m2 : (F,) array
-        Of the patch, m².
+        Patch area, m².
     out : str or None
-        Where it was written.
+        File or folder written.
     """
 
     stem = "comparison"
@@ -74,7 +74,7 @@ class Comparison(SavedSummary):
         return self.other_area_m2 - self.area_m2
 
     def facts(self) -> dict[str, Any]:
-        """Counts and statistics, SI units: of sizes, over frames with contact in either."""
+        """Counts, and statistics of |ΔF| and |Δarea| in frames with contact in either, SI."""
         differences = {
             "force_difference_n": self.force_difference_n,
             "area_difference_m2": np.abs(self.area_difference_m2),
@@ -97,17 +97,17 @@ class Comparison(SavedSummary):
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
-        told, by = self.facts(), "time"
+        facts, by = self.facts(), "time"
         if self.align == "contact":
             by = f"first contact: {self.shift_s:+.3f} s in {Path(self.other).name}"
-        contact = count_of(told["contact_frames"], "frame")
-        lines = [f"compared  {count_of(told['frames'], 'frame')}, aligned by {by}"]
+        contact = count_of(facts["contact_frames"], "frame")
+        lines = [f"compared  {count_of(facts['frames'], 'frame')}, aligned by {by}"]
         lines += [f"contact   {contact}; differences in these:"]
         for label, name, factor, unit in (
             ("|ΔF|", "force_difference_n", 1.0, "N"),
             ("|Δarea|", "area_difference_m2", 1e6, "mm²"),
         ):
-            median, p95, most = (told[f"{each}_{name}"] for each in _STATISTICS)
+            median, p95, most = (facts[f"{each}_{name}"] for each in _STATISTICS)
             if median is not None:
                 numbers = [f"{factor * number:.3g} {unit}" for number in (median, p95, most)]
                 lines.append("{:9} {} median, {} 95th percentile, {} max".format(label, *numbers))
@@ -167,13 +167,13 @@ def compare(
     first, other : Run, sequence of Frame or path
         What `estimate` found with any options, a RESULT.npz, or a recording, which is estimated.
     sensor, other_sensor : str, path or Sensor, optional
-        Of recordings, as of `estimate`; the other one's is the first one's by default.
+        Sensors of the recordings, as in `estimate`; that of the other is by default the same.
     align : {"time", "contact"}
-        By the time since each began, or since the first frame in which it has contact.
+        By the time since the start of each, or since its first frame with contact.
     out : path, optional
-        As of `Comparison.save`.
+        As in `Comparison.save`.
     overwrite : bool
-        Replace what is there.
+        Replace existing files.
     progress : Progress
 
     Returns
@@ -183,8 +183,8 @@ def compare(
     Raises
     ------
     InputError
-        A recording cannot be estimated, they have no time in common, one to be aligned by contact
-        has none, or `out` exists.
+        A recording cannot be estimated, they never have a trusted force at the same time, one has
+        no contact to align by, or `out` exists.
 
     Examples
     --------

@@ -135,7 +135,7 @@ def estimate(
     overwrite : bool
         Replace existing files.
     timeout_s : float, optional
-        Longest wait for a frame of a stream, s, by default that of `connect`; None waits for ever.
+        Longest time without a frame of a stream, s; by default that of `connect`, None: no limit.
     progress : Progress
 
     Returns

@@ -1,4 +1,4 @@
-"""Base class of a summary that is also a plot and a table, for files."""
+"""Base class of summaries that are saved as plot, table and numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SavedSummary(Summary):
 
     @abstractmethod
     def plot(self) -> Figure:
-        """What the table has, as a figure."""
+        """Figure of the table."""
 
     def save(self, out: str | Path, *, overwrite: bool = False) -> None:
         """Write a plot (.png, .svg, .pdf), a table (.csv), numbers (.json), or a folder of all.
@@ -36,7 +36,7 @@ class SavedSummary(Summary):
         Raises
         ------
         InputError
-            The name ends otherwise, or the file exists.
+            Another suffix, or the file exists.
         """
         out = Path(out)
         check_out(out, overwrite=overwrite)
@@ -58,7 +58,7 @@ class SavedSummary(Summary):
 
 
 def check_out(out: str | Path | None, *, overwrite: bool) -> None:
-    """InputError where a `SavedSummary` cannot be written there, before it is computed."""
+    """Raise InputError if a `SavedSummary` cannot be written there."""
     if out is None:
         return
     if Path(out).suffix not in ("", ".csv", ".json", *_PICTURES):

@@ -70,7 +70,7 @@ class ResultMessages:
     ) -> Iterator[Message]:
         """Messages of a result, stamped as its frame.
 
-        `is_wanted` is asked for topic and type before the message is made.
+        `is_wanted(topic, type)` decides before a message is made.
         """
         stamp = result.frame.stamp_ns
         header = make_header(max(stamp, 0), self._frame_id)
@@ -120,7 +120,7 @@ def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:
 
 
 def _membrane(messages: ResultMessages, header: Any, result: Result) -> Any:
-    """All nodes; of an untrusted estimate where they are at rest, without pressure."""
+    """All nodes; for an untrusted estimate at rest, with NaN pressure."""
     mesh = messages.mesh
     if (trusted := result.trusted_estimate) is None:
         count = len(mesh.nodes)
@@ -178,7 +178,7 @@ def _wrench(_: ResultMessages, header: Any, result: Result) -> Any:
 
 
 def _wrench_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
-    """Of the force; that of the torque is not known."""
+    """Standard deviations of the force; those of the torque are unknown, NaN."""
     estimate = result.trusted_estimate
     if estimate is None or estimate.force_sigma_n is None:
         return None
@@ -191,7 +191,7 @@ def _markers(messages: ResultMessages, header: Any, result: Result) -> Any:
 
 def _object_pose(_: ResultMessages, header: Any, result: Result) -> Any:
     pose, kinds = result.pose, ros2_types().types
-    if pose is None or pose.status != "ok":  # no stale one as if found now
+    if pose is None or pose.status != "ok":  # a stale pose is not published
         return None
     covariance = np.ascontiguousarray(pose.origin_covariance.ravel())
     body = kinds["geometry_msgs/msg/PoseWithCovariance"](make_pose(pose.T_B_O), covariance)
@@ -199,14 +199,14 @@ def _object_pose(_: ResultMessages, header: Any, result: Result) -> Any:
 
 
 def _friction(result: Result) -> Traction | None:
-    """The traction with friction, if it is known."""
+    """Traction with friction, or None."""
     traction = result.traction
     known = traction is not None and traction.status == "ok" and result.trusted_estimate is not None
     return traction if known else None
 
 
 def _traction_wrench(_: ResultMessages, header: Any, result: Result) -> Any:
-    """About B's origin, as transform libraries take it to be; zero without contact."""
+    """Torque about B's origin, as transform libraries assume; zero without contact."""
     if (traction := _friction(result)) is not None:
         torque = traction.torque_about(np.zeros(3))
         return make_wrench(header, np.concatenate([traction.force_n, torque]))
@@ -243,7 +243,7 @@ def _slip_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
 
 
 class ResultTopic(NamedTuple):
-    """Type of a topic, field of `Result` that it needs, and what makes its message, if any."""
+    """Type of a topic, field of `Result` that it needs, and function that makes its message."""
 
     type: str
     product: str
@@ -263,4 +263,4 @@ RESULT_TOPICS = {
     "slip_share": ResultTopic(NUMBER, "slip", _slip_share),
     "slip_share_sigma": ResultTopic(NUMBER, "slip", _slip_sigma),
 }
-"""Topics by their names behind the prefix."""
+"""Topics by name after the prefix."""

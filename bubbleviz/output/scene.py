@@ -1,4 +1,4 @@
-"""The membrane of one frame as a scene of trimesh, which notebooks turn and other programs open."""
+"""The membrane of one frame as a trimesh scene, for notebooks and other programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ARROW = 0.5  # of the membrane's width, the length of the force's arrow
 def scene_of(model: SensorModel, result: Result) -> trimesh.Scene:
     """Deformed membrane coloured by contact pressure, outline of the patch, and force, in B, m."""
     import trimesh  # 0.2 s
-    from matplotlib import colormaps  # only where something is drawn
+    from matplotlib import colormaps  # not at import: it takes long
 
     mesh, shape = model.mesh, Shape.of(model.mesh, result)
     share = shape.contact_pressure_pa / (

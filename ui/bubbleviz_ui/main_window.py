@@ -46,9 +46,9 @@ from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
-from bubbleviz_ui.panels.membrane_beside import MembraneBeside
 from bubbleviz_ui.panels.plot_host import PlotHost
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
+from bubbleviz_ui.panels.second_membrane import SecondMembrane
 from bubbleviz_ui.panels.status_bar import PerformancePopup, StatusBar
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
@@ -145,7 +145,7 @@ class MainWindow(QMainWindow):
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)
         self.shear = ShearPanel(state, controller)
         self.pair = SensorPair(controller, self.scene, self.view)
-        self.beside = MembraneBeside(controller, self.scene, self.view)
+        self.second_membrane = SecondMembrane(controller, self.scene, self.view)
         self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
         self.live = LiveBar(self.live_controller, state.units)
         self.display_latency = DisplayLatency(controller, self.view)
@@ -374,8 +374,8 @@ class MainWindow(QMainWindow):
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.compare.measured.connect(self.scene.compare)
-        self.compare.other.aligned.connect(self.plots.show_beside)
-        self.compare.other.membrane.connect(self.beside.take)
+        self.compare.other.aligned.connect(self.plots.show_other)
+        self.compare.other.membrane.connect(self.second_membrane.take)
         self.view.dropped_files.connect(self._open_dropped)
         panels, keys = self.open_panels, self.shortcuts
         watch = self.undo_recorder.watch

@@ -56,7 +56,7 @@ def numbers(driver, title):
     return [float(text) for text in re.findall(r"([\d.]+) (?:N|mm²)", line)]
 
 
-def membranes_beside(driver):
+def second_membranes(driver):
     return [p for p in vtk_props(driver) if isinstance(p, vtkAssembly) and p.GetVisibility()]
 
 
@@ -78,13 +78,16 @@ def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path
     known = driver.state.history.quantity
     driver.wait(lambda: np.isfinite(known("force_n")).all())
     for plot, quantity, scale in (("force", "force_n", 1.0), ("area", "area_m2", 1e6)):
-        times, values = plots.plots[plot].beside[quantity].getOriginalDataset()
+        times, values = plots.plots[plot].other_curves[quantity].getOriginalDataset()
         own, same = scale * known(quantity), times > -0.5 * STEP_S
         np.testing.assert_allclose(times[same], np.arange(FRAMES) * STEP_S, atol=1e-6)
         np.testing.assert_allclose(values[same], own, atol=0.1 * own.max())
     # another setting makes other numbers: none of the old ones stays
     driver.state.change(kappa=3.0)
-    assert panel.result.text() == "" and plots.plots["force"].beside["force_n"].getData()[0] is None
+    assert (
+        panel.result.text() == ""
+        and plots.plots["force"].other_curves["force_n"].getData()[0] is None
+    )
     driver.click(panel.start)
     driver.wait(lambda: "median" in panel.result.text())
     driver.click(panel.remove)
@@ -98,11 +101,11 @@ def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, t
     choose(panel.recording, tmp_path / "later.mcap")
     driver.click(panel.start)
     driver.wait(lambda: "median" in panel.result.text())
-    assert not membranes_beside(driver)
+    assert not second_membranes(driver)
     driver.click(panel.drawn)
     driver.wait_for_redraw()
-    (beside,) = membranes_beside(driver)
-    low, high = np.array(beside.GetBounds()).reshape(3, 2).T
+    (second,) = second_membranes(driver)
+    low, high = np.array(second.GetBounds()).reshape(3, 2).T
     own = driver.nodes()
     assert low[0] > own[:, 0].max() and high[1] == pytest.approx(own[:, 1].max(), rel=0.05)
 
@@ -118,11 +121,11 @@ def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, t
     driver.wait_for_redraw()
     assert warm_halves() == (0, 0)  # neither touches
     driver.click(panel.drawn)
-    assert not membranes_beside(driver)
+    assert not second_membranes(driver)
     driver.click(panel.drawn)
     driver.open("nothing of this", DentSource, small_sensor())
     driver.wait(lambda: panel.result.text() == "")
-    assert not membranes_beside(driver)
+    assert not second_membranes(driver)
     driver.wait_until_shown()
 
 

@@ -1,4 +1,4 @@
-"""Compare panel: two settings on the frame that is shown, and another recording beside this one."""
+"""Compare panel: two settings on the frame shown, and the open recording against another one."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
 
 if TYPE_CHECKING:
     from bubbleviz.api.results import Run
-    from bubbleviz_ui.panels.other_recording import Beside
+    from bubbleviz_ui.panels.other_recording import AlignedRun
 
 NOT_MEASURED = None, None
 ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
@@ -58,7 +58,7 @@ ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),
 }
 """What is measured, by its title and its text."""
-STATISTICS = {"median": "median", "p95": "95 %", "max": "largest"}
+STATISTICS = {"median": "median", "p95": "95th percentile", "max": "maximum"}
 """Words for the statistics of a `Comparison`."""
 
 
@@ -118,7 +118,7 @@ class OtherRecording(QWidget):
     Both runs are solved in a thread of their own, with the settings of the window.
     """
 
-    aligned = Signal(object)  # A `Beside` whose curves are drawn, or None
+    aligned = Signal(object)  # A `AlignedRun` whose curves are drawn, or None
     membrane = Signal(object)  # The same where its membrane is drawn, too
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
@@ -127,16 +127,16 @@ class OtherRecording(QWidget):
         self.worker = Worker("compare")
         self._recording: Path | None = None
         self._sensor_file: Path | None = None
-        self._solved_how = self._how
+        self._solved_options = self._current_options
         self._runs: tuple[Run, Run] | None = None
-        self._beside: Beside | None = None
+        self._aligned: AlignedRun | None = None
         self.recording, self.sensor_file = QPushButton(), QPushButton()
         self.align = QComboBox()
         self.align.addItem("By time", "time")
         self.align.addItem("By first contact", "contact")
         self.start = QPushButton("Compare")
         self.remove = QPushButton("Remove")
-        self.drawn = QCheckBox("Membrane beside")
+        self.drawn = QCheckBox("Second membrane")
         self.result = QLabel(wordWrap=True)
         self._lay_out()
         self._forget()
@@ -162,7 +162,9 @@ class OtherRecording(QWidget):
         self.remove.setToolTip("Forget the other recording and sensor file")
         self.recording.setToolTip("Recording to compare with the one that is open")
         self.sensor_file.setToolTip("Sensor file of that recording, or of the open one")
-        self.drawn.setToolTip("Draw its membrane beside the open recording's, at the same time")
+        self.drawn.setToolTip(
+            "Draw its membrane next to that of the open recording, at the same time"
+        )
         self.result.setObjectName("value")
         choices = fill(QHBoxLayout(), (self.recording, 1), (self.sensor_file, 1))
         actions = fill(QHBoxLayout(), (self.align, 1), self.start, self.remove)
@@ -185,12 +187,12 @@ class OtherRecording(QWidget):
         self._drop()
 
     def _on_settings(self, _: object) -> None:
-        if (self._runs or self.worker.busy) and self._how != self._solved_how:
+        if (self._runs or self.worker.busy) and self._current_options != self._solved_options:
             self._drop()
         self._write()  # in the operator's units
 
     def _drop(self, _: object = None) -> None:
-        """Show nothing any more that was solved otherwise; what was chosen stays."""
+        """Discard the results; the chosen files stay."""
         self.worker.cancel()
         self._runs = None
         for button, path, title in (
@@ -207,12 +209,12 @@ class OtherRecording(QWidget):
         self._take(None)
 
     @property
-    def _how(self) -> ComparedOptions:
-        """What the window makes estimates and patches with."""
+    def _current_options(self) -> ComparedOptions:
+        """Options of estimate and patch that the window uses."""
         return self._state.settings.options, FrameOptions(*self._state.settings.patch_rule)
 
     def _start(self) -> None:
-        # with the first comparison: the window starts without
+        # not at start: it is needed for the first comparison
         from bubbleviz_ui.panels.other_recording import solve
 
         source, sensor = self._controller.opening.source, self._controller.sensor
@@ -224,9 +226,9 @@ class OtherRecording(QWidget):
             other, open_other = Source.of_recording(path), partial(sensor_for, path, sensor)
         if file is not None:
             open_other = partial(load_sensor, file)
-        how = self._solved_how = self._how
-        first = partial(solve, source, lambda: sensor, *how, self.worker.progress, keep=False)
-        second = partial(solve, other, open_other, *how, self.worker.progress, keep=True)
+        options = self._solved_options = self._current_options
+        first = partial(solve, source, lambda: sensor, *options, self.worker.progress, keep=False)
+        second = partial(solve, other, open_other, *options, self.worker.progress, keep=True)
         self.start.setEnabled(False)
         self.result.setText("opening …")
         self.worker.submit(lambda: (first(), second()), self._on_solved, self._on_failed)
@@ -241,42 +243,42 @@ class OtherRecording(QWidget):
         self.result.setText(failed.message)
 
     def _align(self, _: object = None) -> None:
-        from bubbleviz_ui.panels.other_recording import Beside  # as in `_start`
+        from bubbleviz_ui.panels.other_recording import AlignedRun  # as in `_start`
 
         if self._runs is None:
             return
         try:
-            self._take(Beside.of(*self._runs, self.align.currentData()))
+            self._take(AlignedRun.of(*self._runs, self.align.currentData()))
         except InputError as error:
             self._take(None)
             self.result.setText(str(error))
 
-    def _take(self, beside: Beside | None) -> None:
-        self._beside = beside
-        self.drawn.setEnabled(beside is not None)
-        self.aligned.emit(beside)
+    def _take(self, aligned: AlignedRun | None) -> None:
+        self._aligned = aligned
+        self.drawn.setEnabled(aligned is not None)
+        self.aligned.emit(aligned)
         self._draw_membrane()
         self._write()
 
     def _draw_membrane(self, _: object = None) -> None:
-        self.membrane.emit(self._beside if self.drawn.isChecked() else None)
+        self.membrane.emit(self._aligned if self.drawn.isChecked() else None)
 
     def _write(self, *_: object) -> None:
         """Write the differences, and those of the frame at the cursor."""
-        if self._beside is None:
+        if self._aligned is None:
             return
-        found, units, k = self._beside.found, self._state.units, self._state.frame
-        told = self._beside.facts
+        found, units, k = self._aligned.found, self._state.units, self._state.frame
+        facts = self._aligned.facts
         shift = units.time.text(found.shift_s, signed=True)
-        lines = [f"{found.other}: dashed in Plots, {shift}"]
+        lines = [f"{found.other}: dashed in Plots, time shift {shift}"]
         for title, unit, name, here in (
             ("|ΔF|", units.force, "force_difference_n", found.force_difference_n[k]),
             ("|Δarea|", units.area, "area_difference_m2", abs(found.area_difference_m2[k])),
         ):
             sizes = [
-                f"{unit.text(told[f'{key}_{name}'])} {word}" for key, word in STATISTICS.items()
+                f"{unit.text(facts[f'{key}_{name}'])} {word}" for key, word in STATISTICS.items()
             ]
-            lines.append(f"{title} here {unit.text(here)}; in contact {', '.join(sizes)}")
+            lines.append(f"{title} in this frame {unit.text(here)}; in contact {', '.join(sizes)}")
         self.result.setText("\n".join(lines))
 
 

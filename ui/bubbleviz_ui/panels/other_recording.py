@@ -33,9 +33,9 @@ def solve(
     rule: FrameOptions,
     progress: Progress,
     *,
-    keep: bool,  # The results, too, for the membrane: some 100 kB a frame
+    keep: bool,  # Keep the results for drawing the membrane: about 100 kB a frame
 ) -> Run:
-    """Numbers of all frames of a source that is opened anew; in a thread."""
+    """Solve all frames of a source, opened separately; in a thread."""
     sensor = open_sensor()
     with closing(source.open(sensor)) as opened, OneBlasThread():
         frames = Frames(opened)
@@ -53,7 +53,7 @@ def _titled(progress: Progress, title: str, _: str, done: float) -> None:
 
 
 @dataclass(frozen=True)
-class Beside:
+class AlignedRun:
     """The other run, at the times of the open recording."""
 
     found: Comparison
@@ -63,8 +63,8 @@ class Beside:
     history: FrameHistory
 
     @classmethod
-    def of(cls, first: Run, other: Run, align: Alignment) -> Beside:
-        """Align two runs. Raises InputError: They have no time, or no contact, in common."""
+    def of(cls, first: Run, other: Run, align: Alignment) -> AlignedRun:
+        """Align two runs. Raises InputError: No common time, or no contact to align by."""
         found, history = compare(first, other, align=align), FrameHistory(len(other))
         for k, each in enumerate(other):
             history.record(k, numbers_of(each.result, other.model.gas), patch=True)

@@ -19,7 +19,7 @@ from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell.dock import fill, scrolled
 
 if TYPE_CHECKING:
-    from bubbleviz_ui.panels.other_recording import Beside
+    from bubbleviz_ui.panels.other_recording import AlignedRun
 
 EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
@@ -91,9 +91,9 @@ class PlotsPanel(QWidget):
         self._controller.shown.connect(self._show_kappa)
         self._host.seen.connect(self._on_seen)
 
-    def show_beside(self, beside: Beside | None) -> None:
+    def show_other(self, aligned: AlignedRun | None) -> None:
         """Draw another recording's curves, too, or none."""
-        self._beside = beside
+        self._aligned = aligned
         self._draw()
 
     # -- events -------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ class PlotsPanel(QWidget):
         for name, plot in self.plots.items():
             if name in self._state.settings.plots:
                 plot.draw(facts, self._state.history, self._state.units)
-                plot.draw_beside(self._beside, self._state.units)
+                plot.draw_other(self._aligned, self._state.units)
         self._draw_cursor()
         self._show_statistics()
 

@@ -22,7 +22,7 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
 
 if TYPE_CHECKING:
-    from bubbleviz_ui.panels.other_recording import Beside
+    from bubbleviz_ui.panels.other_recording import AlignedRun
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class TimePlot:
         # By quantity
         self.bands = {name: Band(self.box, trace.curves[name]) for name in trace.bands}
         self.cursor = pg.InfiniteLine(movable=True)  # Can be dragged
-        self.beside: dict[str, Any] = {}  # Those of another recording, once there is one
+        self.other_curves: dict[str, Any] = {}  # Those of another recording, once there is one
         for item in (*self.curves.values(), *self.dots.values()):
             self.box.addItem(item)
         self.box.addItem(self.cursor, ignoreBounds=True)
@@ -135,22 +135,22 @@ class TimePlot:
                 half = history.quantity(self.trace.bands[name])
                 self.bands[name].draw(facts, known * scale, half * scale, (low, high))
 
-    def draw_beside(self, beside: Beside | None, units: Units) -> None:
+    def draw_other(self, other: AlignedRun | None, units: Units) -> None:
         """Draw the curves of another recording dashed, or none."""
         import pyqtgraph as pg  # 0.2 s later than the window
 
-        if beside is None:
-            for curve in self.beside.values():
+        if other is None:
+            for curve in self.other_curves.values():
                 curve.clear()
             return
         scale, window_s = self.trace.unit(units).from_si(1.0), self.box.viewRange()[0]
         for name, colour in self.trace.curves.items():
-            if name not in self.beside:
+            if name not in self.other_curves:
                 pen = pg.mkPen(colour, style=Qt.PenStyle.DashLine)
-                self.beside[name] = pg.PlotDataItem(pen=pen, connect="finite")
-                self.box.addItem(self.beside[name])
-            times, values = decimated(beside.times_s, beside.history.quantity(name), window_s)
-            self.beside[name].setData(times, values * scale)
+                self.other_curves[name] = pg.PlotDataItem(pen=pen, connect="finite")
+                self.box.addItem(self.other_curves[name])
+            times, values = decimated(other.times_s, other.history.quantity(name), window_s)
+            self.other_curves[name].setData(times, values * scale)
 
     def show_all(self, times_s: np.ndarray) -> None:
         """Show the full time range."""

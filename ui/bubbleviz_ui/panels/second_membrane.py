@@ -1,4 +1,4 @@
-"""The membrane of another recording beside that of the open one, at the same time."""
+"""The membrane of another recording next to that of the open one, at the same time."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
 if TYPE_CHECKING:
-    from bubbleviz_ui.panels.other_recording import Beside
+    from bubbleviz_ui.panels.other_recording import AlignedRun
 
 APART = 1.3
 """Distance of the two membranes in widths of the other one; chosen."""
 
 
-class MembraneBeside(QObject):
-    """Draws the membrane of the other run beside the first one, at the time of what is shown."""
+class SecondMembrane(QObject):
+    """Draws the membrane of the other run next to the first one, at the time of the frame shown."""
 
     def __init__(self, controller: Controller, scene: Scene, view: View) -> None:
         super().__init__()
         self._controller, self._scene, self._view = controller, scene, view
         self._drawing: SecondScene | None = None
-        self._beside: Beside | None = None
+        self._aligned: AlignedRun | None = None
         controller.shown.connect(self._show)
         controller.state.settings_changed.connect(self._show)
 
-    def take(self, beside: Beside | None) -> None:
-        """Draw another run from now on, or none."""
-        if beside is None and self._beside is None:
+    def take(self, aligned: AlignedRun | None) -> None:
+        """Draw another run, or none."""
+        if aligned is None and self._aligned is None:
             return
-        self._beside, state = beside, self._controller.state
+        self._aligned, state = aligned, self._controller.state
         if self._drawing is None:
             self._drawing = SecondScene(self._view, state.units, self._scene.ranges)
-        if beside is None:
+        if aligned is None:
             self._drawing.hide()
             self._scene.place(np.eye(4), np.empty((0, 3)), None)
         else:
-            model, T = beside.run.model, np.eye(4)
+            model, T = aligned.run.model, np.eye(4)
             T[0, 3] = APART * np.ptp(model.mesh.nodes[:, 0])
             self._drawing.set_sensor(model.sensor, model.mesh, T, theme.COMPARED[1])
             self._scene.place(np.eye(4), model.mesh.nodes + T[:3, 3], theme.COMPARED[0])
@@ -49,9 +49,9 @@ class MembraneBeside(QObject):
         self._scene.reset_view()
 
     def _show(self, _: object = None) -> None:
-        shown, beside = self._controller.result, self._beside
-        if shown is None or beside is None or self._drawing is None:
+        shown, aligned = self._controller.result, self._aligned
+        if shown is None or aligned is None or self._drawing is None:
             return
-        k = int(np.abs(beside.times_s - shown.frame.time_s).argmin())
-        self._drawing.show(beside.run[k].result, self._controller.state.settings)
+        k = int(np.abs(aligned.times_s - shown.frame.time_s).argmin())
+        self._drawing.show(aligned.run[k].result, self._controller.state.settings)
         self._view.refresh()
