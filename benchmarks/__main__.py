@@ -110,6 +110,17 @@ def pose(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
 
 
 @_command
+def poses(sensor: Sensor, quick: bool, seed: int, parts: Path | None) -> list[Study]:
+    """Error, coverage and time of tracked poses, at rest and moving."""
+    from benchmarks.pose_coverage import Grid, coverage_study
+
+    grid = Grid(seed=seed)
+    if quick:
+        grid = replace(grid, objects=("torus",), frames=6, paths=1, seeds=3)
+    return [coverage_study(sensor, grid, parts)]
+
+
+@_command
 def stages(sensor: Sensor, quick: bool) -> list[Study]:
     """Every stage of a frame, from decoding to export: time, floor and growth."""
     from benchmarks.stages import StageSizes, stages_study

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import bubbleviz as bv
 from bubbleviz.inverse import EstimatorOptions, friction_loads
@@ -106,3 +107,18 @@ def test_friction_on_rubber_by_another_solver(name, tmp_path):
         sigma = np.array([each.result.estimate.force_sigma_n for each in run])
         inside = (np.abs(run.force_n - true) < 1.96 * sigma).all(axis=1)
         assert inside.mean() >= 0.9
+        if name == "ball_drag1":
+            _assert_tracked(presses, truth["object_position_m"], tmp_path)
+
+
+def _assert_tracked(presses, centers_m, folder):
+    """The ball is tracked while it is dragged; its rotation cannot be seen."""
+    trimesh.creation.icosphere(5, 0.01).export(folder / "ball.ply")
+    first = 3  # the first with a patch of enough points
+    start = np.eye(4)
+    start[:3, 3] = centers_m[first] + [1e-3, -1e-3, 1e-3]
+    estimator = bv.Estimator(folder / "dome.toml", object=folder / "ball.ply", init=start)
+    for k in range(first, len(centers_m)):
+        pose = estimator.update(presses[k]).result.pose
+        assert pose.status == "ok"
+        assert np.linalg.norm(pose.T_B_O[:3, 3] - centers_m[k]) < 3e-4

@@ -1,0 +1,244 @@
+"""Error, coverage of the 95 % ellipsoid and time of tracked poses, at rest and moving."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.membrane import ObjectSurface
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.pose import PoseTracker, motion_between, moved, precision_of, symmetries
+from bubbleviz.recordings import Frame
+from bubbleviz.result import Pose
+from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation import (
+    LINEAR_NODES,
+    DepthNoise,
+    LinearPresses,
+    Press,
+    Presses,
+    RubberPresses,
+    RubberTruth,
+    rubber_sensor,
+    study_object,
+)
+from bubbleviz.study.harness import (
+    Case,
+    Column,
+    Record,
+    Report,
+    Study,
+    Table,
+    Target,
+    at_least,
+    at_most,
+    groups,
+)
+from bubbleviz.study.pose import START_M, START_RAD, PoseMetrics, TrueContact
+
+_RATE_HZ, _SWING_HZ = 30.0, 0.7
+_SWING_M, _SWING_RAD = 2e-3, np.radians(12.0)
+"""A moving object slides by ±2 mm and turns by ±12° about the vertical, 0.7 times a second: up to
+9 mm/s and 53°/s."""
+_MIN_DEPTH_M, _MAX_DEPTH_M = 0.007, 0.012  # as in the study of poses
+_LIMIT = chi2(6).ppf(0.95)
+LEAST, MOST = 0.90, 0.98
+"""Share of the ellipsoids that should contain the true pose."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Classes of poses; each has `paths` times `seeds` rows."""
+
+    objects: tuple[str, ...] = ("cylinder", "frustum", "hex_nut", "two_legged_toy", "torus")
+    materials: tuple[str, ...] = ("linear",)  # or "rubber", of which a press takes minutes
+    noises: tuple[tuple[float, float], ...] = ((1.5e-4, 0.0), (0.0, 0.01))  # m, and relative
+    frames: int = 20  # of a track; the last one counts
+    paths: int = 5  # random poses, and motions, of each object
+    seeds: int = 10  # of noise and initial pose, on each path
+    truth_nodes: int = LINEAR_NODES  # of the linear membrane
+    seed: int = 7
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """The last frame of one track. Errors are modulo symmetry, and infinite without a pose."""
+
+    object_name: str
+    material: str
+    noise: str
+    moving: bool
+    status: str
+    error_m: float = np.inf  # over the directions that the contact's normals determine
+    whole_m: float = np.inf  # over all six
+    whole_rad: float = np.inf
+    distance2: float = np.inf  # squared Mahalanobis distance of the true pose
+    median_ms: float = np.nan  # processor time of the pose, over all but the first frame
+    slow_ms: float = np.nan  # 95 % of the frames take less
+
+
+def coverage_study(sensor: Sensor, grid: Grid, parts: Path | None = None) -> Study:
+    """Every object on every material at every noise, at rest and moving."""
+    benches = {material: _Bench(sensor, material, grid) for material in grid.materials}
+    cases = [
+        Case(f"{name} {material} {path}", partial(benches[material].rows, name, path))
+        for material, name, path in product(grid.materials, grid.objects, range(grid.paths))
+    ]
+    return Study("pose_coverage", PoseRow, cases, report_of, "path", asdict(grid), parts)
+
+
+def poses_of(press: Press, presses: Presses, grid: Grid, path: int) -> np.ndarray:
+    """Poses T_B_O (F, 4, 4) of a moving object; the first is that of the object at rest."""
+    T = press.pose(presses.mesh, grid.seed)
+    phases = np.random.default_rng([grid.seed, path]).uniform(0.0, 2.0 * np.pi, 3)
+    t = np.arange(grid.frames) / _RATE_HZ
+    swing = np.sin(2.0 * np.pi * _SWING_HZ * t[:, None] + phases) - np.sin(phases)
+    poses = np.tile(T, (grid.frames, 1, 1))
+    turn = Rotation.from_rotvec(_SWING_RAD * swing[:, 2:] * [0.0, 0.0, 1.0])
+    poses[:, :3, :3] = turn.as_matrix() @ T[:3, :3]
+    poses[:, :2, 3] += _SWING_M * swing[:, :2]
+    return poses
+
+
+class _Bench:
+    """Tracks objects on one membrane."""
+
+    def __init__(self, sensor: Sensor, material: str, grid: Grid) -> None:
+        self._grid, self._material = grid, material
+        model = SensorModel.of(rubber_sensor(sensor) if material == "rubber" else sensor)
+        self._pipeline = Pipeline(model, EstimatorOptions.named(material))
+        self._presses: Presses = (
+            RubberPresses.of(model)
+            if material == "rubber"
+            else LinearPresses.of(model, grid.truth_nodes)
+        )
+
+    def rows(self, name: str, path: int) -> list[PoseRow]:
+        """Rows of one path at every noise, at rest and moving."""
+        grid, obj = self._grid, study_object(name)
+        random = np.random.default_rng([grid.seed, path, *name.encode()])
+        press = Press(name, float(random.uniform(_MIN_DEPTH_M, _MAX_DEPTH_M)), False)
+        poses = poses_of(press, self._presses, grid, path)
+        solved = cache(lambda k: self._presses.press(obj, poses[k]))
+        model = ObjectSurface(obj)
+        metrics = PoseMetrics(model, precision_of(self._pipeline.estimator))
+        rows = []
+        for moving, (absolute_m, relative) in product((False, True), grid.noises):
+            noise = DepthNoise(relative, absolute_m)
+            text = f"{100 * relative:g} %" if relative else f"{1e3 * absolute_m:g} mm"
+            base = PoseRow(name, self._material, text, moving, "none")
+            truths = [solved(k if moving else 0) for k in range(grid.frames)]
+            true = metrics.touching(
+                truths[-1].mesh,
+                truths[-1].contact.displacement_3d_m,
+                truths[-1].contact.contact_pressure_pa,
+                truths[-1].T_B_O,
+            )
+            for seed in range(grid.seeds):
+                pose, times = self._tracked(model, truths, noise, seed, random)
+                rows.append(_row(base, pose, times, metrics, true, symmetries(model)))
+        return rows
+
+    def _tracked(
+        self,
+        model: ObjectSurface,
+        truths: Sequence[RubberTruth],
+        noise: DepthNoise,
+        seed: int,
+        random: np.random.Generator,
+    ) -> tuple[Pose, np.ndarray]:
+        """Pose in the last frame from a wrong initial one, and processor times (F − 1,), ms."""
+        errors = random.standard_normal((2, 3))
+        errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
+        start = moved(truths[0].T_B_O, errors.ravel(), truths[0].T_B_O[:3, 3])
+        pipeline, times = self._pipeline, []
+        pipeline.restart()
+        tracker = PoseTracker(pipeline.estimator, model.obj, start, membrane=pipeline.model.rubber)
+        for k, truth in enumerate(truths):
+            ranges = noise.apply(truth.range_m, 1_000 * self._grid.seed + seed, k)
+            depth = pipeline.camera.depth_image(ranges).astype(np.float32)
+            result = pipeline.process(
+                Frame(k, k / _RATE_HZ, depth), frozenset({"estimate", "patch"})
+            )
+            assert result.estimate is not None and result.patch is not None
+            began = time.process_time()
+            pose = tracker.update(result.frame, result.estimate, result.patch)
+            times.append(1e3 * (time.process_time() - began))
+        return pose, np.array(times[1:])
+
+
+def _row(
+    base: PoseRow,
+    pose: Pose,
+    times: np.ndarray,
+    metrics: PoseMetrics,
+    true: TrueContact,
+    symmetric: np.ndarray,
+) -> PoseRow:
+    slow = float(np.quantile(times, 0.95))
+    row = replace(base, status=pose.status, median_ms=float(np.median(times)), slow_ms=slow)
+    if pose.status != "ok":
+        return row
+    off = np.array([motion_between(pose.T_B_O, true.T_B_O @ S, pose.center_m) for S in symmetric])
+    distance2 = np.einsum("si,si->s", off, np.linalg.solve(pose.covariance, off.T).T).min()
+    found = metrics.errors(pose.T_B_O, true)
+    return replace(
+        row,
+        error_m=found.error_m,
+        whole_m=found.whole_m,
+        whole_rad=found.whole_rad,
+        distance2=float(distance2),
+    )
+
+
+def points(rows: Sequence[PoseRow]) -> list[Record]:
+    """Medians, coverage and times of every class."""
+    found = []
+    for key, own in groups(rows, "object_name", "material", "noise", "moving").items():
+        record: Record = dict(zip(("object_name", "material", "noise", "moving"), key, strict=True))
+        record["motion"] = "moving" if key[3] else "at rest"
+        record["count"] = len(own)
+        record["lost"] = sum(row.status != "ok" for row in own)
+        for name in ("error_m", "whole_m", "whole_rad", "median_ms"):
+            record[name] = float(np.median([getattr(row, name) for row in own]))
+        record["slow_ms"] = float(np.quantile([row.slow_ms for row in own], 0.95))
+        record["covered"] = float(np.mean([row.distance2 <= _LIMIT for row in own]))
+        found.append(record)
+    return found
+
+
+_COLUMNS = (
+    *(Column(name, name) for name in ("material", "noise", "motion")),
+    Column("mm", "error_m", ".2f", 1e3),
+    Column("all mm", "whole_m", ".2f", 1e3),
+    Column("all °", "whole_rad", ".1f", float(np.degrees(1.0))),
+    Column("covered %", "covered", ".0f", 100),
+    Column("lost", "lost"),
+    Column("tracks", "count"),
+    Column("ms", "median_ms", ".0f"),
+    Column("95 % ms", "slow_ms", ".0f"),
+)
+
+
+def report_of(rows: list[PoseRow]) -> Report:
+    """Coverage, errors along the determined directions and along all, and times."""
+    found = points(rows)
+    targets: list[Target] = []
+    for one in found:
+        name = ", ".join(str(one[key]) for key in ("object_name", "material", "noise", "motion"))
+        targets += [
+            at_least(f"{name}: covered", one["covered"], LEAST),
+            at_most(f"{name}: covered", one["covered"], MOST),
+        ]
+    columns = (Column("object", "object_name"), *_COLUMNS)
+    return Report([Table("points", found, columns)], targets)

@@ -1,0 +1,34 @@
+"""Coverage of tracked poses: of known rows, and of a small run."""
+
+import numpy as np
+import pytest
+
+from benchmarks.pose_coverage import Grid, PoseRow, coverage_study, points, report_of
+from bubbleviz.sensor import load_sensor
+
+SMALL = Grid(
+    objects=("torus",), noises=((1.5e-4, 0.0),), frames=5, paths=1, seeds=1, truth_nodes=4_000
+)
+
+
+def test_coverage_of_known_rows():
+    inside = PoseRow("nut", "linear", "1 %", True, "ok", 1e-4, 2e-4, 0.1, 12.5, 8.0, 20.0)
+    outside = PoseRow("nut", "linear", "1 %", True, "ok", 1e-4, 2e-4, 0.1, 12.7, 8.0, 20.0)
+    lost = PoseRow("nut", "linear", "1 %", True, "lost")
+    (one,) = points([*18 * [inside], outside, lost])
+    assert (one["count"], one["lost"]) == (20, 1)
+    assert one["covered"] == pytest.approx(0.9)
+    assert one["whole_m"] == pytest.approx(2e-4)
+    assert all(target.met for target in report_of([*18 * [inside], outside, lost]).targets)
+    assert not all(target.met for target in report_of([inside, outside]).targets)
+
+
+def test_poses_of_a_small_run():
+    study = coverage_study(load_sensor("pico_flexx_75mm"), SMALL).run()
+    assert study.omitted == []
+    assert [row.moving for row in study.rows] == [False, True]
+    for row in study.rows:
+        assert row.status == "ok"
+        assert row.error_m < 2e-4
+        assert row.whole_m < 1e-3
+        assert np.isfinite(row.distance2)
