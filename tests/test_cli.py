@@ -162,7 +162,7 @@ def test_info(recording):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["info", "nope.mcap"], "nope.mcap: no such recording; check the path"),
+        (["info", "nope.mcap"], "nope.mcap: no such recording, or no access"),
         (["info"], "Missing argument 'REC'; see bubbleviz info --help"),
         (["info", "--nope", "x"], "--nope"),
         (["fly"], "No such command 'fly'; see bubbleviz --help"),

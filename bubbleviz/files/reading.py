@@ -20,7 +20,7 @@ MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 p
 
 @contextmanager
 def as_input_error(
-    path: str | Path, what: str, remedy: str = "record or copy it again"
+    path: str | Path, what: str, remedy: str = "correct the cause, or record or copy it again"
 ) -> Iterator[None]:
     """Convert any exception that a damaged file causes in a reader to InputError."""
     try:
@@ -32,7 +32,7 @@ def as_input_error(
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read
-            reason = "a size in it is implausible"
+            reason = "a size in it is implausible, or memory is full"
         if isinstance(error, RecursionError):
             reason = "it is nested too deeply"
         raise InputError(f"{path}: {what} cannot be read ({reason}); {remedy}") from error

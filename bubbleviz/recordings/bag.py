@@ -61,7 +61,9 @@ class Bag:
         self._storages: list[Storage] = []
         self._open_files = ExitStack()
         if not exists(self.path):
-            raise InputError(f"{self.path}: no such recording; check the path")
+            raise InputError(
+                f"{self.path}: no such recording, or no access to it; check path and permissions"
+            )
         self.ros1 = self.path.suffix == ".bag"  # whether messages are serialised as in ROS 1
         try:
             with as_input_error(self.path, "the recording"):
@@ -72,7 +74,7 @@ class Bag:
         if not any(topic.count for topic in self.topics):
             self.close()
             what = "ends before its first message" if self.note else "has no messages"
-            raise InputError(f"{self.path}: the recording {what}; record it again")
+            raise InputError(f"{self.path}: the recording {what}; record or copy it again")
 
     def close(self) -> None:
         self._storages = []
@@ -117,7 +119,8 @@ class Bag:
             return SqliteStorage(self._opened(Sqlite3Reader(file)))
         if file.suffix != ".mcap":
             raise InputError(
-                f"{file}: not a recording; give a rosbag2 folder, a .mcap, a .db3 or a .bag file"
+                f"{file}: not a recording by its suffix; give a rosbag2 folder, or a .mcap, .db3 "
+                "or .bag file"
             )
         storage = McapStorage(self._open_files.enter_context(file.open("rb")))
         if storage.is_cut:

@@ -19,6 +19,8 @@ from typing import Any, BinaryIO, NamedTuple, Protocol
 import numpy as np
 from lz4.frame import LZ4FrameDecompressor
 
+from bubbleviz.errors import InputError
+
 # Chunks of a bag as files, read and decompressed only up to the requested byte.
 #
 # The libraries' readers decompress a whole chunk for each message: opening a recording, which needs
@@ -156,9 +158,9 @@ def check_unpacked(folder: Path) -> None:
             while piece := unpacked.read(1 << 20):
                 left -= len(piece)
                 if left < 0:
-                    raise ValueError(
-                        f"{file.name} would fill more than half of the free disk space when "
-                        "unpacked"
+                    raise InputError(
+                        f"{file}: would fill more than half of the free disk space when unpacked; "
+                        f"free space in {tempfile.gettempdir()}"
                     )
 
 

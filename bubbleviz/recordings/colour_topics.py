@@ -112,7 +112,10 @@ def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None
         if size_of(bag.messages(topic).first(has_data)) is not None:
             return topic
     if name is not None:
-        raise InputError(f"{bag.path}: no colour images on topic {name}; see bubbleviz info")
+        raise InputError(
+            f"{bag.path}: no colour images of a known encoding on topic {name}; choose "
+            "an image topic that bubbleviz info lists"
+        )
     return None
 
 

@@ -51,8 +51,8 @@ def find_contact_free(source: FrameSource, progress: Progress = quiet) -> Contac
             end, ended_by = pressure_end, "pressure"
     if end < MIN_FRAMES:
         raise InputError(
-            f"{source.name}: only {end} contact-free frames at its start; record at least"
-            f" {MIN_FRAMES} before touching the sensor, or choose them"
+            f"{source.name}: depth or gas pressure changes already at frame {end}; record at least "
+            f"{MIN_FRAMES} frames before contact, or choose contact-free frames"
         )
     return ContactFree(range(end), depth_score, pressure_score, ended_by)
 
@@ -61,7 +61,8 @@ def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.
     """Depth of every tile (F, K) in m and gas pressure (F,) in Pa, None if a frame lacks it."""
     if len(source) < MIN_FRAMES:
         raise InputError(
-            f"{source.name}: {count_of(len(source), 'frame')}; record at least {MIN_FRAMES}"
+            f"{source.name}: only {count_of(len(source), 'frame')}, too few to find contact-free "
+            f"ones; record at least {MIN_FRAMES}"
         )
     tiles, pressures = [], []
     for k in range(len(source)):

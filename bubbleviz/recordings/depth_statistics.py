@@ -221,11 +221,14 @@ def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:
     else:
         images = [frame.depth_m for frame in frames]
         if len({image.shape for image in images}) > 1:
-            raise InputError("depth frames: sizes differ; give frames of one camera and mode")
+            raise InputError(
+                "depth images: they differ in size; give frames of one camera and resolution"
+            )
         stack = np.stack(images).astype(np.float32, copy=False) if images else np.empty((0, 0, 0))
     if stack.ndim != 3 or len(stack) < MIN_FRAMES:
         raise InputError(
-            f"depth frames: {len(stack)} contact-free frames; give at least {MIN_FRAMES}"
+            f"depth images: shape {stack.shape}; give at least {MIN_FRAMES} contact-free images as "
+            "(frames, height, width)"
         )
     return stack
 
@@ -243,12 +246,15 @@ def measure_depth(
     depth = stack_depth(frames)
     if depth.shape[1:] != range_per_depth.shape:
         raise InputError(
-            f"depth frames: {depth.shape[2]}×{depth.shape[1]} pixels but the camera has"
-            f" {range_per_depth.shape[1]}×{range_per_depth.shape[0]}; use its own sensor file"
+            f"depth images: {depth.shape[2]}×{depth.shape[1]} pixels but the sensor file has "
+            f"{range_per_depth.shape[1]}×{range_per_depth.shape[0]}; choose the sensor file of "
+            "this camera"
         )
     valid = np.isfinite(depth)
     if not valid.any():
-        raise InputError("depth frames: no pixel has a return; check the camera")
+        raise InputError(
+            "depth images: no pixel has a valid depth in any frame; uncover or restart the camera"
+        )
     quantum = _quantum(depth)
     mean, sigma, deviations = _clipped_moments(depth, quantum)
     temporal = temporal_correlation(deviations, sigma)

@@ -70,13 +70,14 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
     if candidates:
         first = candidates[0].name
         raise InputError(
-            f"{bag.path}: no depth image: {first} has encoding {encodings[first][:40]!r}; "
-            f"record depth with {' or '.join(DEPTH_ENCODINGS)}"
+            f"{bag.path}: no depth images: {first} has encoding {encodings[first][:40]!r}; "
+            f"record depth images with encoding {' or '.join(DEPTH_ENCODINGS)}"
         )
     raise InputError(
-        f"{bag.path}: no depth image topic ({IMAGE}); record the depth camera"
+        f"{bag.path}: no topic with depth images or point clouds; record the depth camera"
         if name is None
-        else f"{bag.path}: no depth images on topic {name}; see bubbleviz info"
+        else f"{bag.path}: no depth images or point clouds on topic {name}; choose a topic that "
+        "bubbleviz info lists"
     )
 
 
@@ -108,7 +109,10 @@ def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") 
     topics = of_type(bag, kind, name)
     topics.sort(key=lambda topic: common_prefix(topic.name, near), reverse=True)
     if name is not None and not topics:
-        raise InputError(f"{bag.path}: no {kind} on topic {name}; see bubbleviz info")
+        raise InputError(
+            f"{bag.path}: no {kind} messages on topic {name}; choose a topic that bubbleviz "
+            "info lists"
+        )
     return topics[0] if topics else None
 
 

@@ -69,7 +69,7 @@ class ImageFolder:
         self._series = {kind: each for kind, each in given.items() if each is not None}
         found = [path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES]
         if not found:
-            raise InputError(f"{folder}: no images; put {', '.join(SUFFIXES)} files there")
+            raise InputError(f"{folder}: no depth images; put {', '.join(SUFFIXES)} files into it")
         self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
         if times_s is not None:
             stamps = times_s
@@ -79,16 +79,17 @@ class ImageFolder:
             stamps = self._stamps()
         if len(stamps) != len(self._files):
             images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
-            raise InputError(f"{folder}: {images} but {times}")
+            raise InputError(f"{folder}: {images} but {times}; give one time for each image")
         if not (np.abs(stamps) < 1e-9 * MAX_STAMP_NS).all():
             raise InputError(
-                f"{folder}: a time is implausible; give seconds since 1970 or since the start"
+                f"{folder}: a time is not finite or not plausible; give the times in s since 1970 "
+                "or since the start"
             )
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
             raise InputError(
                 f"{self._files[late]}: its time is not after that of the image before; correct the "
-                "times"
+                "times, or the numbers in the file names"
             )
         self._clock_s = np.asarray(stamps, dtype=np.float64)
         self.times_s = self._clock_s - self._clock_s[0]
@@ -142,14 +143,17 @@ class ImageFolder:
             if path.suffix.lower() not in _COLOUR_ENCODINGS or number is None:
                 continue
             if number in files:
-                raise InputError(f"{path}: has the same number as {files[number].name}; remove one")
+                raise InputError(
+                    f"{path}: its name ends with the same number as {files[number].name}; remove "
+                    "one"
+                )
             files[number] = path
         numbers = [_number(path.stem) for path in self._files]
         frames = [k for k, number in enumerate(numbers) if number in files]
         if not frames:
             raise InputError(
-                f"{folder}: no JPEG or PNG name contains the number of a depth image; name them "
-                "alike, or remove the folder"
+                f"{folder}: no JPEG or PNG file name has the last number of a depth image's; "
+                "rename them, or remove this folder"
             )
         stamps = [self._stamp_ns(k) for k in frames]
 
@@ -163,13 +167,17 @@ class ImageFolder:
         pixels = self._pixels(path)
         if pixels.shape != self._shape:
             raise InputError(
-                f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}"
+                f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}; "
+                "keep images of one size in the folder"
             )
         usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
         with np.errstate(over="ignore", invalid="ignore"):  # out of range: no return
             depth = (pixels * (self._scale or usual)).astype(np.float32)
         if (depth < 0).sum() > (depth > 0).sum():
-            raise InputError(f"{path}: most depths are negative; turn their sign, z points forward")
+            raise InputError(
+                f"{path}: most depths are negative; reverse their sign, as z points away from the "
+                "camera"
+            )
         return metres(depth, 1.0)
 
     def _pixels(self, path: Path) -> np.ndarray:
@@ -180,12 +188,13 @@ class ImageFolder:
         if pixels.ndim == 2 and pixels.shape[1] == 3 and pixels.dtype.kind == "f":
             if self._intrinsics is None:
                 raise InputError(
-                    f"{path}: points need the camera's intrinsics to become an image; give them"
+                    f"{path}: points in no grid need the camera's intrinsics to become an image; "
+                    "give intrinsics, or put an intrinsics.toml into the folder"
                 )
             return project_points(pixels.astype(np.float64), self._intrinsics)
         if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
             raise InputError(
-                f"{path}: {pixels.shape} of {pixels.dtype} is not a depth image; expected one "
+                f"{path}: {pixels.shape} of {pixels.dtype} is not a depth image; export one "
                 "channel of 16-bit or floating-point numbers, or points x, y, z"
             )
         return pixels
@@ -194,16 +203,17 @@ class ImageFolder:
         camera = self._intrinsics
         if camera is not None and (camera.height, camera.width) != self._shape:
             raise InputError(
-                f"{self._files[0]}: {_size(self._shape)} pixels, the intrinsics are of "
-                f"{camera.width}×{camera.height}"
+                f"{self._files[0]}: {_size(self._shape)} pixels, the intrinsics are for "
+                f"{camera.width}×{camera.height}; give the intrinsics of these images"
             )
         depth = self._depth(self._files[0])
         returns = depth[np.isfinite(depth)]
         middle = float(np.median(returns)) if returns.size else MIN_DEPTH_M
         if not MIN_DEPTH_M <= middle <= MAX_DEPTH_M:
             raise InputError(
-                f"{self._files[0]}: a median depth of {middle:.4g} m is implausible for a bubble; "
-                "give the metres per unit of its values"
+                f"{self._files[0]}: the median depth {middle:.4g} m is not between "
+                f"{MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m; correct metres_per_unit, the depth of a "
+                "pixel value of 1"
             )
 
     def _stamps(self) -> np.ndarray:
@@ -212,8 +222,8 @@ class ImageFolder:
         last = np.array([each[-1] if each else np.nan for each in numbers])
         if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
             raise InputError(
-                f"{self.path}: the file names are not times; give a rate, or the times in a "
-                "times.csv in the folder"
+                f"{self.path}: the file names are not times in s or ns; give the rate of the "
+                "images, or put a times.csv with the time of each in s into the folder"
             )
         if last[0] < _NANOSECONDS:
             return last
@@ -238,7 +248,7 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
-        with as_input_error(path, "the JSON file", "correct it"):
+        with as_input_error(path, "the JSON file", "correct the file or its path"):
             table = json.loads(path.read_text(encoding="utf-8"))
     else:
         table = read_toml(path)
@@ -260,8 +270,8 @@ def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
     usual = float(np.median(table[:, 1]))
     if not MIN_GAS_PA <= usual <= MAX_GAS_PA:
         raise InputError(
-            f"{path}: {usual:.5g} Pa is not a plausible absolute gas pressure; convert it to "
-            "absolute Pa"
+            f"{path}: the median gas pressure {usual:.5g} Pa is not between {MIN_GAS_PA:,.0f} and "
+            f"{MAX_GAS_PA:,.0f} Pa; give absolute pressures in Pa"
         )
     return _measured(path, table)
 
@@ -284,19 +294,24 @@ class _Camera(BaseModel):
 
 def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
     if not (np.abs(table[:, 0]) < 1e-9 * MAX_STAMP_NS).all() or np.any(np.diff(table[:, 0]) <= 0.0):
-        raise InputError(f"{path}: the times do not increase, or are not in seconds")
+        raise InputError(
+            f"{path}: the times do not increase or are not in s; correct the first column"
+        )
     return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
 
 
 def _columns(path: str | Path, count: int) -> np.ndarray:
-    with as_input_error(path, "the CSV of numbers", "correct it"):
+    with as_input_error(path, "the CSV of numbers", "correct the file or its path"):
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]
         if rows and not _is_number(rows[0][0]):
             rows = rows[1:]
         table = np.array([[float(value) for value in row[:count]] for row in rows])
     if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
-        raise InputError(f"{path}: expected rows of {count} finite numbers, separated by commas")
+        raise InputError(
+            f"{path}: no rows, or a row without {count} finite numbers; write {count} numbers, "
+            "separated by commas, into each row"
+        )
     return table
 
 
@@ -337,7 +352,5 @@ def _read(path: Path) -> np.ndarray:
 
 
 def _read_colour(path: Path) -> EncodedImage:
-    try:
+    with as_input_error(path, "the colour image", "export it again"):
         return EncodedImage(_COLOUR_ENCODINGS[path.suffix.lower()], path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error

@@ -138,7 +138,9 @@ class McapFile:
     def _new_channel(self, topic: str, kind: str) -> int:
         types = ros2_types()
         if kind not in types.fielddefs:
-            raise InputError(f"{self.path}: {topic} has type {kind}, which cannot be recorded")
+            raise InputError(
+                f"{self.path}: {topic} has the unknown type {kind}; record it with ros2 bag"
+            )
         if kind not in self._schemas:
             definition, _ = types.generate_msgdef(kind, ros_version=2)
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())

@@ -90,7 +90,10 @@ def _decode_compressed(message: Any) -> np.ndarray:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
         with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
             if max(image.size) > MAX_SIDE or not image.mode.startswith("I"):
-                raise ValueError(f"a PNG of {image.size[0]}×{image.size[1]} in mode {image.mode}")
+                raise ValueError(
+                    f"a PNG of {image.size[0]}×{image.size[1]} pixels in mode {image.mode} is not "
+                    "a 16-bit depth image"
+                )
             raw = np.asarray(image).astype(np.uint16)
     except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
         raise ValueError(f"{len(data)} bytes are not a compressed depth image") from error

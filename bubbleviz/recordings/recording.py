@@ -113,8 +113,8 @@ class Recording:
             depth = self._nothing if index in self._bad else self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
                 raise ValueError(
-                    f"it is {depth.shape[1]}×{depth.shape[0]}, the first {self.size[0]}×"
-                    f"{self.size[1]} pixels"
+                    f"its image has {depth.shape[1]}×{depth.shape[0]} pixels, the first "
+                    f"{self.size[0]}×{self.size[1]}"
                 )
             return Frame(
                 index=index,
@@ -240,7 +240,9 @@ class Recording:
     def _open_images(self, info_topic: str | None) -> None:
         self._images = self.bag.messages(self.depth_topic)
         if len(self._images) == 0:
-            raise InputError(f"{self.path}: the index lists no depth images; record it again")
+            raise InputError(
+                f"{self.path}: its index lists no depth images; record or copy it again"
+            )
         first = self._images.first(has_data)
         self.size = self._size_of(first, info_topic)  # width and height of the depth images, pixels
         # encoding of the depth images; `points` where they are point clouds
@@ -318,13 +320,16 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
     if chosen := next(filter(None, topics.values()), None):
         raise InputError(f"{path}: a recording of this format has no topics; leave out {chosen}")
     if not path.exists():
-        raise InputError(f"{path}: no such file")
+        raise InputError(f"{path}: no such file; check the path")
     try:
         opened: FrameSource = read(path)
     except InputError:
         raise
     except Exception as error:  # a plug-in may raise anything
-        raise InputError(f"{path}: the plug-in that reads this format failed: {error}") from error
+        raise InputError(
+            f"{path}: the plug-in for this format failed ({error}); check the file, or update the "
+            "plug-in"
+        ) from error
     return opened
 
 

@@ -58,7 +58,9 @@ class RecordingWriter:
             return
         self._file.discard()
         if kind is None:
-            raise InputError(f"{self.path}: no frames to write; nothing was written")
+            raise InputError(
+                f"{self.path}: no frames, so nothing was written; choose at least one frame"
+            )
 
     def write(self, frame: Frame) -> None:
         """Append a frame; its stamp is `stamp_ns`, or `time_s` where that is 0."""

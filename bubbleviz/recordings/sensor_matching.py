@@ -44,7 +44,7 @@ def size_refusal(
     """The error to raise about images that are not of the size of the sensor's camera."""
     return InputError(
         f"{images}: images are {_by(size)} pixels but the camera of sensor "
-        f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
+        f"{sensor_name} has {_by(own)}; choose the sensor file of the camera that took them"
     )
 
 
@@ -71,8 +71,8 @@ def gas_warning(
         return ""
     return (
         f"gas pressure of {1e-3 * measured_pa:.1f} kPa {where}, {1e-3 * known_pa:.1f} kPa "
-        "(atmospheric and gauge) in the sensor file: more than weather explains; correct the "
-        "sensor file"
+        "(atmospheric plus gauge) in the sensor file: more than weather explains; correct the "
+        "pressures in the sensor file, or check the pressure sensor"
     )
 
 
@@ -97,10 +97,11 @@ def preset_of_size(
     if len(fitting) == 1:
         return fitting[0]
     known = ", ".join(f"{name} ({_by(sizes[name])})" for name in fitting or names)
-    how_many = "several presets have" if fitting else "no preset has"
+    have = "several presets have" if fitting else "no preset has"
+    choice = "one of them or the" if fitting else "the"
     raise InputError(
-        f"{images}: {how_many} a camera of {_by(size)} pixels; "
-        f"give --sensor: a sensor file or one of {known}"
+        f"{images}: {have} a camera of {_by(size)} pixels (presets: {known}); "
+        f"choose {choice} sensor file of this camera (--sensor)"
     )
 
 

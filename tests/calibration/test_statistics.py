@@ -48,7 +48,7 @@ def test_sigma_is_corrected_for_temporal_correlation():
 def test_images_of_several_sizes_are_refused():
     frames = [Frame(k, k / 30.0, np.full(shape, 0.1)) for k, shape in enumerate([(8, 9)] * 40)]
     assert stack_depth(frames).shape == (40, 8, 9)
-    with pytest.raises(InputError, match="sizes differ"):
+    with pytest.raises(InputError, match="differ in size"):
         stack_depth([*frames, Frame(40, 2.0, np.full((9, 8), 0.1))])
 
 
@@ -146,7 +146,7 @@ def test_outliers_and_missing_returns():
     ("depth", "message"),
     [
         (noisy(frames=4), "at least 5"),
-        (np.full((6, 40, 50), np.nan, np.float32), "no pixel has a return"),
+        (np.full((6, 40, 50), np.nan, np.float32), "no pixel has a valid depth"),
         (noisy(shape=(4, 4)), "sensor file"),
     ],
 )

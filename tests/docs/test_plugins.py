@@ -81,7 +81,7 @@ def test_errors_are_one_sentence(lab):
     (lab / "bad.npy").write_bytes(b"no array")
     estimate = "estimate --sensor small.toml --out other.npz"
     for words, says in (
-        (f"{estimate} bad.npy", "bad.npy: the plug-in that reads this format"),
+        (f"{estimate} bad.npy", "bad.npy: the plug-in for this format failed"),
         (f"{estimate} none.npy", "none.npy: no such file"),
         ("watch --source lab:none.npy --sensor small.toml", "none.npy"),
         (f"{estimate} press.npy --solver best", "paper, rubber-base"),
