@@ -71,7 +71,10 @@ def _read(message: Message) -> EncodedImage:
     try:
         return EncodedImage.of(decode(message))
     except ValueError as error:
-        raise InputError(f"{message.topic}: {error}; check what is published there") from error
+        raise InputError(
+            f"{message.topic}: the colour image cannot be decoded ({error}); publish it in a known "
+            "encoding"
+        ) from error
 
 
 # Counters of received and rejected messages.
@@ -256,7 +259,7 @@ class FrameAssembler:
         expected = self._names.expected_type(topic) or self._types.get(topic)
         if expected is not None and kind != expected:
             self.counters.wrong_type += 1
-            self._note(message, f"a {kind} where {expected} is expected")
+            self._note(message, f"a message of type {kind}, expected {expected}")
             return False
         if not self._names.wants(topic, kind):
             return False
@@ -346,7 +349,7 @@ class FrameAssembler:
         if size != self.size:
             self.other_size = size
             raise _WrongSizeError(
-                f"image is {size[0]}×{size[1]}, not {self.size[0]}×{self.size[1]} pixels"
+                f"an image has {size[0]}×{size[1]} pixels, expected {self.size[0]}×{self.size[1]}"
             )
         if self._known.depth != message.topic:  # an image that turned out to be depth
             self._clock = StampClock()

@@ -169,14 +169,14 @@ def parse_uri(text: str) -> SourceUri:
         parts = urlsplit(text, allow_fragments=False)
         pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=True)
     except ValueError as error:
-        raise _refusal(text, f"{error}; write options as name=value&name=value") from error
+        raise _refusal(text, f"{error}; write it as SCHEME:PLACE?name=value&name=value") from error
     model, _ = _SCHEMES.get(parts.scheme, (PluginOptions, ""))
     if model is PluginOptions and plugin("sources", parts.scheme) is None:
         examples = ", ".join(example for _, example in _SCHEMES.values())
-        raise _refusal(text, f"begin with one of {examples}")
+        raise _refusal(text, f"unknown scheme; begin with one of {examples}")
     given = dict(pairs)
     if len(given) < len(pairs):
-        raise _refusal(text, "an option is given twice")
+        raise _refusal(text, "an option is given twice; give each once")
     try:
         options = model.model_validate(given)
     except ValidationError as error:

@@ -147,7 +147,9 @@ def sensor_for_source(
     if uri.scheme == "synthetic":  # any sensor fits, as it is the one simulated
         return SYNTHETIC_SENSOR
     if uri.scheme == "realsense":
-        raise uri.refusal("the camera needs the image size of a sensor file; give --sensor")
+        raise uri.refusal(
+            "the sensor file sets the image size of this camera; give one with --sensor"
+        )
     with open_stream(text, load_sensor(SYNTHETIC_SENSOR), any_size=True) as stream:
         first = stream.first_frame(patience_s, lambda: waiting(stream), camera_s=0.0)
     height, width = first.depth_m.shape
@@ -183,7 +185,7 @@ class SensorPlace(_Strict):
     @model_validator(mode="after")
     def _unit(self) -> SensorPlace:
         if not is_unit(self.quaternion_xyzw):
-            raise ValueError("quaternion_xyzw: not of length 1; normalise it")
+            raise ValueError("quaternion_xyzw is not of unit length; normalise it")
         return self
 
     @property

@@ -181,7 +181,7 @@ class RealSenseLive(LiveSource):
         for device in context.query_devices():
             if self._serial in (None, device.get_info(number)):
                 return device
-        raise RuntimeError("the camera is not plugged in")
+        raise RuntimeError("the camera is not connected; plug it in")
 
     def _depth_profile(self, sensor: Any) -> Any:
         """Stream profile: depth as requested, or as recorded."""
@@ -189,7 +189,10 @@ class RealSenseLive(LiveSource):
             if profile.format() == self._sdk.format.z16:
                 return profile
         width, height = self._size
-        raise RuntimeError(f"the camera has no depth of {width}×{height} at {self._rate} Hz")
+        raise RuntimeError(
+            f"no depth stream of {width}×{height} pixels at {self._rate} Hz; change rate=, or "
+            "choose the sensor file of this camera"
+        )
 
     def _profiles(self, device: Any, stream: str) -> Iterator[tuple[Any, Any]]:
         """Sensors of a device with their profiles of a stream."""
@@ -297,7 +300,7 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
         import pyrealsense2 as sdk  # an optional extra
     except ImportError as error:
         raise uri.refusal(
-            "needs the package pyrealsense2, which is not installed; "
+            f"the package pyrealsense2 cannot be imported ({error}); run "
             f"{how_to_install('realsense')}, or publish the camera over Zenoh"
         ) from error
     if Path(uri.place).suffix.lower() in FILES:
@@ -312,7 +315,9 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
             "RealSense viewer"
         )
     if uri.place and uri.place not in found:
-        raise uri.refusal(f"no camera {uri.place}; there are {', '.join(found)}")
+        raise uri.refusal(
+            f"no camera with serial number {uri.place}; choose one of {', '.join(found)}"
+        )
     return RealSenseLive(
         sdk, serial=uri.place or None, size=size, rate=uri.options.rate, prefix=prefix
     )

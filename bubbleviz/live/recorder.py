@@ -98,7 +98,7 @@ class Recorder:
         """
         with self._lock:
             if self._session is not None:
-                raise InputError(f"{path}: something is being recorded already; stop it first")
+                raise InputError(f"{path}: a recording is already in progress; stop it first")
             refuse_existing(path)
             session = _Session(Path(path), tuple(self._static.values()))
             for message in self._before:
@@ -124,7 +124,7 @@ class Recorder:
         with self._lock:
             session, self._session = self._session, None
         if session is None:
-            raise InputError("nothing is being recorded")
+            raise InputError("no recording is in progress; start one first")
         for unfollow in self._unfollow_colour:
             unfollow()
         session.finish()
@@ -192,7 +192,10 @@ class _Session:
         except (OSError, InputError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             with self._changed:
-                self._problem = f"{self._path}: recording ended ({reason}); {self._saved()}"
+                self._problem = (
+                    f"{self._path}: recording stopped ({reason}), {self._saved()}; check disk "
+                    "space and permissions, then record again"
+                )
                 self._queue.clear()
                 self._bytes = 0
                 self._changed.notify_all()
@@ -203,10 +206,10 @@ class _Session:
         """What the file has in spite of a failed write, in words."""
         kept = Kept() if self._file is None else self._file.kept
         if not kept.messages:
-            return "nothing was saved, as less than 1 MB of disk space was free"
+            return "nothing was saved"
         return (
-            f"its first {kept.duration_s:.1f} s are in the file, "
-            f"{count_of(kept.messages, 'message')}, {1e-6 * kept.size_bytes:.1f} MB"
+            f"its first {kept.duration_s:.1f} s were saved "
+            f"({count_of(kept.messages, 'message')}, {1e-6 * kept.size_bytes:.1f} MB)"
         )
 
     def _write_all(self) -> None:

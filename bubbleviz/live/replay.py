@@ -49,7 +49,8 @@ class Replay(LiveSource):
         if not any(len(stream) for stream in self._streams if stream.topic.type in TYPES):
             self._bag.close()
             raise InputError(
-                f"{path}: contains no messages that bubbleviz uses; see bubbleviz info"
+                f"{path}: no images, point clouds, camera info, gas pressure or wrench; choose a "
+                "recording of the sensor"
             )
         self.topics = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
 

@@ -106,7 +106,10 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
         if given.cert and given.key:
             context.load_cert_chain(given.cert, given.key)
     except ssl.SSLError:
-        return "ca, cert or key holds no certificate or key in PEM form; check the files"
+        return (
+            "ca, cert or key is not a certificate or key in PEM form, or cert and key do not "
+            "match; correct the files"
+        )
     try:
         secure = context.wrap_socket(link, server_hostname=host)
     except ssl.SSLCertVerificationError as error:
@@ -131,7 +134,7 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
 def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credentials) -> str:
     if error.verify_code in UNTRUSTED:
         signer = f"ca={given.ca}" if given.ca else "an authority that this computer trusts"
-        return f"the certificate of {host} is not signed by {signer}; check ca="
+        return f"the certificate of {host} is not signed by {signer}; give its ca="
     what = error.verify_message.rstrip(".")
     return f"the certificate of {host} is not valid: {what}; check the host name and both clocks"
 
@@ -139,7 +142,7 @@ def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credential
 def _other_side(error: OSError, host: str, given: Credentials) -> str:
     reason = str(getattr(error, "reason", "")).replace("_", " ").lower()
     if "alert" not in reason:
-        return f"{host} does not use encryption; use tcp/ instead of tls/"
+        return f"{host} breaks off encryption; use tcp/ instead of tls/ if it has none"
     if given.cert is None:
         return f"{host} asks for a certificate of this computer; give cert= and key= ({reason})"
     return f"{host} does not accept cert={given.cert}; have its authority sign it ({reason})"
@@ -248,8 +251,8 @@ def listening_warning(options: SessionOptions) -> str:
     if parts[1] == "tls" and given.ca and given.cert:
         who = "whoever has a certificate of its authority"
     told = f"{options.listen} is open to other computers: {who} on the network can connect"
-    unencrypted = parts[1] != "tls"
-    return told + (", and what is sent is NOT ENCRYPTED; use tls/" if unencrypted else "")
+    told += ", unless you give a login" if who == "anybody" else ""
+    return told + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")
 
 
 def connected(session: Any) -> bool:
@@ -261,7 +264,8 @@ def _no_session(options: SessionOptions, error: Exception) -> InputError:
     quoted = re.search(r'msg: "(.*?)"?\}?\)?$', text)
     reason = (quoted.group(1) if quoted else text).strip().rstrip("!.")[:160]
     return InputError(
-        f"{options.text}: no Zenoh session ({reason}); give an address such as {ROUTER}"
+        f"{options.text}: no Zenoh session ({reason}); check port, credentials and address, such "
+        f"as {ROUTER}"
     )
 
 

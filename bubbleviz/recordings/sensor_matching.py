@@ -44,7 +44,7 @@ def size_refusal(
     """The error to raise about images that are not of the size of the sensor's camera."""
     return InputError(
         f"{images}: images are {_by(size)} pixels but the camera of sensor "
-        f"{sensor_name} has {_by(own)}; choose the sensor file of the camera that took them"
+        f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
     )
 
 

@@ -120,7 +120,7 @@ def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path):
     recorder.start(tmp_path / "folder")
     recorder.stop()
     assert [entry.name for entry in tmp_path.iterdir()] == ["rec.mcap"]
-    with pytest.raises(InputError, match="nothing is being recorded"):
+    with pytest.raises(InputError, match="no recording is in progress"):
         recorder.stop()
 
 
@@ -202,8 +202,8 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, 
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True
     )
-    assert "recording ended (File too large)" in done.stdout, done.stderr
-    told = re.search(r"its first ([0-9.]+) s are in the file, (\d+) messages", done.stdout)
+    assert "recording stopped (File too large)" in done.stdout, done.stderr
+    told = re.search(r"its first ([0-9.]+) s were saved \((\d+) messages", done.stdout)
     assert told is not None
     assert done.stderr == ""
     with Recording(path) as recording:

@@ -25,7 +25,7 @@ def test_path_of_a_uri_is_kept(place):
         ("", "begin with one of synthetic:"),
         ("/dev/video0", "begin with one of"),
         ("ftp:there", "begin with one of"),
-        ("synthetic:?rate", "write options as name=value"),
+        ("synthetic:?rate", "write it as SCHEME:PLACE"),
         ("synthetic:?rate=30&rate=60", "twice"),
         ("synthetic:?rate=fast", "rate=fast: give a number from"),
         ("synthetic:?frames=2.5", "frames=2.5: give a whole number from 1"),

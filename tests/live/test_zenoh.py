@@ -335,8 +335,8 @@ def test_refused_and_unreachable_endpoints_are_distinguished(
             eventually(lambda: waits.source.link == "up")
             assert waits.source.problem == ""
             signed = "the certificate of localhost is not signed by"
-            assert refusal(at) == f"{signed} an authority that this computer trusts; check ca="
-            assert refusal(at, ca=other) == f"{signed} ca={other}; check ca="
+            assert refusal(at) == f"{signed} an authority that this computer trusts; give its ca="
+            assert refusal(at, ca=other) == f"{signed} ca={other}; give its ca="
             assert "not valid for '127.0.0.1'" in refusal(f"tls/127.0.0.1:{port}", ca=ca)
             assert "in PEM form" in refusal(at, ca=login)
             no_session = f"localhost:{port} answers but refuses the session;"
@@ -377,7 +377,7 @@ def test_a_refused_reconnection_is_reported(small_sensor, certificates, eventual
         with listener(at, Credentials(cert=other, key=other_key)):
             eventually(lambda: "is not signed by" in stream.status().text)
             assert stream.status().state == "reconnecting"
-            assert stream.status().text.endswith(f"; check ca= ({stream.name})")
+            assert stream.status().text.endswith(f"; give its ca= ({stream.name})")
         eventually(lambda: "nothing listens at localhost" in stream.status().text)
         with listener(at, Credentials(cert=cert, key=key)) as robot:
             first_frame(stream, lambda: robot.put("quiet", image(time.time_ns())))

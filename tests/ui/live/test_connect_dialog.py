@@ -56,7 +56,8 @@ def test_rejected_certificate_is_reported_in_dialog_and_bar(open_bench, certific
     )
     place, own = f"tls/localhost:{free_port()}", Credentials(cert=cert, key=key)
     source = f"zenoh:{place}?ca={other}"
-    why = f"refused: the certificate of localhost is not signed by ca={other}; check ca= ({source})"
+    why = "refused: the certificate of localhost is not signed by "
+    why += f"ca={other}; give its ca= ({source})"
     with open_session(SessionOptions("robot", listen=place, credentials=own)):
         for sensor in (sensor_file(bench.folder), AUTO):
             dialog = opened(bench, sensor)
