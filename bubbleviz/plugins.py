@@ -24,7 +24,7 @@ def plugin(group: Group, name: str) -> Any:
         except Exception as error:  # imports of other packages may raise anything
             package = point.dist.name if point.dist is not None else point.module
             raise InputError(
-                f"{name}: the plug-in of package {package} cannot be loaded: {error}; "
+                f"{name}: the plug-in of package {package} cannot be loaded ({error}); "
                 "update or uninstall that package"
             ) from error
     return None

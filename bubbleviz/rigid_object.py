@@ -77,8 +77,9 @@ def object_mesh(
     size = float(np.ptp(vertices, axis=0).max())
     if size > _MAX_SIZE_M:
         raise InputError(
-            f"{path}: the object is {size:.4g} m long; if the file is in millimetres, choose "
-            "millimetres next to it in the window, give pose --unit mm, or end its name in _mm"
+            f"{path}: the object is {size:.4g} m long; scale it or, if the file is in millimetres, "
+            "choose millimetres next to it in the window, give pose --unit mm, or end its name in "
+            "_mm"
         )
     if size < _MIN_SIZE_M:
         metres = "if the file is in metres, set its unit to m, or rename it without _mm"

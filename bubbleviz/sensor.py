@@ -68,7 +68,7 @@ class Membrane(_Section):
         }[self.shape]
         for name in needed:
             if getattr(self, name) is None:
-                raise ValueError(f'shape = "{self.shape}" needs {name}')
+                raise ValueError(f'shape = "{self.shape}" needs {name}; add it')
         return self
 
 
@@ -115,9 +115,11 @@ class Camera(_Section):
     @model_validator(mode="after")
     def _plausible_pose(self) -> Camera:
         if any(abs(x) > 2.0 for x in self.position_m):
-            raise ValueError("position_m is more than 2 m from the bubble; is it in millimetres?")
+            raise ValueError(
+                "position_m is more than 2 m from the bubble; give metres, not millimetres"
+            )
         if not is_unit(self.quaternion_xyzw):
-            raise ValueError("quaternion_xyzw is not of unit length")
+            raise ValueError("quaternion_xyzw is not of unit length; normalise it")
         return self
 
     @property

@@ -88,7 +88,7 @@ def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
     """Whether the file is ASCII (then all values are read as doubles), and its elements."""
     formats = [_ORDERS.get(words[1]) for words in lines if words[0:1] == ["format"] and words[1:]]
     if not formats or formats[0] is None:
-        raise ValueError("no known format line")
+        raise ValueError("the format line is missing or unknown")
     order, elements = formats[0], list[_Element]()
     for words in lines:
         if words[:1] == ["element"] and len(words) == 3:
@@ -97,7 +97,7 @@ def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
             is_list = words[1:2] == ["list"]
             kinds = words[1 + is_list : -1]
             if len(kinds) != 1 + is_list or any(kind not in _TYPES for kind in kinds):
-                raise ValueError(f"property not understood: {' '.join(words)}")
+                raise ValueError(f"unknown property: {' '.join(words)}")
             *length, kind = [np.dtype(order + _TYPES[kind] if order else "f8") for kind in kinds]
             elements[-1][2].append((words[-1], kind, length[0] if length else None))
     return order == "", elements
@@ -139,7 +139,7 @@ def _read_rows(
                 stored = _values(body, length, 1, at)[0]
                 size = int(stored)
                 if size != stored:
-                    raise ValueError(f"a list of {stored} values")
+                    raise ValueError(f"a list has the length {stored}")
                 at += length.itemsize
             rows[name].append(_values(body, kind, size, at))
             at += size * kind.itemsize
@@ -148,7 +148,7 @@ def _read_rows(
 
 def _values(body: bytes, kind: np.dtype, count: int, at: int) -> np.ndarray:
     if not 0 <= count <= (len(body) - at) // kind.itemsize:
-        raise ValueError("truncated")
+        raise ValueError("the file is truncated")
     return np.frombuffer(body, kind, count, at)
 
 
@@ -171,16 +171,19 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     if not exists(path) or not path.is_file():
         raise InputError(f"{path}: no such mesh file; check the path")
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: unsupported mesh format; give {', '.join(SUFFIXES)}")
+        raise InputError(f"{path}: unknown mesh format; export one of {', '.join(SUFFIXES)}")
     with as_input_error(path, "the mesh", "export it again"):
         vertices, triangles = _read(path)
         if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             raise ValueError("a triangle refers to a missing vertex")
     if not len(triangles):
-        raise InputError(f"{path}: holds no triangles; export a surface mesh")
+        raise InputError(f"{path}: contains no triangles; export a surface mesh")
     wrong = np.flatnonzero(~(np.abs(vertices) < _MAX_COORDINATE).all(axis=1))
     if len(wrong):
-        raise InputError(f"{path}: vertex {wrong[0]} is not a finite number; repair the mesh")
+        raise InputError(
+            f"{path}: a coordinate of vertex {wrong[0]} is not finite or beyond 10⁹; repair the "
+            "mesh"
+        )
     with as_input_error(path, "the mesh", "export it again"):
         return _merge(vertices, triangles)
 

@@ -101,13 +101,13 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
             known = each.name in _WRITTEN_FOLDERS if each.is_dir() else suffix in _WRITTEN_SUFFIXES
             if not known:
                 raise InputError(
-                    f"{path}: holds {each.relative_to(path)}, which bubbleviz did not write; "
-                    "choose another folder, or move that away"
+                    f"{path}: contains {each.relative_to(path)}, which is no output of bubbleviz; "
+                    "choose another folder, or move it away"
                 )
     if not parent_exists:
         raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: folder {path.parent} is not writable; choose another")
+        raise InputError(f"{path}: folder {path.parent} is not writable; choose another folder")
 
 
 def free_name(path: Path) -> Path:
@@ -231,7 +231,9 @@ def create_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot create the folder ({error}); choose another") from error
+        raise InputError(
+            f"{path}: the folder cannot be created ({error}); choose another folder"
+        ) from error
     return path
 
 

@@ -36,11 +36,11 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     """4×4 transform from x, y, z in m and a unit quaternion xyzw, shape (7,)."""
     position, quaternion = numbers[:3], numbers[3:]
     if not np.isfinite(numbers).all():
-        raise InputError("not finite numbers; correct them")
+        raise InputError("a number is not finite; correct it")
     if np.abs(position).max() > _MAX_DISTANCE_M:
-        raise InputError("more than 2 m from the bubble; is it in millimetres? use metres")
+        raise InputError("a coordinate is above 2 m; give x y z in metres, not millimetres")
     if not is_unit(quaternion):
-        raise InputError("the quaternion is not of unit length; give qx qy qz qw")
+        raise InputError("the quaternion is not of unit length; normalise qx qy qz qw")
     T = np.eye(4)
     T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     T[:3, 3] = position
@@ -85,13 +85,15 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
         raise InputError(f"{path}: no poses; give a line for each frame below the header")
     missing = [name for name in COLUMNS if name not in rows[0]]
     if missing:
-        raise InputError(f"{path}: no column {missing[0]}; the header needs {','.join(COLUMNS)}")
+        raise InputError(
+            f"{path}: no column {missing[0]}; add it, as the header needs {','.join(COLUMNS)}"
+        )
     poses = np.empty((len(rows), 4, 4))
     for k, row in enumerate(rows):
         try:
             poses[k] = pose_matrix(np.array([float(row[name] or "nan") for name in COLUMNS]))
         except (InputError, ValueError) as error:
-            raise InputError(f"{path}: line {k + 2}: {error}") from None
+            raise InputError(f"{path}: correct line {k + 2}: {error}") from None
     return poses, _times(path, rows)
 
 
@@ -101,7 +103,7 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     Raises InputError: it cannot be read as CSV.
     """
     with (
-        as_input_error(path, "the CSV file", "check the path"),
+        as_input_error(path, "the CSV file", "correct the file or its path"),
         path.open(newline="", encoding="utf-8-sig") as file,
     ):
         return list(csv.DictReader(file))
@@ -113,10 +115,11 @@ def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
     try:
         times = np.array([float(row["time_s"] or "nan") for row in rows])
     except ValueError as error:
-        raise InputError(f"{path}: time_s: {error}; give seconds") from None
+        raise InputError(f"{path}: time_s: {error}; give times in s") from None
     if not (np.abs(times) < _MAX_TIME_S).all():
         raise InputError(
-            f"{path}: time_s: implausible times; give seconds since 1970 or since the start"
+            f"{path}: time_s: a time is not finite or not plausible; give s since 1970 or since "
+            "the start"
         )
     if not (np.diff(times) > 0.0).all():
         raise InputError(f"{path}: time_s does not increase from line to line; correct it")

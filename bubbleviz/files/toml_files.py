@@ -35,7 +35,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises InputError: it cannot be read, or is not TOML.
     """
-    with as_input_error(path, "the TOML file", "correct it"):
+    with as_input_error(path, "the TOML file", "correct the file or its path"):
         return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
@@ -59,7 +59,7 @@ def _first_problem(error: ValidationError, kind: str) -> str:
     problem = error.errors()[0]
     key = ".".join(str(part) for part in problem["loc"]) or kind
     if problem["type"] == "extra_forbidden":
-        return f"{key}: unknown key; check its spelling"
+        return f"{key}: unknown key; correct its spelling or remove it"
     if problem["type"] == "missing":
         return f"{key}: missing; add it"
     message = problem["msg"].removeprefix("Value error, ")

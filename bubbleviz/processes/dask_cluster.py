@@ -63,7 +63,7 @@ def _client(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError as error:
         raise InputError(
-            f"--scheduler {address}: a cluster needs Dask's distributed; "
+            f"--scheduler {address}: the package distributed is not installed; run "
             f"{how_to_install('cluster')}, or leave --scheduler out"
         ) from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # replaced by InputError
@@ -74,7 +74,7 @@ def _client(address: str) -> Iterator[Any]:
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
     except Exception as error:  # with other servers Dask raises arbitrary exceptions
         raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers within {TIMEOUT_S:.0f} s; start one "
+            f"--scheduler {address}: no Dask scheduler answers; start one "
             "with `dask scheduler`, or check address and port"
         ) from error
     try:
@@ -100,5 +100,6 @@ async def _kind_of_server(address: str) -> str:
 
 def _lost(address: str) -> InputError:
     return InputError(
-        f"--scheduler {address}: lost the scheduler; restart it and continue with --resume"
+        f"--scheduler {address}: the connection to the scheduler is lost; restart it and continue "
+        "with --resume"
     )

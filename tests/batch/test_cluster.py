@@ -58,7 +58,7 @@ def test_no_scheduler_at_the_address(recordings, sensor, tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(InputError, match="no Dask scheduler answers within 1 s; start one"):
+    with pytest.raises(InputError, match="no Dask scheduler answers; start one"):
         batch(recordings, tmp_path / "out", sensor, scheduler=address)
     assert not (tmp_path / "out").exists()
 
