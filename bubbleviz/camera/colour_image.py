@@ -134,7 +134,8 @@ class ColourImage:
         except (ValueError, OSError, SyntaxError) as error:  # Pillow raises all of them
             why = " ".join(str(error).split())[:160]
             raise InputError(
-                f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record it again"
+                f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record 8-bit, "
+                "JPEG or PNG images"
             ) from error
 
 

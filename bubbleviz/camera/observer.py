@@ -190,7 +190,8 @@ class RangeObserver:
         if not len(pixel):
             raise InputError(
                 "camera: no pixel in use sees the membrane; correct the camera's position_m and "
-                "quaternion_xyzw in the sensor file"
+                "quaternion_xyzw in the sensor file, or identify the sensor again if it has a "
+                "pixels file"
             )
         order = np.argsort(self._block_of(pixel), kind="stable")
         self.pixel = pixel = pixel[order]

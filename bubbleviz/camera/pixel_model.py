@@ -103,7 +103,7 @@ class PixelModel:
 
         Raises InputError: the file is unreadable, incomplete or of another image size.
         """
-        with as_input_error(path, "the pixels file", "calibrate again"):
+        with as_input_error(path, "the pixels file", "identify the sensor again"):
             data = read_npz(path)
             mask, bias, noise = (plain_numbers(data[key]) for key in ("mask", "bias_m", "noise_m"))
             correlated = float(plain_numbers(data["correlated_pixels"]))
@@ -113,10 +113,13 @@ class PixelModel:
             same |= {line.slope.shape, line.rest_m.shape}
             same |= {line.nearest_m.shape, line.farthest_m.shape}
         if mask.ndim != 2 or len(same) > 1:
-            raise InputError(f"{path}: its images differ in size; calibrate again")
+            raise InputError(f"{path}: its images differ in size; identify the sensor again")
         if shape is not None and mask.shape != shape:
             made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
-            raise InputError(f"{path}: made for {made} pixels, camera has {has}; calibrate again")
+            raise InputError(
+                f"{path}: made for {made} pixels but the camera has {has}; identify the sensor "
+                "again"
+            )
         used = mask.astype(bool)
         if not (
             (np.abs(bias[used]) < FARTHEST_OFF_M).all()
@@ -125,7 +128,10 @@ class PixelModel:
             and 0.0 < correlated < mask.size + 1.0
             and (line is None or np.isfinite(line.straighten(bias)[used]).all())
         ):
-            raise InputError(f"{path}: has values that no pixel can have; calibrate again")
+            raise InputError(
+                f"{path}: the bias, noise or correlation of a pixel is not finite or out of range; "
+                "identify the sensor again"
+            )
         return cls(used, bias, noise, correlated, line)
 
     def at(self, pixels: np.ndarray) -> PixelModel:

@@ -91,7 +91,8 @@ def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
         raise InputError("pose T_B_O: its 3×3 part is not a rotation; give a rigid transform")
     if np.abs(pose[:3, 3]).max() > 10.0:
         raise InputError(
-            f"pose T_B_O: {np.abs(pose[:3, 3]).max():.4g} m away; is it in millimetres? use metres"
+            f"pose T_B_O: a coordinate of the position is {np.abs(pose[:3, 3]).max():.4g} m; give "
+            "metres, not millimetres"
         )
     return pose
 
@@ -230,7 +231,7 @@ class ForwardModel:
 
     def __init__(self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas) -> None:
         if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
-            raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
+            raise InputError(f"tension {tension_n_per_m} N/m: give a finite number above 0")
         self.mesh, self.tension, self.gas = mesh, tension_n_per_m, gas
         self._finder = GapFinder(mesh)
         self._laplacian = cotangent_laplacian(mesh)

@@ -131,8 +131,8 @@ class EllipsoidalCap:
             c_m = (a2 + height_m**2) / (2.0 * height_m)
         if not c_m > 0.5 * height_m:
             raise InputError(
-                f"vertical semi-axis {c_m} m is too small; it must exceed half the height, "
-                f"{0.5 * height_m} m"
+                f"vertical semi-axis {c_m:g} m is too small; give more than half the height, "
+                f"{0.5 * height_m:g} m"
             )
         return cls((ax, ay), height_m, c_m)
 
@@ -392,10 +392,13 @@ def _check_size(nodes: np.ndarray) -> None:
     size = float(np.ptp(nodes, axis=0).max())
     if size > LARGEST_M:
         raise InputError(
-            f"the membrane is {size:.4g} m wide; is the mesh in millimetres? scale it to metres"
+            f"the membrane is {size:.4g} m wide, above {LARGEST_M:g} m; scale the mesh to metres"
         )
     if size < SMALLEST_M:
-        raise InputError(f"the membrane is only {size:.3g} m wide; scale the mesh to metres")
+        raise InputError(
+            f"the membrane is only {size:.3g} m wide, below {SMALLEST_M:g} m; scale the mesh to "
+            "metres"
+        )
 
 
 def _check_triangles(nodes: np.ndarray, triangles: np.ndarray) -> None:
@@ -434,11 +437,11 @@ def _edges(nodes: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.nda
         i, j = sorted((int(start[edge]), int(end[edge])))
         raise InputError(
             f"edge {i}–{j} from {_place(nodes[i])} to {_place(nodes[j])} belongs to"
-            f" {count[count > 2][0]} triangles; a membrane has at most two: remove the others"
+            f" {count[count > 2][0]} triangles; remove all but two of them"
         )
     single = order[begin[count == 1]]
     if not len(single):
-        raise InputError("the surface is closed; the rim must be an open boundary: cut it open")
+        raise InputError("the surface is closed; cut it open at the rim")
     pairs = begin[count == 2]
     return order[pairs], order[pairs + 1], np.stack([start[single], end[single]], axis=1)
 
@@ -462,7 +465,9 @@ def _check_one_loop(nodes: np.ndarray, boundary: np.ndarray) -> None:
     degree = np.bincount(boundary.ravel(), minlength=len(nodes))
     if degree.max() > 2:
         i = int(degree.argmax())
-        raise InputError(f"boundary loops touch at node {i} at {_place(nodes[i])}; close the hole")
+        raise InputError(
+            f"boundary loops touch at node {i} at {_place(nodes[i])}; close all holes but the rim"
+        )
     n = len(nodes)
     graph = sparse.coo_array((np.ones(len(boundary)), tuple(boundary.T)), shape=(n, n))
     _, label = connected_components(graph, directed=False)
@@ -471,7 +476,7 @@ def _check_one_loop(nodes: np.ndarray, boundary: np.ndarray) -> None:
         edge = boundary[label[boundary[:, 0]] == loops[counts.argmin()]][0]
         raise InputError(
             f"{len(loops)} boundary loops, the smallest through edge {edge[0]}–{edge[1]} at"
-            f" {_place(nodes[edge[0]])}; the rim must be the only one: close the others"
+            f" {_place(nodes[edge[0]])}; close all holes but the rim"
         )
 
 
@@ -501,7 +506,8 @@ def _check_frame(mesh: MembraneMesh, facing: np.ndarray) -> None:
     tilt = float(np.degrees(np.arccos(facing[2] / np.linalg.norm(facing))))
     if tilt > 30.0:
         raise InputError(
-            f"the rim is tilted {tilt:.0f}° from z = 0; turn the mesh into frame B (+z out)"
+            f"the rim is tilted {tilt:.0f}° from z = 0; rotate the mesh so that +z points out of "
+            "the rim"
         )
     offset, width = float(rim[:, 2].mean()), float(np.ptp(rim[:, :2], axis=0).max())
     if abs(offset) > 0.1 * width:

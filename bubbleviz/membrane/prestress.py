@@ -47,7 +47,9 @@ def disc_map(mesh: MembraneMesh) -> np.ndarray:
     disc[inner] = splu(rows[:, inner].tocsc()).solve(-(rows[:, loop] @ disc[loop]))
     edges = disc[mesh.triangles[:, 1:]] - disc[mesh.triangles[:, :1]]
     if not (np.linalg.det(edges) > 0.0).all():
-        raise InputError("membrane mesh: triangles too badly shaped; remesh it evenly")
+        raise InputError(
+            "membrane mesh: triangles are too distorted to map it to a disc; remesh it evenly"
+        )
     return disc
 
 
@@ -118,7 +120,8 @@ class Prestress:
         curvature = mean_curvature(mesh)
         if not curvature > 0.0:
             raise InputError(
-                "reference surface: flat or concave, so no tension can balance the gauge pressure"
+                "reference surface: flat or concave, so no tension can balance the gauge pressure; "
+                "identify the inflated sensor, or correct the surface in the sensor file"
             )
         disc = disc_map(mesh)
         unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc, degree)

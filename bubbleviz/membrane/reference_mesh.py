@@ -30,7 +30,7 @@ def build_mesh(
         return _meshed(cap, membrane.nodes if nodes is None else nodes)
     if membrane.mesh_file is not None:
         return load_membrane(sensor.resolve(membrane.mesh_file))
-    raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its dimensions')
+    raise InputError(f"{sensor.name}: membrane.mesh_file is missing; add it")
 
 
 @lru_cache(maxsize=8)
@@ -53,7 +53,8 @@ def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
         return spherical_cap(membrane.rim_radius_m, membrane.height_m)
     if membrane.rim_semi_axes_m is not None:
         return EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
-    raise InputError(f'{sensor.name}: membrane.shape = "{membrane.shape}" lacks its dimensions')
+    name = "rim_radius_m" if membrane.shape == "spherical_cap" else "rim_semi_axes_m"
+    raise InputError(f"{sensor.name}: membrane.{name} is missing; add it")
 
 
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:

@@ -121,10 +121,11 @@ class RubberMembrane:
         inverse = np.asarray(stress_free, float)
         self.mu_h = np.broadcast_to(np.asarray(mu_h_n_per_m, float), count)
         determinant = inverse[:, 0, 0] * inverse[:, 1, 1] - inverse[:, 0, 1] * inverse[:, 1, 0]
-        for name, values in (("area", determinant), ("stiffness", self.mu_h)):
+        for name, values in (("stress-free area", determinant), ("stiffness", self.mu_h)):
             if not (np.isfinite(values).all() and (values > 0.0).all()):
                 raise InputError(
-                    f"rubber: stress-free triangles of no {name}; check the prestretch"
+                    f"rubber: the {name} of a triangle is not above 0; correct prestretch and "
+                    "tension in the sensor file, or remesh its surface"
                 )
         self.stress_free_area = 0.5 / np.sqrt(determinant)
         self._corners = mesh.triangles.T
@@ -364,9 +365,9 @@ def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
     Raises InputError: λ is not above 1, or γ0 not above 0.
     """
     if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
-        raise InputError(f"tension {tension_n_per_m} N/m: give a number above 0")
+        raise InputError(f"tension {tension_n_per_m} N/m: give a finite number above 0")
     if not (np.isfinite(prestretch) and prestretch > 1.0):
-        raise InputError(f"prestretch {prestretch}: give a number above 1, or leave it out")
+        raise InputError(f"prestretch {prestretch}: give a finite number above 1, or leave it out")
     return tension_n_per_m / (1.0 - prestretch**-6)
 
 

@@ -150,5 +150,5 @@ def test_pixel_counts_of_no_camera_are_refused(tmp_path, changes):
     np.savez(path, **good)
     assert PixelModel.load(path, shape).correlated_pixels == 2.0
     np.savez(path, **{**good, **changes})
-    with pytest.raises(InputError, match=r"pixels\.npz: .*calibrate again"):
+    with pytest.raises(InputError, match=r"pixels\.npz: .*identify the sensor again"):
         PixelModel.load(path, shape)

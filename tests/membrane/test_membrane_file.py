@@ -120,7 +120,7 @@ BROKEN = {
     "two pieces": (twice, "pieces"),
     "degenerate": (flattened, "no area"),
     "duplicate": (lambda n, t: (n, np.vstack([t, t[0, [1, 2, 0]]])), "twice"),
-    "millimetres": (lambda n, t: (n * 1e3, t), "millimetres"),
+    "millimetres": (lambda n, t: (n * 1e3, t), "scale the mesh to metres"),
     "upside down": (lambda n, t: (n * [1, 1, -1], t), "points to -z"),
     "on its side": (lambda n, t: (n[:, [2, 0, 1]], t), "tilted"),
     "closed": (
