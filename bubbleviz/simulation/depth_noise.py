@@ -34,10 +34,11 @@ class DepthNoise:
         bad += [n for n in ("correlation_frames", "holes", "outliers") if getattr(self, n) >= 1.0]
         if self.absolute_m > 0.1:
             raise InputError(
-                f"noise absolute_m = {self.absolute_m}: above 0.1 m; is it in millimetres?"
+                f"noise absolute_m = {self.absolute_m}: above 0.1 m; give metres, not millimetres"
             )
         if bad:
-            raise InputError(f"noise {bad[0]} = {getattr(self, bad[0])}: out of range; correct it")
+            most = "below 1" if bad[0] in ("correlation_frames", "holes", "outliers") else "finite"
+            raise InputError(f"noise {bad[0]} = {getattr(self, bad[0])}: give 0 or more, {most}")
 
     def apply(self, range_m: np.ndarray, seed: int, index: int) -> np.ndarray:
         """Noisy copy of a range image (H, W), m; NaN where there is no return."""

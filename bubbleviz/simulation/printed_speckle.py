@@ -31,9 +31,9 @@ class Speckle:
 
     def __post_init__(self) -> None:
         if self.blot_m is not None and not 0.0 < self.blot_m < 0.1:
-            raise InputError(f"texture blot_m = {self.blot_m}: out of range; give metres")
+            raise InputError(f"texture blot_m = {self.blot_m}: give m, above 0 and below 0.1")
         if not 0.0 <= self.noise < 100.0:
-            raise InputError(f"texture noise = {self.noise}: give grey levels from 0 to 100")
+            raise InputError(f"texture noise = {self.noise}: give grey levels from 0 to below 100")
 
 
 class PrintedMembrane:

@@ -133,7 +133,7 @@ class Presses(ABC):
         """
         mesh, contact = self.solved(obj, T_B_O)
         if not contact.converged:
-            raise SolveError(f"no equilibrium of {obj.name} at this pose")
+            raise SolveError(f"no equilibrium of {obj.name} at this pose; press it less deep")
         view = MembraneView(self.camera, mesh)
         return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
 
@@ -176,7 +176,7 @@ class LinearPresses(Presses):
         gas = Gas.of(self.pneumatics, self.mesh)
         contact = ForwardModel(self.mesh, self.tension_n_per_m, gas).press(obj, T_B_O)
         if contact.rim_penetration_m > 1e-6:
-            raise InputError(f"{obj.name} cuts into the clamped rim; move it inward")
+            raise InputError(f"{obj.name} cuts into the clamped rim; raise it or move it inward")
         return self.mesh, contact
 
 

@@ -176,7 +176,9 @@ class SyntheticSource:
     ) -> None:
         self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
-            raise InputError("poses: give at least one 4×4 transform T_B_O")
+            raise InputError(
+                f"poses: shape {self.poses.shape}; give transforms T_B_O, (frames, 4, 4)"
+            )
         self.noise, self.seed = noise or DepthNoise(), seed
         self.name = f"{obj.name} on {sensor.name}"
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
@@ -196,8 +198,7 @@ class SyntheticSource:
         elif friction:
             raise InputError(
                 f"friction {friction:g}: the linear membrane has no friction; choose the model "
-                "rubber, or "
-                "a sensor file with a prestretch"
+                "rubber, or a sensor file with a prestretch"
             )
         else:
             self._model = ForwardModel(self.mesh, tension, gas)
@@ -265,7 +266,9 @@ class SyntheticSource:
                 " clamped rim; raise it or move it inward"
             )
         if not contact.converged:
-            raise SolveError(f"frame {index}: no equilibrium of {self.obj.name} at this pose")
+            raise SolveError(
+                f"frame {index}: no equilibrium of {self.obj.name} at this pose; press it less deep"
+            )
         return contact
 
     def _pressed(self, index: int) -> Contact:
@@ -277,7 +280,8 @@ class SyntheticSource:
             contact = next(self._path, None)
             if contact is None:
                 raise SolveError(
-                    f"frame {len(self._past) - 1}: no equilibrium of {self.obj.name} at this pose"
+                    f"frame {len(self._past) - 1}: no equilibrium of {self.obj.name} at this pose; "
+                    "press it less deep"
                 )
             self._past.append(contact)
         return self._past[index]

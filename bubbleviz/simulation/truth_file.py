@@ -82,18 +82,18 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
 
     Raises InputError: it cannot be read, or is not a TRUTH.npz.
     """
-    with as_input_error(path, "the truth", "check it"):
+    with as_input_error(path, "the ground truth", "simulate it again, or correct the path"):
         arrays = read_npz(path)
     missing = [key for key in KEYS if key not in arrays]
     if missing:
         raise InputError(
-            f"{path}: not a TRUTH.npz of bubbleviz simulate (no {missing[0]} in it); "
+            f"{path}: not a TRUTH.npz of bubbleviz simulate (it lacks {missing[0]}); "
             "choose another file"
         )
     arrays = {key: arrays[key] for key in (*KEYS, *OPTIONAL_KEYS) if key in arrays}
     counts = {len(array) if array.ndim else 0 for array in arrays.values()}
     if len(counts) != 1 or 0 in counts or arrays["patch_mask"].ndim != 3:
-        raise InputError(f"{path}: its arrays are inconsistent; simulate it again")
+        raise InputError(f"{path}: its arrays have inconsistent shapes; simulate it again")
     return arrays
 
 

@@ -103,7 +103,7 @@ def test_a_simulated_recording_has_the_images(tmp_path):
 
 
 def test_invalid_speckle_is_refused():
-    with pytest.raises(InputError, match="give metres"):
+    with pytest.raises(InputError, match="give m, above 0"):
         Speckle(blot_m=3.0)
     with pytest.raises(InputError, match="grey levels"):
         Speckle(noise=-1.0)

@@ -96,7 +96,7 @@ def test_ground_truth_of_another_recording_gives_one_sentence(folder, tmp_path):
     np.savez(bad, force_n=arrays["force_n"])
     assert "not a TRUTH.npz" in problem()
     np.savez(bad, **{**arrays, "patch_mask": np.array(True)})
-    assert "are inconsistent" in problem()
+    assert "have inconsistent shapes" in problem()
     np.savez(bad, **{k: a[:2] if len(a) == FRAMES else a for k, a in arrays.items()})
     assert "2 frames" in problem() and "3 frames" in problem()
     np.savez(bad, **{**arrays, "patch_mask": arrays["patch_mask"][:, :, 1:]})

@@ -145,6 +145,6 @@ def test_command_line_option_for_ground_truth(qtbot, sensor, files):
         session.wait_for(lambda: curve() is not None and curve().iou is not None, "IoU")
     done = run_bubbleviz("open", rec, "--sensor", files / "dome.toml", "--truth", rec)
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1
-    assert "the truth cannot be read" in done.stderr
+    assert "the ground truth cannot be read" in done.stderr
     refused = CliRunner().invoke(main, ["open", "--source", "synthetic:", "--truth", str(truth)])
     assert refused.exit_code == 2 and "--truth" in refused.stderr
