@@ -185,7 +185,7 @@ def check_motion(samples: FrameSamples) -> float:
     if motion[worst] > _MAX_MOTION * sphere.semi_axes_m[0]:
         raise InputError(
             f"{samples.source_name}: the dome moves by {1e3 * motion[worst]:.2g} mm against the"
-            f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fix the"
-            " camera, let the gas settle, or choose frames without contact"
+            f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fasten "
+            "the camera, let the gas settle, or choose frames without contact"
         )
     return float(motion[worst])

@@ -120,8 +120,8 @@ def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
         surface = _minimise(few, surface, loss, sphere=sphere)
     if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
         raise InputError(
-            "contact-free cloud: no dome fits it (flat or concave); check that the"
-            " membrane is inflated and the depth is in metres"
+            "contact-free cloud: no dome fits it (flat or concave); inflate the membrane, and "
+            "check that the depth is in metres"
         )
     if len(points) > len(few):
         surface = _minimise(points, surface, tukey_loss, sphere=sphere)
@@ -154,8 +154,8 @@ def _finite_points(points: np.ndarray) -> np.ndarray:
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 20:
         raise InputError(
-            f"contact-free cloud: only {len(points)} points; check that the camera sees the"
-            " membrane"
+            f"contact-free cloud: only {len(points)} valid points; uncover the camera, or check"
+            " the depth topic"
         )
     return points
 

@@ -86,8 +86,8 @@ class Vented:
         known = np.array([value for value in values if value is not None])
         if len(known) < fewest:
             raise InputError(
-                f"{source.name}: {count_of(len(known), 'frame')} with a gas pressure; --vented"
-                f" needs {fewest}: record the sensor with its chamber open"
+                f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
+                f"{fewest} or more with the chamber open, or leave --vented out"
             )
         return cls(source.name, float(np.mean(known)), error_of_mean(known))
 

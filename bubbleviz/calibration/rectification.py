@@ -33,7 +33,9 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
         return found
     every = [(found.samples, found.surfaces, found.pixels), *levels]
     if len({pixels.mask.shape for _, _, pixels in every}) > 1:
-        raise InputError("rectification: images differ in size; give recordings of one camera")
+        raise InputError(
+            "rectification: images differ in size; record all levels with one camera and resolution"
+        )
     mask = np.stack([pixels.mask for _, _, pixels in every])
     measured = np.stack([samples.statistics.range_m for samples, _, _ in every])
     slope, nearest, farthest = fit_lines(
@@ -101,10 +103,13 @@ def fit_lines(
 def _check_apart(span_m: np.ndarray, noise_m: np.ndarray) -> None:
     known = np.isfinite(span_m) & np.isfinite(noise_m)
     if not known.any():
-        raise InputError("rectification: no pixel is valid at every level; record them again")
+        raise InputError(
+            "rectification: no pixel is valid at every level; record the levels with the membrane "
+            "in view"
+        )
     span, needed = float(np.median(span_m[known])), _MIN_SPAN * float(np.median(noise_m[known]))
     if span < needed:
         raise InputError(
-            f"rectification: the levels are only {1e3 * span:.2g} mm apart, within the noise;"
-            f" inflate to levels {1e3 * needed:.2g} mm apart or more, or use one of them"
+            f"rectification: the membrane moves only {1e3 * span:.2g} mm between levels, within"
+            f" the noise; record levels {1e3 * needed:.2g} mm apart or more"
         )

@@ -55,11 +55,11 @@ def collect(
     if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
         raise InputError(
             f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are outside its"
-            f" {count_of(len(source), 'frame')}; choose others"
+            f" {count_of(len(source), 'frame')}; choose within 0:{len(source)}"
         )
     if len(chosen) < MIN_FRAMES:
         raise InputError(
-            f"{source.name}: {count_of(len(chosen), 'contact-free frame')}; choose at least "
+            f"{source.name}: only {count_of(len(chosen), 'contact-free frame')}; choose at least "
             f"{MIN_FRAMES}"
         )
     chosen = list(chosen)[:: -(-len(chosen) // MAX_FRAMES)]
@@ -68,7 +68,9 @@ def collect(
     for number, k in enumerate(chosen):
         frame = source[k]
         if images and frame.depth_m.shape != images[0].shape:
-            raise InputError(f"{source.name}: frame {k} differs in size; record one camera mode")
+            raise InputError(
+                f"{source.name}: frame {k} differs in size; record with one resolution"
+            )
         images.append(frame.depth_m)
         pressures.append(np.nan if frame.gas_pressure_pa is None else frame.gas_pressure_pa)
         if number == 0:
@@ -97,9 +99,9 @@ def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCam
     measured, expected = float(np.median(valid)), float(np.median(drawn))
     if not expected / _WRONG_UNIT < measured < expected * _WRONG_UNIT:
         raise InputError(
-            f"{name}: depth of {measured:.3g} m, but the sensor file has its membrane"
-            f" {expected:.3g} m from the camera: wrong unit? record 16UC1 in millimetres or 32FC1"
-            " in metres"
+            f"{name}: the median depth is {measured:.3g} m, but in the sensor file the membrane is"
+            f" {expected:.3g} m from the camera; record 16UC1 in millimetres or 32FC1 in metres, or"
+            " choose the sensor file of this camera"
         )
 
 

@@ -314,7 +314,7 @@ class RubberProblem:
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape explains what"
             f" {', '.join(shape.samples.source_name for shape in self._shapes)} shows; check the"
-            " gas pressures and the atmospheric pressure"
+            " recorded gas pressures, and the atmospheric pressure in the sensor file"
         )
 
     def refit(self, alone: Fit, gauge_sigma: float) -> Fit:
@@ -465,7 +465,7 @@ def _measured(
     if samples.statistics.range_m.shape != rest.statistics.range_m.shape:
         raise InputError(
             f"{samples.source_name}: image size differs from {rest.source_name}; record all "
-            "levels with one camera mode"
+            "levels with one resolution"
         )
     rise = _mean_pressure(samples)[0] - _mean_pressure(rest)[0]
     steady = samples.statistics.validity >= samples.statistics.regular_validity
@@ -497,7 +497,10 @@ def _dent_nodes(observer: RangeObserver, shape: _MeasuredShape) -> np.ndarray:
             zone[nodes] = moved[nodes] < _EDGE_OF_DENT * moved[nodes].min()
     if not zone.any():
         name = shape.samples.source_name
-        raise InputError(f"{name}: no dent in the depth images while the gas pressure is high")
+        raise InputError(
+            f"{name}: no dent in the depth images while the gas pressure is high; press in view "
+            "of the camera, or check the pressure topic"
+        )
     adjacent = abs(laplacian) @ zone.astype(float) > 0.0
     hidden = total == 0.0
     return np.flatnonzero(zone | (adjacent & hidden & ~mesh.rim))
@@ -528,7 +531,7 @@ def _check_rise(shape: _MeasuredShape, gauge_pa: float, *, pressed: bool) -> Non
         )
     if abs(rise) < _MIN_RISE * gauge_pa:
         raise InputError(
-            f"{name}: its gas pressure is only {rise:.0f} Pa from that at rest;"
+            f"{name}: its gas pressure differs by only {rise:.0f} Pa from that at rest;"
             + (" press deeper" if pressed else " record levels 15 % above and below it")
         )
 
@@ -538,7 +541,7 @@ def _mean_pressure(samples: FrameSamples) -> tuple[float, float]:
     gas = samples.gas_pressure_pa
     if gas is None:
         raise InputError(
-            f"{samples.source_name}: some frames lack the gas pressure; λ needs it in all frames "
-            "of levels and press"
+            f"{samples.source_name}: some frames lack the gas pressure, which λ needs; record it "
+            "in all frames of levels and press"
         )
     return float(np.mean(gas)), error_of_mean(gas)

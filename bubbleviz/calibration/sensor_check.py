@@ -109,7 +109,7 @@ def check_sensor(
     Raises InputError: too few frames, a half-hidden membrane, or contact in all frames.
     """
     if len(frames) < MIN_FRAMES:
-        raise InputError(f"{len(frames)} contact-free frames; give at least {MIN_FRAMES}")
+        raise InputError(f"only {len(frames)} contact-free frames; give at least {MIN_FRAMES}")
     depths = [frame.depth_m for frame in frames]
     rest = _RestComparison(model, depths)
     camera = _camera_row(model, rest)
@@ -138,8 +138,8 @@ def check_sensor(
     pipeline = Pipeline(model)
     if _contact_explains(pipeline, frames[0], rest):
         raise InputError(
-            "no contact-free frames: something touches the membrane in all of these frames; record"
-            " it untouched"
+            "no contact-free frames: a contact explains these frames better than a drift does; "
+            "record the sensor untouched, or choose contact-free frames"
         )
     if not rest.explained:
         reason = "another membrane or camera: identify the sensor again"
@@ -150,8 +150,8 @@ def check_sensor(
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
     force = "" if error is None else f", which changes a press of {press:.2g} N by {error:.2g} N"
     reason = (
-        f"drifted by {1e3 * rest.bias_m:+.2f} mm{force} ({names or 'pattern of the pixels'}):"
-        f" {largest.todo if largest else _REMEDY[False]}"
+        f"drifted by {1e3 * rest.bias_m:+.2f} mm in mean depth{force} "
+        f"({names or 'pattern of the pixels'}): {largest.todo if largest else _REMEDY[False]}"
     )
     return replace(found, verdict="drifted", reason=reason, press_n=press, force_error_n=error)
 
@@ -174,7 +174,10 @@ class _RestComparison:
         # derivative of the residuals (B,) by an offset and by the scale of depth
         self._by_offset, self._by_scale = by_offset[self._visible], by_scale[self._visible]
         if 2 * self._visible.sum() < len(self._visible):
-            raise InputError("more than half of the membrane is not seen; uncover the camera")
+            raise InputError(
+                "more than half of the membrane has no valid depth in some frame; uncover the "
+                "camera"
+            )
         # (F, B), residuals of the blocks, m
         self.frames_m = residuals[:, self._visible]
         self.mean_m = self.frames_m.mean(axis=0)

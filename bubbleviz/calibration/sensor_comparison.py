@@ -54,7 +54,8 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     intrinsics = new.model.camera.intrinsics
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
         raise InputError(
-            f"{old.name}: has images of another size; compare with a sensor of this camera"
+            f"{old.name}: its images have {old.camera.width}×{old.camera.height} pixels, those of "
+            f"the new sensor {intrinsics.width}×{intrinsics.height}; compare sensors of one camera"
         )
     measured = np.where(new.pixels.mask, new.statistics.range_m, np.nan)
     models = SensorModel.of(old, intrinsics), new.model

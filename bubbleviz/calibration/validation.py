@@ -69,7 +69,7 @@ class KnownPress:
         if not 0 <= self.first < self.stop <= len(source):
             raise InputError(
                 f"{source.name}: pressed frames {self.first}:{self.stop} are outside its"
-                f" {count_of(len(source), 'frame')}; choose others"
+                f" {count_of(len(source), 'frame')}; choose within 0:{len(source)}"
             )
         frames = [source[k] for k in range(self.first, self.stop)]
         return validate(model, frames, obj, T_B_O)
@@ -93,13 +93,15 @@ def validate(
     gas = Gas.of(model.sensor.pneumatics, mesh)
     contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
     if not contact.converged:
-        raise SolveError(f"validation: no equilibrium of {obj.name} at this pose")
+        raise SolveError(f"validation: no equilibrium of {obj.name} at this pose; correct the pose")
     view = MembraneView(model.camera, mesh)
     measured = model.range_image(frame.depth_m).astype(float)
     distance, pixels = _distance(view, measured, contact.displacement_m)
     untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
     if not len(distance):
-        raise InputError("validation: no measured point meets the membrane; check the sensor file")
+        raise InputError(
+            "validation: no valid pixel sees the membrane; choose the sensor file of this camera"
+        )
     touching = (contact.contact_pressure_pa > 0.0).astype(float)
     predicted = view.above(contact.displacement_m, touching, 0.5)
     result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))

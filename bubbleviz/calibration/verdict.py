@@ -76,8 +76,8 @@ def _surface(found: Identification) -> str:
     sphere, cap, free = (f"{1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in SURFACE_NAMES)
     if surfaces.chosen == "sphere":
         return (
-            f"The dome is spherical: no other shape predicts it better than the sphere ({sphere} "
-            "rms)."
+            f"The dome is spherical: no other shape predicts it better than the sphere (misfit "
+            f"{sphere} rms)."
         )
     if surfaces.chosen == "ellipsoid":
         return f"The dome is not spherical: the ellipsoid is used (misfit {cap}; sphere {sphere})."
@@ -93,8 +93,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     out = []
     if found.samples.gas_pressure_pa is None:
         out.append(
-            "The recording has no gas pressure: γ0 is computed from the sensor file's gauge "
-            f"pressure: an error there of {pressure(100.0)} changes γ0 by"
+            "The recording has no gas pressure, so γ0 is computed from the sensor file's gauge "
+            f"pressure, and an error there of {pressure(100.0)} changes γ0 by"
             f" {100 * tension.per_pascal:.2f} N/m. Record the gas pressure, or measure the gauge"
             " pressure and enter it."
         )
@@ -115,14 +115,14 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     if surfaces.visible_share < _MIN_VISIBLE:
         out.append(
             f"{_percent(1.0 - surfaces.visible_share)} of the dome is not visible: there the "
-            "surface is extrapolated from the fitted cap, and contact is only inferred."
+            "surface is extrapolated from the fitted cap, and contact is only inferred. Uncover it."
         )
     height = tension.dimensions["height_m"].value
     rim = surfaces.rim_height_m
     if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
             f"The edge of the cloud lies {1e3 * rim:+.1f} mm from the drawing's rim"
-            " plane: either the rim is hidden, or the camera's position has an error of that size."
+            " plane: uncover the rim, or correct the camera's position in the sensor file."
         )
     value, least = tension.tension.value, tension.least_squares_n_per_m
     apart = abs(least - value)
@@ -130,7 +130,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         out.append(
             f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
             f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
-            " varies, so no uniform tension fits this shape exactly."
+            " varies, so no uniform tension fits this shape. Take the difference as the error of "
+            "γ0."
         )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:

@@ -132,7 +132,7 @@ def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
 
 
 def test_too_few_frames_are_refused_with_the_source(bench):
-    with pytest.raises(InputError, match=r"dome: 3 contact-free frames.*at least 5"):
+    with pytest.raises(InputError, match=r"dome: only 3 contact-free frames.*at least 5"):
         bench.work(full(ranges=((0, 3),)))
 
 
