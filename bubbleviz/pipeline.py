@@ -314,7 +314,7 @@ class Pipeline:
         if self.estimator.solver_name != RUBBER:
             raise InputError(
                 f"sensor {self.model.sensor.name}: shear requires the exact membrane; choose "
-                "--solver rubber, or identify the sensor's prestretch"
+                "--solver rubber"
             )
         return TractionEstimator(self.estimator, self._colour_camera, self._traction_options)
 

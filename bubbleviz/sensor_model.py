@@ -49,8 +49,8 @@ class SensorModel:
         if intrinsics is not None and (intrinsics.height, intrinsics.width) != shape:
             raise InputError(
                 f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, the "
-                f"recording's {intrinsics.width}×{intrinsics.height}; choose the sensor of this "
-                "camera"
+                f"recording's {intrinsics.width}×{intrinsics.height}; choose the sensor "
+                "file of this camera"
             )
         if sensor.calibration is not None:
             pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)

@@ -36,13 +36,16 @@ as large. Chosen; eight times the noise of the sensor file has a misfit of 0.05.
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
-        "no_data": "too few depth pixels lie on the membrane",
-        "not_converged": "no equilibrium was found",
-        "implausible": "depths are far from this membrane: wrong sensor file or depth unit?",
+        "no_data": "too few depth pixels lie on the membrane; check camera and sensor file",
+        "not_converged": "the solver did not converge; show the residual, or try another solver",
+        "implausible": "depths are far from this membrane; check sensor file and unit of depth",
     }
 )
 """Default reason of each status."""
-GAS_CONTRADICTS = "the measured gas pressure does not fit the measured shape"
+GAS_CONTRADICTS = (
+    "the measured gas pressure does not fit the measured shape; zero it without contact, or check "
+    "the pressure sensor"
+)
 
 
 def reason_against_gas(change_pa: float, gas: Gas) -> str:
@@ -51,7 +54,7 @@ def reason_against_gas(change_pa: float, gas: Gas) -> str:
         return ""
     return (
         f"gas pressure differs from the sensor file by {1e-3 * change_pa:+.1f} kPa, more than "
-        "contact can change it"
+        "contact can change it; correct the sensor file, or check the pressure sensor"
     )
 
 
@@ -67,12 +70,21 @@ def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
         Size of the membrane, m.
     """
     if misfit.rms_m > IMPLAUSIBLE_SHARE * size_m:
-        return f"depths are {1e3 * misfit.rms_m:.0f} mm from any shape that this membrane can take"
+        return (
+            f"depths are {1e3 * misfit.rms_m:.0f} mm from any shape that this membrane can take; "
+            "check sensor file and unit of depth"
+        )
     if misfit.deviations > IMPLAUSIBLE_MISFIT:
-        return f"depths are {misfit.deviations:.0f} σ from any shape that this membrane can take"
+        return (
+            f"depths are {misfit.deviations:.0f} standard deviations from any shape that this "
+            "membrane can take; check sensor file and unit of depth"
+        )
     clumped = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
     return (
-        "residuals are not white, unlike the noise in the sensor file" if white and clumped else ""
+        "residuals are spatially correlated, unlike the noise in the sensor file; run bubbleviz "
+        "check"
+        if white and clumped
+        else ""
     )
 
 

@@ -25,8 +25,8 @@ def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     if size > _LARGEST * bubble:
         raise InputError(
             f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; "
-            "if the file is in millimetres, choose millimetres next to it in the window, give pose "
-            "--unit mm, or end its name in _mm"
+            "scale it or, if the file is in millimetres, choose millimetres next to it in the "
+            "window, give pose --unit mm, or end its name in _mm"
         )
 
 

@@ -22,7 +22,7 @@ def opencv() -> Any:
         import cv2  # an optional extra
     except ImportError as error:
         raise InputError(
-            f"optical flow: OpenCV is not installed; {how_to_install('colour')}"
+            f"optical flow: OpenCV cannot be imported; run {how_to_install('colour')}"
         ) from error
     return cv2
 
@@ -180,7 +180,8 @@ class OpticalFlow:
         """
         if preset not in get_args(FlowPreset):
             raise InputError(
-                f"optical flow: no preset {preset!r}; use {', '.join(get_args(FlowPreset))}"
+                f"optical flow: no preset {preset!r}; choose one of "
+                f"{', '.join(get_args(FlowPreset))}"
             )
         stack = _stacked(images)
         mean = stack.mean(axis=0, dtype=np.float32)
@@ -214,7 +215,7 @@ class OpticalFlow:
         if grey.shape != self.shape:
             raise InputError(
                 f"colour image: {grey.shape[1]}×{grey.shape[0]} pixels, the contact-free ones have "
-                f"{self.shape[1]}×{self.shape[0]}; use images of one camera mode"
+                f"{self.shape[1]}×{self.shape[0]}; use images of one resolution"
             )
         if self.problem:
             return self.nothing(self.problem)
@@ -267,7 +268,7 @@ def _stacked(images: Iterable[np.ndarray]) -> np.ndarray:
             f"only {len(found)} contact-free colour images; give at least {MIN_FRAMES}"
         )
     if len({image.shape for image in found}) > 1:
-        raise InputError("colour images: sizes differ; give frames of one camera and mode")
+        raise InputError("colour images: sizes differ; give images of one camera and resolution")
     return np.stack(found)
 
 
@@ -313,5 +314,5 @@ def _reason_unusable(good: np.ndarray, saturated: np.ndarray, hidden: np.ndarray
     if np.count_nonzero(good) > _MIN_BLOCK_SHARE * good.size:
         return ""
     if np.count_nonzero(saturated) > 0.5 * visible:
-        return "the colour image is over-exposed"
-    return "the membrane shows no texture in the colour image"
+        return "the colour image is over-exposed; shorten its exposure"
+    return "the colour image shows no texture on most of the membrane; print a texture"

@@ -180,8 +180,9 @@ def recorded_texture(
     seen = readable({k: image for k, image in images.items() if image is not None})
     if len(seen) < MIN_FRAMES:
         raise InputError(
-            f"{recording.path}: shear needs {MIN_FRAMES} colour images before the first contact, "
-            f"there are {len(seen)}; record one second without contact first, or leave out --shear"
+            f"{recording.path}: shear needs {MIN_FRAMES} readable colour images before the first "
+            f"contact, there are {len(seen)}; record a second without contact first, or leave out "
+            "--shear"
         )
     flow = OpticalFlow.of(seen.values(), preset)
     reference = f"contact-free frames {min(seen)}–{max(seen)}{delay_text(colour_delay_s)}"
@@ -201,7 +202,10 @@ def watch_recorded_texture(
     Raises InputError: as of `recorded_texture`, `flow_camera` and `TextureFlow.attach_to`.
     """
     if recording.colour is None:
-        raise InputError(f"{recording.path}: has no colour images; leave out --shear")
+        raise InputError(
+            f"{recording.path}: no colour images of a known encoding; record them, or leave out "
+            "--shear"
+        )
     options = TractionOptions(friction or None)
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
     texture = recorded_texture(

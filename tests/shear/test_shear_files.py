@@ -52,7 +52,7 @@ def test_a_result_has_traction_and_slip(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--shear"], "has no colour images; leave out --shear"),
+        (["--shear"], "no colour images of a known encoding"),
         (["--friction", "-0.5"], "--friction"),
         (["--colour-delay", "-0.05"], "--colour-delay needs --shear"),
         (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
