@@ -284,8 +284,8 @@ def find_recordings(folder: str | Path) -> list[Path]:
         found += [Path(parent, name) for name in visible if name.endswith(SUFFIXES)]
     if not found:
         raise InputError(
-            f"{folder}: no recording in it or its subfolders; it needs rosbag2 folders, .mcap, "
-            ".db3 or .bag files"
+            f"{folder}: no recording in it or its subfolders; choose a folder with rosbag2 folders "
+            "or .mcap, .db3 or .bag files"
         )
     return sorted(found)
 
@@ -333,7 +333,7 @@ def _run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[BatchRow]:
 
 
 def _lost(job: Job, why: str) -> BatchRow:
-    return BatchRow(job.name, "failed", error=f"{job.recording}: {why}")
+    return BatchRow(job.name, "failed", error=f"{job.recording}: {why}; repeat it with --resume")
 
 
 def _run(job: Job) -> BatchRow:

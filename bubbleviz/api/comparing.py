@@ -223,7 +223,7 @@ def _run(given: Run | Recorded, sensor: SensorName, progress: Progress) -> Run:
 def _first_contact_s(run: Run) -> float:
     touching = run.columns()["patch_area_m2"] > 0.0
     if not touching.any():
-        raise InputError(f"{run.context['recording']}: no contact was found; align by time")
+        raise InputError(f"{run.context['recording']}: no contact was found; align by time instead")
     return float(run.times_s[touching.argmax()])
 
 

@@ -348,8 +348,8 @@ def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) ->
 
     if not isinstance(frames.source, Recording):
         raise InputError(
-            f"{frames.name}: shear needs a ROS recording with colour images, not frames in memory "
-            "or another format"
+            f"{frames.name}: no ROS recording, whose colour images shear needs; open one, or leave "
+            "out shear"
         )
     source = frames.source
     return watch_recorded_texture(
@@ -423,18 +423,19 @@ def _check_any_data(run: Run, any_depth: bool) -> None:
     if "implausible" in statuses:
         raise InputError(
             f"{name}: no frame looks like the membrane of this sensor; choose the sensor file of "
-            "this camera, and check that depths are in metres (32FC1) or millimetres (16UC1)"
+            "this camera, and check the gas pressure and the unit of depth (m in 32FC1, mm in "
+            "16UC1)"
         )
     if "not_converged" in statuses:
         raise InputError(
-            f"{name}: no frame could be solved; try --solver linear, and check tension "
+            f"{name}: no frame could be solved; try another --solver, and check tension "
             "and prestretch in the sensor file"
         )
     if not any_depth:
-        raise InputError(f"{name}: no depth in any frame; uncover or check the camera")
+        raise InputError(f"{name}: no valid depth in any frame; uncover or restart the camera")
     raise InputError(
-        f"{name}: no depth pixel lies on the membrane in any frame; "
-        "choose the sensor file of this recording"
+        f"{name}: too few depth pixels lie on the membrane in every frame; "
+        "uncover the camera, or choose its sensor file"
     )
 
 
@@ -450,4 +451,4 @@ def _check_any_pose(run: Run) -> None:
     statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
         why = _REASONS[statuses.most_common(1)[0][0]]
-        raise InputError(f"{run.context['recording']}: no pose in any frame: {why}")
+        raise InputError(f"{run.context['recording']}: no pose in any frame, mostly because {why}")

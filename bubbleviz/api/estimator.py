@@ -238,7 +238,8 @@ class Estimator:
         if not 1.0 / _WRONG_UNIT < median_m / rest_m < _WRONG_UNIT:
             raise InputError(
                 f"depth: {median_m:.3g} m in the median, but the membrane of sensor "
-                f"{self._sensor.name} is {rest_m:.3g} m from the camera; floats are m, integers mm"
+                f"{self._sensor.name} is {rest_m:.3g} m from the camera; give floats in m or "
+                "integers in mm"
             )
 
 
@@ -304,7 +305,7 @@ class FrameSolver:
 def patch_options(kappa: float | None) -> FrameOptions:
     """Options with a patch threshold. Raises InputError: it is not a number ≥ 0."""
     if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
-        raise InputError(f"--kappa {kappa:g}: give a number of 0 or more")
+        raise InputError(f"--kappa {kappa:g}: give a finite number of 0 or more")
     return FrameOptions(kappa, fine_contact=kappa is None)
 
 

@@ -165,7 +165,7 @@ def parse_frames(text: str | None, count: int, name: str, option: str = "--frame
         for part, default in zip([*parts, ""][:3], (0, count, 1), strict=True)
     )
     if step < 1:
-        raise InputError(f"{given}: the step must be 1 or more")
+        raise InputError(f"{given}: give a step of 1 or more")
     if stop > count or start >= count:
         frames = count_of(count, "frame")
         raise InputError(f"{name}: {given} is outside its {frames}; choose within 0:{count}")
@@ -293,7 +293,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
             return info(opened)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
-        raise InputError(f"{source.name}: not a recording; record it to a file first")
+        raise InputError(f"{source.name}: no ROS recording, so it has no topics to list; give one")
     times = source.times_s
     gaps, period = find_gaps(times), usual_step(np.diff(times))
     pressures = source.gas_pressures_pa()

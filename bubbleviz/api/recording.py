@@ -169,7 +169,10 @@ def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
         raise InputError(f"--source {source}: {problem}")
     if not status.messages:
         offered = stream.offered
-        raise InputError(f"--source {source}: nothing arrived ({offered}); nothing was written")
+        raise InputError(
+            f"--source {source}: no message arrived ({offered}), so nothing was written; check the "
+            "address or file, and that the sensor publishes"
+        )
 
 
 @dataclass(frozen=True)

@@ -517,7 +517,8 @@ def load_run(path: str | Path) -> Run:
         results = results_of(arrays)
     except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(
-            f"{path}: not a RESULT.npz of bubbleviz estimate ({error}); choose one"
+            f"{path}: not a RESULT.npz of bubbleviz estimate ({error}); choose one, or correct "
+            "the path"
         ) from error
     shear_warning = "traction and slip are not loaded into a run; read them from the file"
     context = {

@@ -78,7 +78,7 @@ class ValidationSummary(SavedSummary):
             f"compared    {count_of(len(found.time_s), 'frame')}, presses: {found.presses}",
             f"force       {_largest(found.estimate_n):.2f} N largest estimate,"
             f" {_largest(found.measured_n):.2f} N largest measurement",
-            f"gain        {_with_interval(found.gain)}, estimate over measured",
+            f"gain        {_with_interval(found.gain)}, estimate divided by measurement",
             f"bias        {bias} N of the wrench sensor, in its axes",
             f"rotation    {_with_interval(angle)}°{spin}",
             f"delay       {_with_interval(found.delay_s, 1e3)} ms, estimate after measured",
@@ -186,7 +186,9 @@ def validate(
     measured = np.array([row["wrench_n"] for row in run.rows()])
     name = run.context["recording"]
     if not np.isfinite(measured).any():
-        raise InputError(f"{name}: no wrench was recorded; name its topic with --wrench")
+        raise InputError(
+            f"{name}: no frame has a wrench; record it, or name its topic with --wrench"
+        )
     try:
         found = compare_with_wrench(run.times_s, run.force_n, measured)
     except InputError as error:

@@ -41,7 +41,7 @@ friction_option = click.option(
 kappa_option = click.option(
     "--kappa",
     type=float,
-    help="Threshold of the patch over the mean contact pressure; automatic by default.",
+    help="Threshold of the patch relative to the mean contact pressure; automatic by default.",
 )
 frames_option = click.option(
     "--frames", help="Frames A to B−1, as A:B or A:B:STEP; all by default."
@@ -55,7 +55,7 @@ shear_option = click.option(
     "--shear",
     is_flag=True,
     help="Also estimate friction at every node, and slip, from colour images; --friction then "
-    "limits friction over pressure.",
+    "is the largest ratio of friction to pressure.",
 )
 colour_delay_option = click.option(
     "--colour-delay",

@@ -124,7 +124,10 @@ def test_object_is_tracked(frames, sensor):
         ),
         (np.zeros((1, *SHAPE)), r"this is float64 \(1, 43, 56\)"),
         (np.zeros(SHAPE, bool), r"this is bool \(43, 56\)"),
-        (np.full(SHAPE, 140.0), "depth: 140 m in the median, .* floats are m, integers mm"),
+        (
+            np.full(SHAPE, 140.0),
+            "depth: 140 m in the median, .* give floats in m or integers in mm",
+        ),
         (np.full(SHAPE, 1400, np.uint16), "depth: 1.4 m in the median"),
         ([["far"]], "depth: expected an array"),
     ],

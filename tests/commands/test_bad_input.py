@@ -267,7 +267,7 @@ def test_all_zero_depth(bench, value, encoding):
     pixels = np.full((24, 32), value)
     image = np.nan_to_num(pixels).astype(np.uint16) if encoding == "16UC1" else pixels
     record(bench, [image.astype(np.float32) if encoding == "32FC1" else image] * 3, encoding)
-    bench.refused("estimate", bench.recording.name, "no depth in any frame")
+    bench.refused("estimate", bench.recording.name, "no valid depth in any frame")
 
 
 def test_depth_that_never_meets_the_membrane(bench):

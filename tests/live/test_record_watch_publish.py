@@ -141,7 +141,7 @@ def test_recording_without_messages_is_reported_and_leaves_no_file(tmp_path, mon
         assert "nothing listens at" in done.stderr
     silent = SessionOptions("silent", listen=source.removeprefix("zenoh:"))
     with open_session(silent):
-        for words, said in ((record, "nothing arrived"), (watch, "no depth image arrived")):
+        for words, said in ((record, "no message arrived"), (watch, "no depth image arrived")):
             done = run(*words)
             assert done.exit_code == 2
             assert said in done.stderr
