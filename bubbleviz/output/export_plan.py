@@ -81,8 +81,8 @@ class ExportPlan:
             raise InputError(f"{out}: a series of files needs a folder; give a name without suffix")
         elif not kinds:
             raise InputError(
-                f"{out}: what to export? Give a file that ends in .csv, .parquet, .png, .svg or "
-                f".pdf, or --what: {', '.join(KINDS)}"
+                f"{out}: nothing to export was chosen; give a file that ends in .csv, .parquet, "
+                f".png, .svg or .pdf, or --what: {', '.join(KINDS)}"
             )
         if "parquet" in plan.kinds or "lerobot" in plan.kinds:
             require_parquet(out)

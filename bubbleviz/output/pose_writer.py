@@ -91,7 +91,9 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
     needed = ("frame", "status", *COLUMNS)
     missing = [name for name in needed if not rows or name not in rows[0]]
     if missing:
-        raise InputError(f"{path}: no column {missing[0]}; give the CSV of bubbleviz pose")
+        raise InputError(
+            f"{path}: no rows, or no column {missing[0]}; give the CSV of bubbleviz pose"
+        )
     poses = {}
     for line, row in enumerate(rows, 2):
         try:

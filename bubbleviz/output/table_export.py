@@ -119,7 +119,7 @@ def require_parquet(path: Path) -> None:
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise InputError(
-            f"{path}: Parquet needs pyarrow; {how_to_install('parquet')}, or choose .csv"
+            f"{path}: Parquet needs pyarrow; run {how_to_install('parquet')}, or choose .csv"
         ) from error
 
 

@@ -64,7 +64,7 @@ class Mp4Writer:
     def finish(self) -> None:
         """Wait until the encoder has written its last pictures."""
         if self._encoder is None:
-            raise InputError(f"{self._path}: no frames to make a video of; choose some")
+            raise InputError(f"{self._path}: no frames for the video; choose at least one")
         try:
             self._encoder.communicate()
         except OSError as error:
@@ -103,7 +103,10 @@ class Mp4Writer:
         first = self._messages.readline().decode(errors="replace")
         message = re.sub(r"\[[^\]]*\]", "", first).strip() or default
         reason = " ".join(message.split())[:200]
-        return InputError(f"{self._path}: ffmpeg cannot write it ({reason}); choose another place")
+        return InputError(
+            f"{self._path}: ffmpeg cannot write it ({reason}); check ffmpeg, folder "
+            "and picture size"
+        )
 
 
 @contextmanager
@@ -120,7 +123,7 @@ def open_mp4(
     if path.suffix.lower() != ".mp4":
         raise InputError(f"{path}: a video ends in .mp4; rename it")
     if not 0.0 < fps <= 1000.0:
-        raise InputError(f"{path}: {fps:g} pictures per second; choose from 1 to 1000")
+        raise InputError(f"{path}: {fps:g} pictures per second; choose above 0, up to 1000")
     with whole_file(path) as temporary, tempfile.TemporaryFile() as messages:
         writer = Mp4Writer(path, temporary, fps, messages)
         try:

@@ -293,7 +293,7 @@ def test_unreadable_frame_leaves_no_files(tmp_path, sensor, press):
     ("out", "more", "words"),
     [
         ("there", ["--what", "vtk"], "exists already"),
-        ("x", [], "what to export?"),
+        ("x", [], "nothing to export"),
         ("x", ["--what", "vtk,stl"], '"stl": unknown; choose from table'),
         ("x.csv", ["--what", "vtk"], "a .csv file holds table, not vtk"),
         ("x.pvd", [], "a series of files needs a folder"),
