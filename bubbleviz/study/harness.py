@@ -219,7 +219,9 @@ def check_same(parts: Path, settings: Record) -> None:
     if not path.exists():
         write_json(path, own)
     elif json.loads(path.read_text(encoding="utf-8")) != own:
-        raise InputError(f"{path}: belongs to another study; choose another folder or delete it")
+        raise InputError(
+            f"{path}: has the settings of another study; choose another folder, or delete this one"
+        )
 
 
 def write(report: Report, out: Path, name: str) -> list[Path]:

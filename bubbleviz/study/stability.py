@@ -216,7 +216,9 @@ def stability_study(pattern: str = "", *, quick: bool = False) -> Study:
     """
     chosen = [c for c in stability_cases.all_cases() if pattern in c.name and c.quick >= quick]
     if not chosen:
-        raise InputError(f"--case {pattern}: no name of a case contains this; leave it out")
+        raise InputError(
+            f"--case {pattern}: no name of a case contains this; give another text, or leave it out"
+        )
     cases = [
         harness.Case(
             c.name, partial(attempt_named, c.name), c.limit_s, partial(CaseResult, c.name, "failed")
