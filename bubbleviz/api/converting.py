@@ -93,8 +93,8 @@ def convert(
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
     if image_options:
         raise InputError(
-            f"{source}: no folder of depth images, to which intrinsics, times, gas pressure and "
-            "wrench belong; correct the path, or leave those options out"
+            f"{source}: not a folder of depth images, and only these take intrinsics, times, unit, "
+            "gas pressure or wrench; correct the path, or leave those options out"
         )
     with Recording(source) as recording:
         whole_millimetres = recording.encoding == "16UC1"

@@ -348,7 +348,7 @@ def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) ->
 
     if not isinstance(frames.source, Recording):
         raise InputError(
-            f"{frames.name}: no ROS recording, whose colour images shear needs; open one, or leave "
+            f"{frames.name}: shear needs the colour images of a ROS recording; open one, or leave "
             "out shear"
         )
     source = frames.source
@@ -432,7 +432,9 @@ def _check_any_data(run: Run, any_depth: bool) -> None:
             "and prestretch in the sensor file"
         )
     if not any_depth:
-        raise InputError(f"{name}: no valid depth in any frame; uncover or restart the camera")
+        raise InputError(
+            f"{name}: no valid depth in any frame; uncover or restart the camera, and record again"
+        )
     raise InputError(
         f"{name}: too few depth pixels lie on the membrane in every frame; "
         "uncover the camera, or choose its sensor file"

@@ -305,7 +305,9 @@ class Run(Sequence[FrameResult], Summary):
             Results were written to a file and not kept.
         """
         if len(self) and not self._results:
-            raise InputError(f"{self.context['out']}: holds the results; read them with load_run")
+            raise InputError(
+                f"{self.context['out']}: only this file has the results; read them with load_run"
+            )
         if not isinstance(index, slice):
             return self._results[index]
         part = type(self)(self.model, self.context, self.provenance)

@@ -69,7 +69,8 @@ def collect(
         frame = source[k]
         if images and frame.depth_m.shape != images[0].shape:
             raise InputError(
-                f"{source.name}: frame {k} differs in size; record with one resolution"
+                f"{source.name}: frame {k} has another image size than the first; record with one "
+                "resolution"
             )
         images.append(frame.depth_m)
         pressures.append(np.nan if frame.gas_pressure_pa is None else frame.gas_pressure_pa)

@@ -93,7 +93,9 @@ def validate(
     gas = Gas.of(model.sensor.pneumatics, mesh)
     contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
     if not contact.converged:
-        raise SolveError(f"validation: no equilibrium of {obj.name} at this pose; correct the pose")
+        raise SolveError(
+            f"validation: no equilibrium of {obj.name} at this pose; correct the pose or the object"
+        )
     view = MembraneView(model.camera, mesh)
     measured = model.range_image(frame.depth_m).astype(float)
     distance, pixels = _distance(view, measured, contact.displacement_m)

@@ -215,7 +215,9 @@ def _discard(temporary: Path) -> None:
 
 
 def _exists(path: Path) -> InputError:
-    return InputError(f"{path}: exists already; choose another name, or allow overwriting")
+    return InputError(
+        f"{path}: exists already; choose another name, or allow overwriting (--overwrite)"
+    )
 
 
 def cannot_write(path: Path, error: Exception) -> InputError:

@@ -506,8 +506,8 @@ def _check_frame(mesh: MembraneMesh, facing: np.ndarray) -> None:
     tilt = float(np.degrees(np.arccos(facing[2] / np.linalg.norm(facing))))
     if tilt > 30.0:
         raise InputError(
-            f"the rim is tilted {tilt:.0f}° from z = 0; rotate the mesh so that +z points out of "
-            "the rim"
+            f"the rim is tilted {tilt:.0f}° from z = 0; rotate the mesh so that its rim "
+            "lies in z = 0"
         )
     offset, width = float(rim[:, 2].mean()), float(np.ptp(rim[:, :2], axis=0).max())
     if abs(offset) > 0.1 * width:

@@ -188,7 +188,7 @@ class ImageFolder:
         if pixels.ndim == 2 and pixels.shape[1] == 3 and pixels.dtype.kind == "f":
             if self._intrinsics is None:
                 raise InputError(
-                    f"{path}: points in no grid need the camera's intrinsics to become an image; "
+                    f"{path}: unorganised points need the camera's intrinsics to become an image; "
                     "give intrinsics, or put an intrinsics.toml into the folder"
                 )
             return project_points(pixels.astype(np.float64), self._intrinsics)

@@ -198,7 +198,7 @@ class SyntheticSource:
         elif friction:
             raise InputError(
                 f"friction {friction:g}: the linear membrane has no friction; choose the model "
-                "rubber, or a sensor file with a prestretch"
+                "rubber"
             )
         else:
             self._model = ForwardModel(self.mesh, tension, gas)
