@@ -430,7 +430,7 @@ class MainWindow(QMainWindow):
         if path.suffix.lower() in OPENED_BY_WINDOW and path.exists():
             self.open_file(path)
         elif not (path.exists() and QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))):
-            why = "no program on this computer opens it" if path.exists() else "it no longer exists"
+            why = "install a program for it" if path.exists() else "it no longer exists"
             self.messages.add(UserMessage("error", f"{path}: cannot be opened; {why}"))
 
     def _open_dropped(self, paths: list[Path]) -> None:

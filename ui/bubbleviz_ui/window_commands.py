@@ -55,7 +55,7 @@ def open_recording(
 ) -> int:
     """Show a recording, a saved session or a live source in the window."""
     if sum(given is not None for given in (recording, source, session)) != 1:
-        raise click.UsageError("give one of REC, --source and --session")
+        raise click.UsageError("give exactly one of REC, --source and --session")
     if recording is None:
         if any(given is not None for given in (truth, frame, screenshot)):
             raise click.UsageError(

@@ -163,7 +163,9 @@ class WindowSession:
         while not done():
             self.raise_if_interrupted()
             if time.monotonic() > end:
-                raise InputError(f"{what} took more than {TIMEOUT_S:.0f} s; given up")
+                raise InputError(
+                    f"{what} took more than {TIMEOUT_S:.0f} s and was stopped; close other programs"
+                )
             self.application.processEvents()
             time.sleep(0.002)
 
@@ -184,7 +186,9 @@ class WindowSession:
         file = QSaveFile(str(out))
         opened = file.open(QSaveFile.OpenModeFlag.WriteOnly)
         if not (opened and self.window.grab().save(file, "PNG") and file.commit()):
-            raise InputError(f"{out}: cannot be written ({file.errorString()})")
+            raise InputError(
+                f"{out}: cannot be written ({file.errorString()}); choose another place"
+            )
 
     def save_still(self, out: Path) -> None:
         """Write a screenshot during playback, with view and panels at the same frame."""

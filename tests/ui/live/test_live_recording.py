@@ -54,7 +54,7 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
     live.bot.keyClick(controls.note, Qt.Key.Key_Return)
     live.wait_for_frames(5)
     live.window.live.update_status()
-    assert re.fullmatch(r"\d\d:\d\d · .* MB waiting", controls.progress.text())
+    assert re.fullmatch(r"\d\d:\d\d · .* MB unwritten", controls.progress.text())
     path = live.stop()
     assert not live.is_checked("Live › Record")
     found = messages_by_type(path)

@@ -178,7 +178,7 @@ class FramesPage(Page):
         found = answer.draft.contact_free
         text = f"frames {in_words(ranges)}: {count} of {answer.frames}"
         if found is not None and answer.work.settings.ranges is None:
-            text += f" – found; {ENDED_BY[found.ended_by]}"
+            text += f" – found automatically; {ENDED_BY[found.ended_by]}"
         self.message.setText(text)
 
     @staticmethod
@@ -249,7 +249,9 @@ class CollectBox(QGroupBox):
         self.target.setSingleStep(0.1)
         self.target.setSuffix(" %")
         self.target.setSpecialValueText("never")
-        self.target.setToolTip("Stop when half of the 95 % interval of γ0 is smaller; 0: never")
+        self.target.setToolTip(
+            "Stop when half of the 95 % interval of γ0 is below this value; 0: never"
+        )
         self.contact_free.setChecked(True)
         self.contact_free.setToolTip("Contact is detected with the sensor file in use")
         self.stop.setText("Stop and use these frames")

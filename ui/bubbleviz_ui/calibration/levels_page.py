@@ -61,11 +61,11 @@ class RectificationPage(Page):
         before, after = (None, None) if last is None else last
         limit = 3.0 * float(np.nanstd(before)) if before is not None else 1.0
         for view, title, image in (
-            (self.before, "Last frame before", before),
-            (self.after, "Last frame after", after),
+            (self.before, "Last frame, not rectified", before),
+            (self.after, "Last frame, rectified", after),
         ):
             view.show_image(title, image, unit, -limit, limit)
-        for name, image in (("rms before", before), ("rms after", after)):
+        for name, image in (("rms, not rectified", before), ("rms, rectified", after)):
             rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
             self.numbers.set(name, unit.text(rms))
         self._show_levels(answer)
@@ -76,7 +76,9 @@ class RectificationPage(Page):
         levels, vented = settings.levels, settings.vented
         self.drop.setEnabled(bool(levels))
         names = ", ".join(path.name for path in levels)
-        text = f"Further levels: {names}" if levels else "One level: an offset for each pixel."
+        text = (
+            f"Further levels: {names}" if levels else "This level alone: an offset for each pixel."
+        )
         self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
         line = answer.draft.pixels.line if answer.draft.pixels is not None else None
         if line is None or answer.draft.found is None:

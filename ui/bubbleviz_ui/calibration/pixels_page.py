@@ -233,7 +233,7 @@ class SurfacePage(Page):
         radius = float(surfaces.sphere.semi_axes_m[0])
         self.numbers.set("sphere's radius", units.length.text(radius))
         self.numbers.set(
-            "rim height in the cloud",
+            "rim height in the measured points",
             units.length.with_interval(surfaces.rim_height_m, 1.96 * surfaces.rim_height_sigma_m),
         )
 
@@ -301,4 +301,4 @@ class TensionPage(Page):
         for name, each in estimate.by_surface.items():
             show(f"γ0 from the {name}", unit.text(each))
         for name, sigma in estimate.parts.items():
-            show(f"σ from {name.replace('_', ' ')}", unit.text(sigma))
+            show(f"σ of γ0 from {name.replace('_', ' ')}", unit.text(sigma))

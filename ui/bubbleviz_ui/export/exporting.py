@@ -62,7 +62,7 @@ class Kind:
 KINDS = (
     Kind("Table", "Numbers of each frame, units in the columns' names; with poses where they "
          "were found", {"CSV": ".csv", "Parquet": ".parquet"}),
-    Kind("Plots", "Force, gas pressure, patch, residual and times over time, for print",
+    Kind("Plots", "Force, gas pressure, patch, residual and run time over time, for print",
          {"PNG": ".png", "SVG": ".svg", "PDF": ".pdf"}),
     Kind("ParaView series", "Membrane with displacement and pressure, one VTK file per frame", {},
          "vtk"),

@@ -82,7 +82,11 @@ UNITS = {
     1e-6: "µm",
 }
 """Metres per unit of a pixel value; None: by its data type."""
-BY_FOLDER, RATE, TABLE = "times.csv in the folder, else the names", "a rate", "a table"
+BY_FOLDER, RATE, TABLE = (
+    "times.csv in the folder, else the file names",
+    "a fixed rate",
+    "a table (CSV)",
+)
 TABLES = "Tables (*.csv);;All files (*)"
 
 

@@ -52,7 +52,7 @@ class RecordControls(QWidget):
         self.folder.setText("Folder…")
         self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
         self.note = QLineEdit()
-        self.note.setPlaceholderText("Note, with the time you opened it")
+        self.note.setPlaceholderText("Note, stamped with the time you began it")
         self.note.setMinimumWidth(100)
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
@@ -123,7 +123,7 @@ def progress(state: RecordingState) -> str:
     status = state.status
     return (
         f"{minutes:02d}:{seconds:02d} · {status.size_bytes / 1e6:.1f} MB · "
-        f"{count_of(status.messages, 'message')} · {status.waiting_bytes / 1e6:.1f} MB waiting"
+        f"{count_of(status.messages, 'message')} · {status.waiting_bytes / 1e6:.1f} MB unwritten"
     )
 
 

@@ -95,7 +95,10 @@ class Recording(QObject):
             remember("recording", Path(status.path))
             self._notify("notice", text, Path(status.path))
         else:
-            self._notify("warning", "Nothing arrived while recording; no file was written")
+            self._notify(
+                "warning",
+                "No message arrived while recording, so no file was written; check the connection",
+            )
 
     def _notify(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
         self.notified.emit(UserMessage(kind, text, file=file, topic="recording"))

@@ -115,7 +115,7 @@ class ComparedSetting(_SettingsBase):
     pressure_scale: float | None = _setting(
         None,
         "Pressure prior",
-        "Expected contact pressure over the gauge pressure; larger: less smoothing",
+        "Expected contact pressure as a multiple of the gauge pressure; larger: less smoothing",
         low=0.1, high=100.0, step=0.5, unit=TIMES, number_for_none=DEFAULT_OPTIONS.pressure_scale,
     )  # fmt: skip
     friction: float | None = _setting(

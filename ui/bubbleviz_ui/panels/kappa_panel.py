@@ -50,9 +50,9 @@ class KappaPanel(QWidget):
         self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
-            "From the physics of contact: contact pressure reaches the gas pressure somewhere.\n"
-            "Untick to draw the patch where the contact pressure p_c exceeds κ times its mean"
-            " (section V-C of the paper)"
+            "Part under contact pressure, its edge by the gas pressure and the camera's "
+            "resolution.\nUntick to draw the patch where the contact pressure p_c exceeds κ times "
+            "its mean (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
         info = Settings.info("kappa")
@@ -255,7 +255,7 @@ def _heading(
     total_m2 = None if curve is None else curve.area_at(kappa)
     if area_m2 is not None and total_m2 is not None and area_m2 < 0.98 * total_m2:
         remaining = units.area.text(area_m2).split()[0]
-        return f"{remaining} of {units.area.text(total_m2)}"
+        return f"{remaining} of {units.area.text(total_m2)} kept"
     return f"{units.area.text(total_m2)} at κ"
 
 

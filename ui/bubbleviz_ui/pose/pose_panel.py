@@ -60,7 +60,9 @@ class Curves(PlotHost):
         super().__init__(self._fill)
         self._units = units
         self.setMinimumHeight(2 * HEIGHT)
-        self.setToolTip("Top: iterations of the fit, both stages; bottom: frames so far")
+        self.setToolTip(
+            "Fitness and rmse. Top: at each iteration of both stages; bottom: of each frame so far"
+        )
         self.prepare()
 
     def _fill(self) -> list[Part]:

@@ -29,14 +29,14 @@ from bubbleviz_ui.model.units import DASH, Units
 
 NUMBERS = {
     "state": "Status", "place": "x, y, z", "turn": "rx, ry, rz", "fit": "Both stages",
-    "first": "Stage one", "open": "Not determined", "spread": "Deviation", "time": "Time",
+    "first": "Stage one", "open": "Not determined", "spread": "Std. deviation", "time": "Time",
 }  # fmt: skip
 """Titles of the texts by name."""
 STATES = {
     "ok": "found",
     "lost": "lost; the last good pose is kept",
     "no_contact": "no contact",
-    "few_points": "the patch has too few points for a pose",
+    "few_points": "the patch has too few points for a pose; press deeper",
     "no_data": "no trusted estimate of the membrane",
 }
 
@@ -109,7 +109,7 @@ def _turn(T_B_O: np.ndarray) -> str:
 
 def _stage(stage: Stage, units: Units) -> str:
     return (
-        f"{100 * stage.fitness:.0f} % · rmse {units.length.text(stage.rmse_m)} · "
+        f"fitness {100 * stage.fitness:.0f} % · rmse {units.length.text(stage.rmse_m)} · "
         f"{count_of(stage.correspondences, 'point')}"
     )
 

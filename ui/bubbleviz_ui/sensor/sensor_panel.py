@@ -106,7 +106,7 @@ VALUES = (
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Gas volume behind the rim plane",
           "m³", "volume"),
-    Value("camera.noise_relative", "Depth noise", "Standard deviation of the range over the range",
+    Value("camera.noise_relative", "Depth noise", "Standard deviation relative to the range",
           "of the range", "range_share"),
     Value("camera.colour_delay_s", "Colour delay", "Time stamp of a colour image minus that of "
           "the depth image of the same moment; negative if colour leads depth", "s", "time"),

@@ -249,7 +249,8 @@ def read_user_file(path: Path) -> UserFile:
         aside = path.with_suffix(".unreadable")
         path.replace(aside)
         raise InputError(
-            f"{path}: the last session cannot be read and is kept as {aside.name}"
+            f"{path}: the last session cannot be read, so the window starts without it; it is "
+            f"kept as {aside.name}"
         ) from error
 
 
