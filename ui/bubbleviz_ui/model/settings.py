@@ -222,7 +222,8 @@ class Settings(_SettingsBase):
     cloud_points: int | None = _setting(
         10_000,
         "Points shown",
-        "Most points drawn; the solver always uses all. Without a GPU, playback draws a quarter",
+        "Largest number of points drawn; the solver uses all. Without a GPU, playback draws a "
+        "quarter",
         titles={
             **{n: f"up to {n:,}".replace(",", " ") for n in (5_000, 10_000, 20_000, 50_000)},
             None: "all",
