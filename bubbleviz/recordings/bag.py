@@ -127,7 +127,8 @@ class Bag:
             lost = f"; {storage.lost_bytes / 1e3:.3g} kB after it are lost"
             self.note = self.note or (
                 f"{file.name} ends early, as after an interrupted recording or copy: read up to "
-                f"its last complete chunk{lost if storage.lost_bytes else ''}"
+                f"its last complete chunk{lost if storage.lost_bytes else ''}; copy it again if "
+                "the original is complete"
             )
         return storage
 
