@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.spatial import cKDTree
 
 from bubbleviz.errors import InputError
@@ -24,6 +23,7 @@ from bubbleviz.rigid_object import RigidObject
 
 _COPLANAR = 0.01
 """Share of the largest eigenvalue below which normals at a vertex count as coplanar."""
+_PAIRS = 1 << 18  # of facets at a vertex that are compared at a time
 _TRIES = 4  # times that a radius too large for an object's thinnest part or finest fillet is halved
 
 
@@ -325,24 +325,19 @@ class ObjectSurface:
 
     def _smoothed(self) -> np.ndarray:
         """Unit normals (m, 3, 3) at the facets' corners: means over facets of the same surface."""
-        triangles = self.triangles
-        count, n = len(triangles), int(triangles.max()) + 1
-        facets = np.repeat(np.arange(count), 3)
-        ones = np.ones(3 * count)
-        at = sparse.csr_array((ones, (np.arange(3 * count), triangles.ravel())), (3 * count, n))
-        of = sparse.csr_array((ones, (triangles.ravel(), facets)), (n, count))
-        pairs = (at @ of).tocoo()
-        corner, other = pairs.coords
-        dots = np.einsum("ij,ij->i", self.facet_normals[corner // 3], self.facet_normals[other])
-        kept = dots > np.cos(CREASE_RAD)
-        sums = np.stack(
-            [
-                np.bincount(corner[kept], self._vectors[other[kept], i], minlength=3 * count)
-                for i in range(3)
-            ],
-            axis=1,
-        )
-        return (sums / np.linalg.norm(sums, axis=1, keepdims=True)).reshape(count, 3, 3)
+        vertices = self.triangles.ravel()
+        order, counts = np.argsort(-vertices, kind="stable")[::-1], np.bincount(vertices)
+        first, sums = np.cumsum(counts) - counts, np.empty((len(vertices), 3))
+        for k in np.unique(counts[counts > 0]):  # vertices of k facets at once
+            corners = order[first[counts == k, None] + np.arange(k)]
+            rows, step = max(1, _PAIRS // k), max(1, _PAIRS // k**2)
+            for some in (corners[at : at + step] for at in range(0, len(corners), step)):
+                normals, vectors = self.facet_normals[some // 3], self._vectors[some // 3]
+                for at in range(0, k, rows):
+                    dots = normals[:, at : at + rows] @ normals.swapaxes(1, 2)
+                    alike = (dots > np.cos(CREASE_RAD)).astype(float)
+                    sums[some[:, at : at + rows]] = np.einsum("vij,vjk->vik", alike, vectors)
+        return (sums / np.linalg.norm(sums, axis=1, keepdims=True)).reshape(-1, 3, 3)
 
 
 def _across(normal: np.ndarray, turn: np.ndarray) -> np.ndarray:
