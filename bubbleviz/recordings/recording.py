@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -15,6 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error
 from bubbleviz.plugins import plugin
 from bubbleviz.recordings.bag import UNREADABLE, Bag, Messages
+from bubbleviz.recordings.bag_storage import MAX_SIZE
 from bubbleviz.recordings.colour_topics import find_colour
 from bubbleviz.recordings.depth_topics import (
     CAMERA_INFO,
@@ -245,6 +247,11 @@ class Recording:
             )
         first = self._images.first(has_data)
         self.size = self._size_of(first, info_topic)  # width and height of the depth images, pixels
+        if 4 * math.prod(self.size) > MAX_SIZE:
+            raise InputError(
+                f"{self.path}: images of {self.size[0]}×{self.size[1]} pixels are implausible; "
+                "record or copy it again"
+            )
         # encoding of the depth images; `points` where they are point clouds
         self.encoding = encoding_of(first)
         headers, sizes = _headers(self._images)

@@ -3,7 +3,6 @@
 import os
 import random
 import shutil
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import IMAGE, Recording
+from bubbleviz.recordings import Recording
 
 
 def refusal(path):
@@ -136,6 +135,12 @@ def test_a_frame_of_another_size(tmp_path):
         np.testing.assert_array_equal(recording[0].depth_m, depth_image(0))  # still usable
 
 
+def test_images_larger_than_any_message_are_refused(tmp_path):
+    bag = BagMaker("mcap file")
+    bag.image(START, depth_image(0), height=2**32 - 1, width=2**32 - 1)
+    assert "images of 4294967295×4294967295 pixels" in refusal(bag.write(tmp_path))
+
+
 @pytest.mark.parametrize("logged", [0, 2**62])
 def test_an_implausible_log_time_changes_no_frame_time(tmp_path, logged):
     bag = BagMaker("mcap file")
@@ -149,35 +154,6 @@ def test_an_implausible_log_time_changes_no_frame_time(tmp_path, logged):
             assert recording[k].stamp_ns == START + k * PERIOD
             assert recording[k].gas_pressure_pa == 1e5 + k
             np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
-
-
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
-@pytest.mark.parametrize("indexed", [False, True])
-def test_decompression_bomb_is_refused(tmp_path, compression, indexed):
-    bag = BagMaker("mcap file")
-    bag.image(START, depth_image(0))
-    image = bytes(bag.store.serialize_cdr(bag.rows[0][3], IMAGE))
-    path = tmp_path / "bomb.mcap"
-    with path.open("wb") as file:
-        writer = Writer(
-            file, chunk_size=1 << 30, compression=compression, use_statistics=indexed,
-            use_summary_offsets=indexed, index_types=IndexType.ALL if indexed else IndexType.NONE,
-        )  # fmt: skip
-        writer.start("ros2", "bomb")
-        definition, _ = bag.store.generate_msgdef(IMAGE, ros_version=2)
-        schema = writer.register_schema(IMAGE, "ros2msg", definition.encode())
-        channel = writer.register_channel("/depth", "cdr", schema)
-        for k, payload in enumerate([image, image + bytes(300 << 20)]):
-            writer.add_message(channel, k + 1, payload, k + 1)
-        writer.finish()
-    assert path.stat().st_size < 2 << 20
-    tracemalloc.start()
-    try:
-        with pytest.raises(InputError, match="implausibl"):
-            read_all(path)
-        assert tracemalloc.get_traced_memory()[1] < 100 << 20
-    finally:
-        tracemalloc.stop()
 
 
 def test_payload_that_is_not_an_image(tmp_path):
