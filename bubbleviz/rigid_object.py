@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import SUFFIXES, presets_folder, read_triangles
+from bubbleviz.files import SUFFIXES, exists, presets_folder, read_triangles
 
 _MAX_SIZE_M = 1.0  # of the bounding box; larger meshes are in millimetres
 _MIN_SIZE_M = 5e-4  # of the bounding box
@@ -34,7 +34,7 @@ def load_object(
     if isinstance(name, RigidObject):
         return name
     path = Path(name)
-    if not path.exists():
+    if not exists(path):
         shipped = {p.stem: p for p in sorted(presets_folder("objects").glob("*.*"))}
         if path.suffix.lower() in SUFFIXES or path.stem not in shipped:
             known = ", ".join(shipped)

@@ -171,7 +171,7 @@ def draw_plots(table: Table, figure: Figure) -> None:
             axes.axvspan(start, end, color="0.9", lw=0.0, zorder=0)
         axes.set_ylabel(label, fontsize=9)
         axes.grid(alpha=0.3)
-        if len(columns) > 1:
+        if len(columns) > 1 and axes.lines:
             axes.legend(fontsize=8, loc="upper right")
     every[0].set_title("grey: contact found", fontsize=9, loc="right")
     every[-1].set_xlabel("time, s")
