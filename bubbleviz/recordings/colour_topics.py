@@ -29,6 +29,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC_TRANSFORMS = "/tf_static"
 
 _MAX_POSES = 10_000  # kept, the last ones
+_MAX_NAMES = 1000  # letters of both frames of reference
 _MAX_LINKS = 100  # between a frame of reference and its root; more are a loop
 
 
@@ -48,6 +49,7 @@ class StaticPoses:
         told = {
             _bare(each.child_frame_id): (_bare(each.header.frame_id), pose_of(each.transform))
             for each in message.transforms
+            if len(each.child_frame_id) + len(each.header.frame_id) <= _MAX_NAMES
         }
         known = {name: pose for name, pose in self.parents.items() if name not in told}
         latest = list({**known, **told}.items())[-_MAX_POSES:]
