@@ -4,8 +4,6 @@ import io
 import json
 import os
 import struct
-import subprocess
-import sys
 import zipfile
 import zlib
 
@@ -16,32 +14,11 @@ from mcap.writer import CompressionType, IndexType, Writer
 from small_press import write_press, write_small_sensor
 
 from bubbleviz.cli.command_line import main
+from tests.commands.limited import MEMORY, in_process
 from tests.recordings.bagmaker import PERIOD, START, BagMaker, depth_image
 
 IMAGE = "sensor_msgs/msg/Image"
 POSE = "0 0 0.06 0 0 0 1"
-TIMEOUT_S, ADDRESS_SPACE = 20.0, 3 << 30
-"""So that a fault does no harm; a command that reads a small file needs `MEMORY`."""
-MEMORY = 300 << 20
-LIMITED = f"""
-import re, resource, sys
-from pathlib import Path
-resource.setrlimit(resource.RLIMIT_AS, ({ADDRESS_SPACE}, {ADDRESS_SPACE}))
-from bubbleviz.cli.command_line import main
-try:
-    main(sys.argv[2:])
-finally:
-    status = Path("/proc/self/status").read_text()
-    Path(sys.argv[1]).write_text(re.search(r"VmHWM:\\s*(\\d+)", status)[1])
-"""
-
-
-def in_process(folder, *words):
-    """A command in a process with limits of time and memory: how it ended, and its peak memory."""
-    peak = folder / "peak_kb"
-    command = [sys.executable, "-c", LIMITED, str(peak), *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    return done, 1024 * int(peak.read_text())
 
 
 def in_one_line(code, stdout, stderr, *says):

@@ -351,17 +351,6 @@ def test_publishing_is_refused_in_one_line():
         assert says in done.stderr
 
 
-@pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", 0), ("0.0.0.0", 1)])
-def test_warning_for_an_endpoint_open_to_other_computers(small_sensor_file, host, warned):
-    done = run(
-        *("publish", "--source", "synthetic:", "--sensor", str(small_sensor_file)),
-        *("--duration", "0.1", "--listen", f"tcp/{host}:{free_port()}"),
-    )
-    assert done.exit_code == 0, done.stderr
-    assert done.stderr.count("anybody on the network can connect") == warned
-    assert done.stderr.count("NOT ENCRYPTED") == warned
-
-
 def test_short_soak(small_sensor_file, tmp_path):
     """Every image in the file, by the publisher's count; `benchmarks.window live` takes longer."""
     out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5

@@ -1,0 +1,141 @@
+"""Robots that announce, send or stop sending what they should not, by the commands alone."""
+
+import json
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from robot import KEYS, TOKENS, open_session
+from wire import image
+
+import bubbleviz as bv
+from bubbleviz.cli.command_line import main
+from tests.commands.limited import MEMORY, in_process
+from tests.recordings.bagmaker import PERIOD, START, BagMaker, depth_image
+
+TF = "tf2_msgs/msg/TFMessage"
+BEFORE, GAP_S = 4, 2.5
+"""Frames before and after each gap, and its length: more than twice the time that is waited."""
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def camera_beside_a_token_without_a_topic(after):
+    """A camera at 50 Hz; a node announces images on `/` after so many were listened to.
+
+    Its source, and the time of the announcement.
+    """
+    port, stop, announced_ns = free_port(), threading.Event(), []
+    token = "@ros2_lv/0/b3f7/0/9/MP/%/%/n/%/sensor_msgs::msg::dds_::Image_/RIHS01_00/:"
+
+    def publish():
+        publisher, heard = session.declare_publisher(KEYS["rmw"]["/cam/depth"]), 0
+        while not stop.wait(0.02):
+            if heard >= after and not announced_ns:
+                held.append(session.liveliness().declare_token(token))
+                announced_ns.append(time.time_ns())
+            publisher.put(image(time.time_ns()))
+            heard += publisher.matching_status.matching
+
+    with open_session(str(port)) as session:
+        held = [session.liveliness().declare_token(key) for key in TOKENS["rmw"]]
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            yield f"zenoh:tcp/127.0.0.1:{port}", announced_ns
+        finally:
+            stop.set()
+            thread.join()
+
+
+@pytest.mark.parametrize(("command", "after"), [("record", 0), ("watch", 0), ("watch", 10)])
+def test_a_token_without_a_topic_ends_nothing(small_sensor_file, tmp_path, command, after):
+    out = tmp_path / "rec.mcap"
+    with camera_beside_a_token_without_a_topic(after) as (source, announced_ns):
+        words = ("--source", source, "--sensor", small_sensor_file, "--out", out)
+        done = run(command, *words, "--duration", "1", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["frames"] > 0
+    with out.open("rb") as file:
+        last_ns = max(
+            message.log_time for *_, message in make_reader(file).iter_messages("/cam/depth")
+        )
+    assert last_ns > announced_ns[0] + 2e8
+
+
+def test_ever_new_static_poses_are_not_all_kept(tmp_path):
+    """200 MB of them, each with a frame of reference of 1 MB."""
+    bag = BagMaker("mcap plain")
+    types = bag.store.types
+    vector = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    pose = types["geometry_msgs/msg/Transform"](vector, turn)
+    name = "link 0000" + "x" * 10**6
+    message = types[TF](
+        [types["geometry_msgs/msg/TransformStamped"](bag.header(START), name, pose)]
+    )
+    payload = bytes(bag.store.serialize_cdr(message, TF))
+    for k in range(10):
+        bag.image(START + k * PERIOD, depth_image(k))
+    for k in range(200):
+        sent = payload.replace(b"link 0000", b"link %04d" % k)
+        bag.rows.append(("/tf_static", TF, START + k * PERIOD // 40, sent))
+    source = f"replay:{bag.write(tmp_path)}"
+    done, peak = in_process(tmp_path, "record", "--source", source, "--out", tmp_path / "out.mcap")
+    assert done.returncode == 0, done.stderr
+    assert peak < MEMORY, f"{peak >> 20} MiB"
+
+
+@pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", 0), ("0.0.0.0", 1)])
+def test_warning_for_an_endpoint_open_to_other_computers(small_sensor_file, host, warned):
+    done = run(
+        *("publish", "--source", "synthetic:", "--sensor", small_sensor_file),
+        *("--duration", "0.1", "--listen", f"tcp/{host}:{free_port()}"),
+    )
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("\n") == warned
+    assert done.stderr.count("anybody on the network can connect") == warned
+    assert done.stderr.count("NOT ENCRYPTED") == warned
+
+
+@pytest.fixture(scope="module")
+def gaps(tmp_path_factory):
+    """A recording whose camera falls silent twice and comes back."""
+    bag = BagMaker("mcap file")
+    for k in range(3 * BEFORE):
+        stamp = START + round(1e9 * (0.1 * k + GAP_S * (k // BEFORE)))
+        bag.image(stamp, np.zeros((48, 64), np.float32))
+    return f"replay:{bag.write(tmp_path_factory.mktemp('gaps'))}"
+
+
+def test_estimation_of_a_stopped_stream_ends_with_one_error(gaps, small_sensor_file):
+    found = []
+    with (
+        bv.connect(gaps, small_sensor_file) as stream,
+        pytest.raises(bv.InputError, match=r"no depth image for 1\.") as error,
+    ):
+        found += (each.time_s for each in bv.estimate(stream))
+    said = str(error.value)
+    assert said.startswith(f"{stream.name}: ") and "timeout_s" in said and "\n" not in said
+    assert 1.0 <= stream.status().silent_s < GAP_S
+
+
+def test_watch_reports_an_outage_once_and_continues(gaps, small_sensor_file):
+    done = run("watch", "--source", gaps, "--sensor", small_sensor_file, "--json")
+    assert done.exit_code == 0, done.output
+    assert sum("no depth image for 1." in line for line in done.stderr.splitlines()) == 2
+    assert json.loads(done.stdout)["frames"] > 2 * BEFORE
