@@ -87,19 +87,6 @@ def long_recording(long_original, recordings):
 # -- one bad recording among good ones, and once more ------------------------------------------
 
 
-def test_file_name_that_is_not_utf8(recordings, sensor, tmp_path):
-    name = "b\udcff.mcap"
-    (recordings / "a.mcap").rename(recordings / name)
-    for other in NAMES[1:]:
-        (recordings / other).unlink()
-    words, out = (recordings, "--sensor", sensor, "--jobs", "1"), tmp_path / "out"
-    done = batch(*words, "--out", out)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert list(table_of(out)) == [r"b\udcff.mcap"]
-    assert {path.name for path in (out / name).iterdir()} == FILES
-    assert resumed(*words, "--out", out) == {name: "kept"}
-
-
 def test_good_and_corrupted_recordings(recordings, sensor, tmp_path):
     good = (recordings / "a.mcap").read_bytes()
     (recordings / "bad.mcap").write_bytes(good[:1000])

@@ -1,0 +1,89 @@
+"""One bad message, file name or image spoils nothing else of its recording or folder."""
+
+import csv
+import json
+import shutil
+
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from small_press import write_press, write_small_sensor
+
+from bubbleviz.cli.command_line import main
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory):
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="module")
+def press(sensor):
+    return write_press(sensor.with_name("press.mcap"), sensor, (0.060, 0.060, 0.043, 0.043))
+
+
+def copied(source, path, change):
+    """Copy an MCAP file; `change(data, k)` replaces the k-th depth message."""
+    counts, channels = {}, {}
+    with source.open("rb") as file, path.open("wb") as out:
+        writer = Writer(out)
+        writer.start("ros2", "copy")
+        for schema, channel, message in make_reader(file).iter_messages():
+            k = counts[channel.topic] = counts.get(channel.topic, -1) + 1
+            if not k:
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", known)
+            is_depth = channel.topic.endswith("image_raw")
+            data = change(message.data, k) if is_depth else message.data
+            log_ns = message.log_time
+            writer.add_message(channels[channel.topic], log_ns, data, log_ns, message.sequence)
+        writer.finish()
+    return path
+
+
+def estimated(recording, sensor, folder, *more):
+    """Rows of a recording's table by frame."""
+    table = folder / f"{recording.stem}{len(more)}.csv"
+    words = ("--sensor", sensor, "--out", table.with_suffix(".npz"), "--csv", table, *more)
+    done = run("estimate", recording, *words)
+    assert done.exit_code == 0, done.stderr
+    with table.open() as file:
+        return {int(row["frame"]): row for row in csv.DictReader(file)}
+
+
+@pytest.mark.parametrize("bad", [0, 2])
+def test_an_empty_message_is_one_bad_frame(tmp_path, press, sensor, bad):
+    """Which `info` lists, and `--frames` may leave out."""
+    damaged = copied(press, tmp_path / "rec.mcap", lambda data, k: b"" if k == bad else data)
+    assert run("info", damaged).exit_code == 0
+    (line,) = (x for x in run("info", damaged).stdout.splitlines() if x.startswith("bad frames"))
+    assert line.split()[2] == "1" and line.split()[-1] == str(bad)
+    rows, whole = estimated(damaged, sensor, tmp_path), estimated(press, sensor, tmp_path)
+    assert rows[bad]["status"] == "no_data"
+    assert {k: row["status"] for k, row in rows.items() if k != bad} == {
+        k: row["status"] for k, row in whole.items() if k != bad
+    }
+    assert estimated(damaged, sensor, tmp_path, "--frames", "3:4")[3]["status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"), [("=1+1.mcap", "'=1+1.mcap"), ("b\udcff.mcap", r"b\udcff.mcap")]
+)
+def test_name_that_is_a_formula_or_not_utf8(tmp_path, press, sensor, name, shown):
+    (tmp_path / "in").mkdir()
+    shutil.copy(press, tmp_path / "in" / name)
+    words = ("batch", tmp_path / "in", "--sensor", sensor, "--out", tmp_path / "out", "--jobs", "1")
+    done = run(*words)
+    assert (done.exit_code, done.stderr) == (0, "")
+    with (tmp_path / "out" / "summary.csv").open(newline="", encoding="utf-8") as file:
+        assert [row["recording"] for row in csv.DictReader(file)] == [shown]
+    done = run(*words, "--resume", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert [(x["recording"], x["outcome"]) for x in json.loads(done.stdout)["rows"]] == [
+        (name, "kept")
+    ]
