@@ -3,14 +3,18 @@
 import csv
 import json
 import shutil
+import time
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from small_press import write_press, write_small_sensor
 
+import bubbleviz as bv
 from bubbleviz.cli.command_line import main
+from tests.recordings.bagmaker import PERIOD, START, BagMaker
 
 
 def run(*words):
@@ -87,3 +91,18 @@ def test_name_that_is_a_formula_or_not_utf8(tmp_path, press, sensor, name, shown
     assert [(x["recording"], x["outcome"]) for x in json.loads(done.stdout)["rows"]] == [
         (name, "kept")
     ]
+
+
+def test_implausible_frame_takes_no_seconds(tmp_path):
+    """The membrane at rest, a tenth nearer to the camera; processor time counts."""
+    words = ("--sensor", "pico_flexx_75mm", "--object", "sphere", "--pose", "0 0 0.07 0 0 0 1")
+    assert run("simulate", *words, "--out", tmp_path / "rest.mcap").exit_code == 0
+    with bv.open(tmp_path / "rest.mcap") as recording:
+        rest = recording[0].depth_m
+    bag = BagMaker("mcap file")
+    for k, scale in enumerate((1.0, 0.9)):
+        bag.image(START + k * PERIOD, rest * np.float32(scale))
+    begun = time.process_time()
+    rows = estimated(bag.write(tmp_path), "pico_flexx_75mm", tmp_path)
+    assert [row["status"] for row in rows.values()] == ["no_contact", "implausible"]
+    assert time.process_time() - begun < 4.0  # the solver's start included
