@@ -375,17 +375,3 @@ def test_wrong_usage_of_the_windows_commands(windows, words, message):
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert message in done.stderr
     assert not windows
-
-
-def test_a_terminated_command_leaves_no_file(tmp_path, eventually):
-    """SIGTERM, as of `timeout` and systemd, while it writes."""
-    command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
-    command += ["simulate", "--sensor", "pico_flexx_75mm"]
-    command += ["--object", "cylinder", "--pose", "0 0 0.044 0 0 0 1", "--frames", "100000"]
-    command += ["--out", str(tmp_path / "rec.mcap"), "--truth", str(tmp_path / "truth.npz")]
-    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
-        eventually(lambda: any(tmp_path.iterdir()))
-        process.terminate()
-        assert process.wait() == 143
-        assert process.stderr.read() == b""
-    assert list(tmp_path.iterdir()) == []

@@ -123,22 +123,6 @@ def test_leftovers_of_a_killed_process_are_removed_by_the_next_run(tmp_path, nam
     assert (tmp_path / "a.csv").read_text() == "2"
 
 
-@pytest.mark.parametrize("folder", [False, True])
-def test_content_is_synced_before_the_rename(tmp_path, monkeypatch, folder):
-    synced = []
-    monkeypatch.setattr(
-        "bubbleviz.files.output_files.sync",
-        lambda path: synced.append((path.name, (tmp_path / "out").exists())),
-    )
-    with whole_file(tmp_path / "out") as temporary:
-        if folder:
-            temporary.mkdir()
-        (temporary / "a" if folder else temporary).write_text("1")
-    assert synced[-1] == (tmp_path.name, True)
-    assert all(not there for _, there in synced[:-1])
-    assert ("a" in [name for name, _ in synced]) == folder
-
-
 def test_table_cells_are_never_formulas(tmp_path):
     write_rows(tmp_path / "a.csv", [{"name": "=1+1", "x": -1.5}, {"name": "\udcff", "x": 2}])
     assert (tmp_path / "a.csv").read_text().split() == ["name,x", "'=1+1,-1.5", r"\udcff,2"]
