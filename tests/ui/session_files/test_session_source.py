@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from fakes import DentSource, record, small_sensor
 from live_bench import sensor_file
-from PySide6.QtWidgets import QMessageBox
 from window_driver import run_bubbleviz
 
 from benchmarks.window.live_soak import free_port
@@ -129,38 +128,6 @@ def test_live_source_is_reconnected_at_the_next_start(qtbot, tmp_path):
         assert session.state.settings.kappa == 2.0 and not session.window.message.isVisible()
         session.window.live.leave.click()  # by the user: not reconnected later
     assert json.loads(config.read_text())["session"]["live"] is None
-
-
-@pytest.mark.parametrize("agrees", [False, True])
-def test_session_file_connects_to_other_computers_only_after_a_question(
-    qtbot, tmp_path, monkeypatch, agrees
-):
-    """The question names address and password file; the default is No."""
-    place, asked, connected = f"zenoh:tcp/127.0.0.1:{free_port()}?login=/etc/passwd", [], []
-    saved = SavedSession(live=single(place, sensor_file(tmp_path)))
-    (tmp_path / "a.json").write_text(saved.model_dump_json())
-
-    def answer(parent, title, text, buttons, default):
-        asked.append(text)
-        assert default == QMessageBox.StandardButton.No
-        return QMessageBox.StandardButton.Yes if agrees else default
-
-    monkeypatch.setattr(QMessageBox, "question", answer)
-    with start(tmp_path / "session.json") as session:
-        window = session.window
-        session.wait_for(lambda: session.state.facts is not None, "opening")
-        monkeypatch.setattr(window.live_controller, "connect_to", connected.append)
-        window.session_saver.open(tmp_path / "a.json")
-        assert len(asked) == 1 and place in asked[0]
-        assert [each.sensors[0].source for each in connected] == [place] * agrees
-
-
-@pytest.mark.parametrize("up", [[0, 0, 0], [0, 0, 1], [1e308, 0, 0]])
-def test_an_invalid_viewpoint_is_refused(tmp_path, up):
-    camera = {"position": [0, 0, 1], "focal_point": [0, 0, 0], "up": up, "view_angle": 30}
-    (tmp_path / "a.json").write_text(json.dumps({"camera": camera}))
-    with pytest.raises(InputError, match=r"a\.json: not a bubbleviz session"):
-        read_session(tmp_path / "a.json")
 
 
 @pytest.mark.long

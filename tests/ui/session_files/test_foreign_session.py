@@ -1,0 +1,65 @@
+"""A session file of somebody else connects to other computers only after a question."""
+
+import json
+import socket
+
+import pytest
+from fakes import small_sensor
+from live_bench import sensor_file
+from PySide6.QtWidgets import QMessageBox
+
+import bubbleviz as bv
+from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.session_files.session_file import SavedSession, read_session
+from bubbleviz_ui.window_session import window_session
+
+
+@pytest.mark.parametrize("agrees", [False, True])
+def test_session_file_connects_to_other_computers_only_after_a_question(
+    qtbot, tmp_path, monkeypatch, agrees
+):
+    """The question names address and password file; the default is No."""
+    asked = []
+
+    def answer(parent, title, text, buttons, default):
+        asked.append(text)
+        assert default == QMessageBox.StandardButton.No
+        return QMessageBox.StandardButton.Yes if agrees else default
+
+    monkeypatch.setattr(QMessageBox, "question", answer)
+    (tmp_path / "login").write_text("ann:secret")
+    with socket.socket() as robot:
+        robot.bind(("127.0.0.1", 0))
+        robot.listen()
+        robot.setblocking(False)
+
+        def is_called():
+            try:
+                robot.accept()[0].close()
+            except BlockingIOError:
+                return False
+            return True
+
+        endpoint = f"tcp/127.0.0.1:{robot.getsockname()[1]}"
+        place = f"zenoh:{endpoint}?login={tmp_path / 'login'}"
+        saved = SavedSession(live=single(place, sensor_file(tmp_path)))
+        (tmp_path / "a.json").write_text(saved.model_dump_json())
+        with window_session(small_sensor(), None, None, None, None, None, None) as session:
+            session.wait_for(lambda: session.state.facts is not None, "opening")
+            session.window.session_saver.open(tmp_path / "a.json")
+            session.wait_for(lambda: asked or is_called(), "a question or a connection")
+            assert len(asked) == 1 and place in asked[0]
+            if agrees:
+                session.wait_for(is_called, "a connection")
+            else:
+                shown = set[int]()
+                session.wait_for(lambda: shown.add(session.state.frame) or len(shown) > 5, "play")
+                assert not is_called()
+
+
+@pytest.mark.parametrize("up", [[0, 0, 0], [0, 0, 1], [1e308, 0, 0]])
+def test_an_invalid_viewpoint_is_refused(tmp_path, up):
+    camera = {"position": [0, 0, 1], "focal_point": [0, 0, 0], "up": up, "view_angle": 30}
+    (tmp_path / "a.json").write_text(json.dumps({"camera": camera}))
+    with pytest.raises(bv.InputError, match=r"a\.json: not a bubbleviz session"):
+        read_session(tmp_path / "a.json")
