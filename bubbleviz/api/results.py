@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
-from zipfile import BadZipFile
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,7 +20,14 @@ from threadpoolctl import threadpool_limits
 from bubbleviz.api.summary import Summary, counted
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
-from bubbleviz.files import checked, read_npz, refuse_existing, whole_file, write_rows
+from bubbleviz.files import (
+    as_input_error,
+    checked,
+    read_npz,
+    refuse_existing,
+    whole_file,
+    write_rows,
+)
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import (
     ARROW,
@@ -305,9 +311,7 @@ class Run(Sequence[FrameResult], Summary):
             Results were written to a file and not kept.
         """
         if len(self) and not self._results:
-            raise InputError(
-                f"{self.context['out']}: only this file has the results; read them with load_run"
-            )
+            raise InputError(f"{self.context['out']}: holds the results; read them with load_run")
         if not isinstance(index, slice):
             return self._results[index]
         part = type(self)(self.model, self.context, self.provenance)
@@ -511,23 +515,18 @@ def load_run(path: str | Path) -> Run:
     >>> bv.load_run("press.npz").force_n.shape
     (90, 3)
     """
-    try:
+    with as_input_error(path, "the results of bubbleviz estimate", "choose a RESULT.npz"):
         arrays = read_npz(path)
         texts = {name: str(arrays.pop(name)) for name in [*arrays] if not arrays[name].ndim}
         sensor = checked(Sensor, tomllib.loads(texts["sensor_toml"]), Path(path), "sensor")
         mesh = MembraneMesh(arrays["nodes_m"], arrays["triangles"], arrays["rim"])
-        results = results_of(arrays)
-    except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(
-            f"{path}: not a RESULT.npz of bubbleviz estimate ({error}); choose one, or correct "
-            "the path"
-        ) from error
+        results, solver = results_of(arrays), texts["solver"]
     shear_warning = "traction and slip are not loaded into a run; read them from the file"
     context = {
         "recording": str(path),
         "sensor": sensor.name,
         "out": None,
-        "solver": texts["solver"],
+        "solver": solver,
         "kappa": results[0].solution[1].kappa,
         "texture": None,
         "gas_zero": None,

@@ -179,13 +179,20 @@ def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
 
 
 def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
-    """Results of the frames in a RESULT.npz, without images, traction and slip."""
+    """Results of the frames in a RESULT.npz, without images, traction and slip.
+
+    Raises ValueError: no frames, or an array of other values or of another length.
+    """
     frames = len(arrays["frame"])
     # missing in files of version 0.2
     defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}
     values = {key: np.full(frames, value) for key, value in defaults.items()}
     values |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
     per_frame = values.keys() & {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
+    for key in per_frame:
+        kinds = "U" if key == "status" else "biuf"
+        if values[key].dtype.kind not in kinds or len(values[key]) != max(frames, 1):
+            raise ValueError(f"{key} has {len(values[key])} values of {values[key].dtype}")
     return [_result_of({key: values[key][k] for key in per_frame}) for k in range(frames)]
 
 

@@ -207,8 +207,9 @@ def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
 def test_invalid_result_file_is_refused_in_one_sentence(tmp_path):
     (tmp_path / "text.npz").write_text("no archive")
     np.savez(tmp_path / "other.npz", force_n=np.zeros((2, 3)))
-    for name in ("text", "other", "missing"):
-        with pytest.raises(bv.InputError, match=rf"{name}\.npz: not a RESULT\.npz") as error:
+    np.savez(tmp_path / "nested.npz", sensor_toml="a = " + "[" * 5000)
+    for name in ("text", "other", "missing", "nested"):
+        with pytest.raises(bv.InputError, match=rf"{name}\.npz: .* choose a RESULT\.npz") as error:
             bv.load_run(tmp_path / f"{name}.npz")
         assert "\n" not in str(error.value)
 
