@@ -20,6 +20,7 @@ COMPRESSED = "compressedDepth"
 REALSENSE_ENCODING = "mono16"
 """Of the depth images that the RealSense library records, in units of the device."""
 
+_PNG_SIZE = struct.Struct(">II")  # after the signature, and the begin of its first chunk
 _CONFIGURATION = struct.Struct("<iff")
 """Of a compressed depth image: its kind of compression, A and B."""
 
@@ -88,12 +89,14 @@ def _decode_compressed(message: Any) -> np.ndarray:
         raise ValueError("depth is compressed by RVL, which is not supported; publish it as PNG")
     try:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
-        with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
-            if max(image.size) > MAX_SIDE or not image.mode.startswith("I"):
-                raise ValueError(
-                    f"a PNG of {image.size[0]}×{image.size[1]} pixels in mode {image.mode} is not "
-                    "a 16-bit depth image"
+        size = _PNG_SIZE.unpack_from(data, _CONFIGURATION.size + 16)
+        if max(size) > MAX_SIDE:  # Pillow warns of large ones when it opens them
+            raise ValueError(
+                    f"a PNG of {size[0]}×{size[1]} pixels is larger than any depth camera's image"
                 )
+        with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
+            if not image.mode.startswith("I"):
+                raise ValueError(f"a PNG in mode {image.mode} is not a 16-bit depth image")
             raw = np.asarray(image).astype(np.uint16)
     except (struct.error, UnidentifiedImageError, OSError, SyntaxError) as error:
         raise ValueError(f"{len(data)} bytes are not a compressed depth image") from error

@@ -247,6 +247,15 @@ def test_recording_of_impossible_depths(tmp_path, sensor, recwarn, depth_m):
     assert not recwarn.list
 
 
+def test_compressed_depth_of_144_megapixels(tmp_path, recwarn):
+    bag, kind = BagMaker("mcap file"), "sensor_msgs/msg/CompressedImage"
+    data = struct.pack("<iff", 0, 0.0, 0.0) + png(12_000, 12_000, [(b"IDAT", b"")])
+    fields = {"header": bag.header(START), "format": "16UC1; compressedDepth"}
+    bag.add("/depth", kind, START, **fields, data=np.frombuffer(data, np.uint8))
+    assert run("info", bag.write(tmp_path), says="12000×12000").exit_code == 2
+    assert not recwarn.list
+
+
 MESHES = {
     "obj of two numbers a vertex": ("a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
     "obj of words": ("a.obj", "v x y\nf 1 1 1\n"),
