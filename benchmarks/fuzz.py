@@ -242,6 +242,7 @@ def make_corpus(folder: Path) -> Corpus:
     bv.simulate(plain, "cylinder", POSE, frames=6, noise_relative=0.002).save(
         folder / "rec.mcap", folder / "truth.npz"
     )
+    bv.estimate(folder / "rec.mcap", plain, out=folder / "result.npz")
     (folder / "sensor.toml").write_text(sensor_to_toml(sensor), encoding="utf-8")
     shape = (24, 32)
     pixels: dict[str, Any] = {"mask": np.ones(shape, bool), "bias_m": np.zeros(shape)}
@@ -416,14 +417,16 @@ def pose_file(corpus: Corpus, folder: Path, rng: Rng) -> Work:
     return ["simulate", *sensor, "--object", "cylinder", "--path", str(path), "--out", out]
 
 
-def truth_file(corpus: Corpus, folder: Path, rng: Rng) -> Work:
-    path = folder / "truth.npz"
+def saved_arrays(corpus: Corpus, folder: Path, rng: Rng) -> Work:
+    """Ground truth, or saved results."""
+    reads = {"truth.npz": read_truth, "result.npz": lambda path: bv.load_run(path).to_text()}
+    path = folder / str(rng.choice(list(reads)))
     path.write_bytes((corpus.folder / path.name).read_bytes())
     if rng.random() < 0.5:
         _npz(path, rng)
     else:
         path.write_bytes(mutated_bytes(path.read_bytes(), rng))
-    return partial(read_truth, path)
+    return partial(reads[path.name], path)
 
 
 def session_file(corpus: Corpus, folder: Path, rng: Rng) -> Work:
@@ -436,7 +439,7 @@ KINDS: dict[str, Callable[[Corpus, Path, Rng], Work]] = {
     make.__name__: make
     for make in (
         *(recording_bytes, recording_messages, live_messages, image_folder, mesh),
-        *(sensor_file, pose_file, truth_file, session_file),
+        *(sensor_file, pose_file, saved_arrays, session_file),
     )
 }
 
