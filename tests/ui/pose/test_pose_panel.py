@@ -322,6 +322,44 @@ def test_pose_curves_break_at_lost_and_skipped_frames(bench, monkeypatch):
         assert curve.line.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
 
 
+def test_rejected_or_removed_object_takes_its_fit_patch_and_tracking_with_it(bench, tmp_path):
+    flat = tmp_path / "flat.obj"
+    flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
+    fit = bench.window.scene.layers["fit"]
+    panel, session = bench.panel, bench.panel.session
+    bench.state.set_layer_visible("object_patch", True)
+
+    def track():
+        bench.choose_object("frustum")
+        bench.click(panel.track)
+        bench.wait(lambda: bench.result.object_patch is not None and session.pose is not None)
+        bench.wait_until_shown()
+        assert fit.points.visibility and fit.arrows.visibility and panel.track.isChecked()
+        assert outlined(bench)[1]
+
+    def wait_for_nothing():
+        bench.wait(lambda: session.obj is None and bench.text("place") == DASH)
+        bench.wait_until_shown()
+        assert not any(actor.GetVisibility() for actor in fit.actors)
+        assert session.pose is None and not session.rows and not outlined(bench)[1]
+        assert not panel.track.isChecked() and not bench.state.settings.pose_track
+
+    track()
+    bench.drop(flat, on=panel)
+    wait_for_nothing()
+    bench.wait(lambda: "flat: its triangles have no area" in bench.text("state"))
+    track()
+    bench.pick(panel.object, "none")
+    panel.object.activated.emit(panel.object.currentIndex())
+    wait_for_nothing()
+    bench.wait(lambda: bench.text("state") == "choose an object")
+    bench.seek(1)
+    assert not fit.points.visibility and bench.result.pose is None
+    # undo restores object and tracking
+    bench.undo()
+    bench.wait(lambda: session.pose is not None and panel.track.isChecked())
+
+
 def lose(monkeypatch, lost):
     """Insert a frame without depth."""
     seen = SyntheticSource.__getitem__

@@ -188,6 +188,7 @@ class Controller(QObject):
         if self.state.facts is None:
             return
         client, request = self.client, ObjectChange(object_name, unit, fit)
+        client.forget_pose()
         fitted = client.frame_job(self.state.frame, self._pose_demand) if fit else None
 
         def function() -> tuple[RigidObject | None, Solved | None]:

@@ -49,7 +49,7 @@ class SensorClient(QObject):
 
     opened_source = Signal(object)  # An `Opened`
     solved = Signal(object, bool)  # A `Solved`; True if it is the newest frame of a live source
-    patched = Signal(object)  # `Result` of the shown frame with its patch at another κ
+    patched = Signal(object)  # `Result` of the shown frame with another patch, or without its pose
     paused = Signal()  # A live source sent no frame in time
     failed = Signal(object)  # A `Failed`
 
@@ -152,6 +152,12 @@ class SensorClient(QObject):
         demand = replace(demand, options=self._options)
         function = partial(self.solver.patch, result, demand)
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
+
+    def forget_pose(self) -> None:
+        """Remove the pose from the shown result, as another object or initial pose is used."""
+        if self.result is not None and self.result.pose is not None:
+            self.result = replace(self.result, pose=None, object_patch=None)
+            self.patched.emit(self.result)
 
     @property
     def _options(self) -> FrameOptions:

@@ -87,13 +87,14 @@ ABOVE_M = 0.02
 
 
 class PoseOverlay:
-    """Draws the object of the pose panel in the view."""
+    """Draws the object of the pose panel and its fit in the view."""
 
     def __init__(self, view: View, scene: Scene, panel: PosePanel) -> None:
         self._view, self._scene, self._panel = view, scene, panel
         self._obj: RigidObject | None = None
         self._start: np.ndarray | None = None
         self._pose: Pose | None = None
+        self._stage = panel.session.stage
         self.gizmo = Gizmo(view, self._on_dragged)
         self._connections = [
             panel.session.changed.connect(lambda: self._on_changed()),
@@ -113,11 +114,14 @@ class PoseOverlay:
             self.gizmo.hide()
             self._panel.move_in_view.setChecked(False)
             layer.set_object(session.obj)
+        moved = session.pose is not self._pose
         if (session.start is not self._start and session.start is not None) or session.pose is None:
             self._draw_start(session.start)
-        elif session.pose is not self._pose:
-            layer.show_pose(session.pose, self._panel.stage.currentData())
-        self._start, self._pose = session.start, session.pose
+        elif moved or session.stage != self._stage:
+            layer.show_pose(session.pose, session.stage)
+        if moved:
+            self._scene.fit.show_pose(session.pose)
+        self._start, self._pose, self._stage = session.start, session.pose, session.stage
         self._view.refresh()
 
     def _draw_start(self, start: np.ndarray | None) -> None:

@@ -48,7 +48,7 @@ def pose_texts(session: PoseSession, units: Units) -> dict[str, str]:
     if session.busy:
         texts["state"] = "fitting…"
     elif session.obj is None:
-        texts["state"] = "choose an object"
+        texts["state"] = session.problem or "choose an object"
     elif pose is None:
         texts["state"] = "not fitted yet"
     else:
@@ -154,8 +154,8 @@ class PoseSession(QObject):
         self.start: np.ndarray | None = None  # (4, 4) initial pose T_B_O; None: global search
         self._loaded: tuple[str | None, FileUnit | None] = (None, None)
         self.pose: Pose | None = None  # Of the frame shown, or the last one found
-        self._shown: Pose | None = None
         self.busy = False  # A single fit is running
+        self.problem = ""  # Why the chosen object was rejected
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
         controller.opened.connect(self._on_opened)
         controller.object_changed.connect(self._on_object_changed)
@@ -169,10 +169,16 @@ class PoseSession(QObject):
         """Preset or file; None: no object."""
         return self._state.settings.pose_object
 
+    @property
+    def stage(self) -> int:
+        """Stage of the fit at which the object is drawn."""
+        return self._state.settings.pose_stage
+
     def choose(self, name: str | None) -> None:
         """Register another object, or none; the same one is loaded again."""
         before = self._state.settings
-        self._state.change(pose_object=name, pose_start=None)
+        track = name is not None and before.pose_track
+        self._state.change(pose_object=name, pose_start=None, pose_track=track)
         if self._state.settings is before:
             self._register_object()
 
@@ -219,7 +225,7 @@ class PoseSession(QObject):
         settings = self._state.settings
         self._controller.set_object(settings.pose_object, settings.pose_unit, start, fit=False)
         self._state.change(pose_track=found.track)
-        self.changed.emit()  # last, as the change of settings redraws the last result's pose
+        self.changed.emit()
 
     def export(self, path: Path, form: Literal["csv", "tum"]) -> int:
         """Write the poses found so far; returns the number of lines.
@@ -233,6 +239,7 @@ class PoseSession(QObject):
         self.changed.emit()
 
     def _register_object(self) -> None:
+        self.problem = ""
         self._forget()
         self._set_object(fit=False)
 
@@ -254,8 +261,10 @@ class PoseSession(QObject):
             self._apply_start()
         if names & POSE_SETTINGS:
             self._register_object()
-        elif "pose_start" in names:
-            self._set_object(fit=False) if self._state.settings.pose_track else self.changed.emit()
+        elif "pose_start" in names and self._state.settings.pose_track:
+            self._set_object(fit=False)
+        elif names & {"pose_start", "pose_stage"}:
+            self.changed.emit()
 
     def _apply_start(self) -> None:
         numbers = self._state.settings.pose_start
@@ -268,22 +277,26 @@ class PoseSession(QObject):
         requested = (change.object_name, change.unit)
         if self.obj is None or requested != self._loaded:  # keep the identity of the same object
             self.obj, self._loaded = change.obj, requested
+            self.pose, self.rows = None, {}  # of the former object, solved meanwhile
         if change.fitted:
             self.busy = False
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:
-        """Register no object; one that cannot be used stays selected, for undo."""
+        """Register no object, and stop tracking; a rejected one stays selected, for undo."""
         request = failed.request
         if isinstance(request, ObjectChange):
             self.busy = False
             if request.object_name == self.object_name and not request.fitted:
+                self.problem = failed.message
                 self._controller.set_object(None, None, None, fit=False)
+                with self._undo.unrecorded():
+                    self._state.change(pose_track=False)
             self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
-        if result.pose is None or result.pose is self._shown:
-            return  # a cold solve keeps the frame's pose, which may have been reset meanwhile
-        self.pose = self._shown = result.pose
+        if result.pose is None or result.pose is self.pose:
+            return
+        self.pose = result.pose
         self.rows[result.frame.index] = pose_row(result)
         self.changed.emit()

@@ -13,7 +13,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
-from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, add_mark, cells, draw_in_front, pairs
+from bubbleviz_ui.view3d.layer import Canvas, Layer, add_mark, cells, draw_in_front, pairs
 from bubbleviz_ui.view3d.render_view import View
 
 DETERMINED, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
@@ -45,12 +45,6 @@ class ObjectLayer(Layer):
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Hide the object until it has a pose on the new sensor."""
         self.put(None)
-
-    def draw(self, picture: Picture) -> None:
-        """Draw the pose of a result; without one the object stays."""
-        pose = picture.result.pose
-        if pose is not None:
-            self.show_pose(pose, picture.settings.pose_stage)
 
     def show_pose(self, pose: Pose, stage: int) -> None:
         """Draw it at a stage of a pose, coloured by how well that is determined."""
@@ -117,14 +111,12 @@ class FitLayer(Layer):
         self._length = ARROW * float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
         self._set_drawn(False)
 
-    def draw(self, picture: Picture) -> None:
-        """Draw the fit of a result; a result without a pose keeps the last one."""
-        pose = picture.result.pose
-        if pose is not None:
-            fitted = pose.status == "ok" and len(pose.points_m) > 0
-            if fitted:
-                self._fill(pose)
-            self._set_drawn(fitted)
+    def show_pose(self, pose: Pose | None) -> None:
+        """Draw the fit of a pose; nothing without one."""
+        fitted = pose is not None and pose.status == "ok" and len(pose.points_m) > 0
+        if pose is not None and fitted:
+            self._fill(pose)
+        self._set_drawn(fitted)
 
     def _fill(self, pose: Pose) -> None:
         count = len(pose.points_m)

@@ -146,7 +146,7 @@ class Scene:
         self._drawn = DrawnLayers(view, units, self.ranges)
         self.layers = self._drawn.by_name
         self._surface = self._drawn.surface
-        self.object = self._drawn.layer(ObjectLayer)
+        self.object, self.fit = self._drawn.layer(ObjectLayer), self._drawn.layer(FitLayer)
         self._T_W_B = np.eye(4)
         self._others_m = np.empty((0, 3))
         self._result: Result | None = None
