@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtGui import QColor
-from window_driver import view_texts
+from window_driver import CONTACT, view_texts
 
 from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
@@ -79,6 +79,35 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     assert abs(float(a["force"].text().split()[0]) - force) < max(half, 0.02 * force)
     assert "±" in a["force"].text() and "±" in b["force"].text()
     assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
+
+
+def test_during_playback_every_number_drawn_is_of_one_frame(drive):
+    """Looked at whenever the view is drawn."""
+    driver = drive(frame=CONTACT - 12)
+    window, state, drawn = driver.window, driver.state, []
+    driver.show("plots")
+    driver.choose(plots=frozenset({"force", "area"}), loop=False, speed=0.5)
+    driver.wait(lambda: set(window.plots.plots) >= {"force", "area"})
+
+    def look():
+        """Frame by two widgets, and force by three and by the view."""
+        frames = [
+            text.text().replace("·", " ").split()[1]
+            for text in (window.playback.readout, window.status.labels["frame"])
+        ]
+        (headline,) = (text for text in view_texts(driver) if text.startswith("contact  "))
+        number = r"[\d.]+"
+        texts = window.status.labels["force"].text(), window.kappa.force.text(), headline
+        forces = [re.search(number, text).group() for text in (*texts, heading(driver))]
+        drawn.append((frames, forces))
+
+    window.view.rendering.connect(look)
+    driver.click(window.playback.play)
+    driver.wait(lambda: len({force for _, (force, *_) in drawn}) > 8)
+    window.view.rendering.disconnect(look)
+    state.set_playing(False)
+    for frames, forces in drawn:
+        assert len(set(frames)) == 1 and len(set(forces)) == 1, (frames, forces)
 
 
 def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):

@@ -84,8 +84,6 @@ IMAGES_BESIDE_VIEW = 1200
 RATES_EVERY_MS = 500
 UNDO_STEPS = 200
 """Limited because some steps hold collected frames."""
-NUMBERS_EVERY_MS = 100
-"""Period of number updates during playback; each new text makes Qt redraw."""
 NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS
 """Settings whose change does not redraw the 3-D view."""
 OPENED_BY_WINDOW = (".mcap", ".toml", SESSION_SUFFIX)
@@ -160,7 +158,6 @@ class MainWindow(QMainWindow):
         self.menus = Menus(self.menuBar(), self, self.session_saver)
         self.shortcuts = Shortcuts(self.menuBar())
         self._rates_timer = QTimer(self, interval=RATES_EVERY_MS)
-        self._numbers_timer = QTimer(self, singleShot=True, interval=NUMBERS_EVERY_MS)
         self._connect()
 
     def open_file(self, path: Path) -> None:
@@ -274,7 +271,6 @@ class MainWindow(QMainWindow):
         self.session_saver.close()
         self.open_panels.close()
         self._rates_timer.stop()
-        self._numbers_timer.stop()
         self.state.blockSignals(True)  # receivers are being deleted
         for host in self.findChildren(PlotHost):
             host.close_canvas()
@@ -393,9 +389,6 @@ class MainWindow(QMainWindow):
         self.state.source_changed.connect(self._on_source)
         self.state.frozen_changed.connect(self._show_title)
         self.state.connection_changed.connect(self._on_connection)
-        self._numbers_timer.timeout.connect(self._write_numbers)
-        self.state.playing_changed.connect(self._write_numbers)
-        self.state.frozen_changed.connect(self._write_numbers)
         self.state.settings_changed.connect(self._on_settings)
 
     def _play_range(self, frames: tuple[int, int]) -> None:
@@ -497,10 +490,7 @@ class MainWindow(QMainWindow):
         start = time.perf_counter()
         self.scene.show(result, self.state.settings)
         self.view.busy_s += time.perf_counter() - start
-        if not self.state.playing or self.state.frozen:
-            self._write_numbers()
-        elif not self._numbers_timer.isActive():  # also covers the last frame before a pause
-            self._numbers_timer.start()
+        self._write_numbers()
 
     def _write_numbers(self) -> None:
         """Show the numbers of the current result in the panels."""

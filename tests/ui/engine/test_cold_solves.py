@@ -55,7 +55,7 @@ def test_same_result_after_opening_seeking_stepping_or_playing_to_a_frame(drive)
 
 
 def test_pose_of_a_paused_frame_is_registered_once(drive):
-    """Also if diagnostics, which are skipped during playback, are due."""
+    """Also if images, which are skipped during playback, are due."""
     driver = drive(frame=CONTACT - 3)
     driver.show("pose", "images")
     driver.choose(every_frame=True, pose_object="sphere", pose_track=True)
@@ -68,7 +68,7 @@ def test_pose_of_a_paused_frame_is_registered_once(drive):
     client.solved.connect(note)
     play_past(driver, CONTACT)
     settled_by_itself(driver)
-    assert client.demand.diagnostics and not client.diagnostics_outdated
+    assert client.demand.images and not client.images_outdated
     assert driver.result.pose is not None
     assert found[driver.state.frame] == 1
 
@@ -120,7 +120,7 @@ class Waiting:
 
 
 PLAIN = Demand(frozenset({"estimate", "patch"}))
-WITH_DIAGNOSTICS = PLAIN.with_diagnostics(frozenset({"kappa_curve"}))
+WITH_IMAGE = Demand(PLAIN.products | {"depth_image"})
 
 
 @pytest.fixture
@@ -142,20 +142,20 @@ def client(qtbot, sensor, state):
 
 def test_requests_during_a_cold_solve_are_not_lost(client):
     client.request_cold_solve()
-    client.request_frame(3, WITH_DIAGNOSTICS)
+    client.request_frame(3, WITH_IMAGE)
     client.worker.run(-1)
     client.worker.run(-2)
-    assert client.inspection.kappa_curve is not None and not client.cold_solved
+    assert "depth" in client.inspection.images and not client.cold_solved
     client.request_cold_solve()
     client.worker.run(-1)
-    assert client.inspection.kappa_curve is not None and client.cold_solved
+    assert "depth" in client.inspection.images and client.cold_solved
 
 
-def test_a_diagnostic_that_did_not_arrive_is_requested_again(client, state):
-    """During playback most frames have no diagnostics, but a missing frame must not delay them."""
+def test_an_image_that_did_not_arrive_is_requested_again(client, state):
+    """During playback most frames have no images, but a missing frame must not delay them."""
     state.open(client.facts, 3, playing=True, history=client.history)
-    client.request_newest(WITH_DIAGNOSTICS)
+    client.request_newest(WITH_IMAGE)
     client.worker.run(-1)  # no frame: the source does not grow
-    client.request_frame(3, WITH_DIAGNOSTICS)
+    client.request_frame(3, WITH_IMAGE)
     client.worker.run(-1)
-    assert client.inspection.kappa_curve is not None
+    assert "depth" in client.inspection.images

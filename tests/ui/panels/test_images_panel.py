@@ -195,10 +195,10 @@ def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, m
     point()
     driver.wait(lambda: found.place is not None)
     driver.state.set_playing(False)
-    # during playback not every frame gets diagnostics
+    # during playback not every frame gets images
     opened(driver, "depth", "change")
     controller = driver.window.controller
-    monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 3600.0)
+    monkeypatch.setattr(sensor_client, "IMAGES_EVERY_S", 3600.0)
     driver.wait_until_shown()
     driver.wait(lambda: not controller.worker.busy)  # earlier requests count, too
     before = counts["diagnose change"], counts["total"]
@@ -206,9 +206,9 @@ def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, m
     driver.state.set_playing(True)
     driver.wait(lambda: counts["total"] > before[1] + 20)
     assert counts["diagnose change"] == before[0]
-    monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 0.0)
+    monkeypatch.setattr(sensor_client, "IMAGES_EVERY_S", 0.0)
     driver.wait(lambda: counts["diagnose change"] > before[0] + 2)
-    monkeypatch.setattr(sensor_client, "DIAGNOSTICS_EVERY_S", 3600.0)
+    monkeypatch.setattr(sensor_client, "IMAGES_EVERY_S", 3600.0)
     driver.state.set_playing(False)
     driver.wait_until_shown()
     image = lambda: controller.inspection.images["depth"]  # noqa: E731

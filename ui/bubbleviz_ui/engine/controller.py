@@ -239,14 +239,14 @@ class Controller(QObject):
             self._request_frame()
 
     def _on_playing(self, playing: bool) -> None:
-        incomplete = bool(self.client.demand.diagnostics) or self.client.shown_thinned
+        incomplete = bool(self.client.demand.images) or self.client.shown_thinned
         if not playing and incomplete and self.cold_solved:
             self._request_frame()  # else the cold solve delivers them, with a single registration
         self._schedule_cold_solve()
         self._request_newest()
 
     def _on_frozen(self, frozen: bool) -> None:
-        incomplete = self.client.diagnostics_outdated or self.client.shown_thinned
+        incomplete = self.client.images_outdated or self.client.shown_thinned
         if frozen and incomplete and self.cold_solved:
             self._request_frame()
         self._schedule_cold_solve()
@@ -316,7 +316,7 @@ class Controller(QObject):
         self.failed.emit(failed)
 
     def _on_paused(self) -> None:
-        if self.client.diagnostics_outdated:
+        if self.client.images_outdated:
             self._request_frame()
         self._request_newest()
 

@@ -22,8 +22,8 @@ from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 
-DIAGNOSTICS_EVERY_S = 0.15
-"""Period at which diagnostics are updated during playback."""
+IMAGES_EVERY_S = 0.15
+"""Period at which images are updated during playback."""
 TARGET_WAIT_S = 0.004
 """Target time between a result and its drawing; above 0, so that the window never waits for it."""
 GAIN = 0.4  # of the integral control of the delay
@@ -70,18 +70,18 @@ class SensorClient(QObject):
         self.solve_rate = RateMeter()
         self._state = state
         self._awaiting = False
-        self._diagnosed_s = 0.0
-        self._diagnosed_frame: Frame | None = None
+        self._imaged_s = 0.0
+        self._imaged_frame: Frame | None = None
         self._cold_solved: Frame | None = None
         self._shown_demand = self.demand
         self._delay = RequestDelay()
         self.worker.failed.connect(self._on_failed)
 
     @property
-    def diagnostics_outdated(self) -> bool:
-        """Whether the diagnostics belong to an earlier frame than the one shown."""
+    def images_outdated(self) -> bool:
+        """Whether the images belong to an earlier frame than the one shown."""
         shown = None if self.result is None else self.result.frame
-        return bool(self.demand.diagnostics) and self._diagnosed_frame is not shown
+        return bool(self.demand.images) and self._imaged_frame is not shown
 
     @property
     def shown_thinned(self) -> bool:
@@ -104,7 +104,7 @@ class SensorClient(QObject):
         """Request a cold solve of the shown frame; its pose is kept."""
         if self.result is not None:
             due = self._due(self.demand)
-            products = self._shown_demand.products - OBJECT_PRODUCTS | due.diagnostics
+            products = self._shown_demand.products - OBJECT_PRODUCTS | due.images
             demand = replace(due, products=products, options=self._options)
             function = partial(self.solver.frame, self.result.frame.index, demand, cold=True)
             self.worker.submit(function, self._take_cold_solve, key="cold_solve")
@@ -139,7 +139,7 @@ class SensorClient(QObject):
             partial(self.worker.has_more_urgent, "newest"),
             needs_colour=demand.needs_colour,
         )
-        then = partial(self._take_newest, at_once=at_once, diagnosed=bool(wanted.diagnostics))
+        then = partial(self._take_newest, at_once=at_once, imaged=bool(wanted.images))
         due_s = 0.0 if at_once else time.perf_counter() + self._delay.delay_s
         self.worker.submit(function, then, key="newest", due_s=due_s)
 
@@ -148,8 +148,8 @@ class SensorClient(QObject):
         result, requested = self.result, self.demand
         if result is None or result.estimate is None or "patch" not in requested.products:
             return
-        demand = requested.with_diagnostics(requested.diagnostics & {"components"})
-        demand = replace(demand, options=self._options)
+        products = requested.products - requested.images - {"kappa_curve"}
+        demand = replace(requested, products=products, options=self._options)
         function = partial(self.solver.patch, result, demand)
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
 
@@ -165,13 +165,13 @@ class SensorClient(QObject):
         return Demand.of(self._state.settings).options
 
     def _due(self, demand: Demand) -> Demand:
-        """The demand reduced for playback: fewer points, and diagnostics at a lower rate."""
+        """The demand reduced for playback: fewer points, and images at a lower rate."""
         now = time.perf_counter()
         if self._state.playing and not self._state.frozen:
             demand = demand.thinned(self._state.cloud_decimation)
-            if now - self._diagnosed_s < DIAGNOSTICS_EVERY_S:
-                return demand.with_diagnostics()
-        self._diagnosed_s = now
+            if now - self._imaged_s < IMAGES_EVERY_S:
+                return demand.without_images()
+        self._imaged_s = now
         return demand
 
     # -- answers ------------------------------------------------------------------------------
@@ -186,8 +186,8 @@ class SensorClient(QObject):
         self.history = FrameHistory(opened.facts.frames)
         self._awaiting = False
         self.result, self.inspection = opened.result, _inspection(opened.result)
-        self._shown_demand = self.demand.with_diagnostics()
-        self._diagnosed_frame = opened.result.frame
+        self._shown_demand = self.demand.without_images()
+        self._imaged_frame = opened.result.frame
         self._remember(opened.frame, opened.numbers, self.demand)
         self.opened_source.emit(opened)
 
@@ -200,11 +200,11 @@ class SensorClient(QObject):
         self._show(solved)
         self.solved.emit(solved, False)
 
-    def _take_newest(self, solved: Solved | None, *, at_once: bool, diagnosed: bool) -> None:
+    def _take_newest(self, solved: Solved | None, *, at_once: bool, imaged: bool) -> None:
         self._awaiting = False
         if solved is None:
-            if diagnosed:  # no frame came: they are still due
-                self._diagnosed_s = 0.0
+            if imaged:  # no frame came: they are still due
+                self._imaged_s = 0.0
             self.paused.emit()
             return
         now, frame, numbers = time.perf_counter(), solved.result.frame, solved.numbers
@@ -223,24 +223,27 @@ class SensorClient(QObject):
 
     def _show(self, solved: Solved) -> None:
         self.result, self._cold_solved = solved.result, None
-        self._shown_demand = solved.demand.with_diagnostics()
-        if solved.demand.diagnostics or not self.demand.diagnostics:  # else keep the last ones
-            self.inspection = _inspection(solved.result)
-            self._diagnosed_frame = solved.result.frame
+        self._shown_demand = solved.demand.without_images()
+        seen = _inspection(solved.result)
+        if solved.demand.images or not self.demand.images:
+            self.inspection, self._imaged_frame = seen, solved.result.frame
+        else:  # keep the last images
+            curve, parts = seen.kappa_curve, seen.components
+            self.inspection = replace(self.inspection, kappa_curve=curve, components=parts)
 
     def _take_cold_solve(self, solved: Solved) -> None:
         self.solve_rate.tick(time.perf_counter())
         shown, new, requested = self.result, solved.result, solved.demand
         self._remember(new.frame.index, solved.numbers, requested)
         same = shown is not None and shown.frame.index == new.frame.index
-        wanted = self._shown_demand.products | self.demand.diagnostics
+        wanted = self._shown_demand.products | self.demand.images
         # else another frame, or more products of this one, are shown by now
         if shown is not None and same and wanted <= requested.products | OBJECT_PRODUCTS:
             pose, by_object = shown.pose, shown.object_patch
             self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
             self._shown_demand = replace(self._shown_demand, options=requested.options)
             self.inspection = _inspection(new)
-            self._cold_solved = self._diagnosed_frame = shown.frame
+            self._cold_solved = self._imaged_frame = shown.frame
         self.solved.emit(solved, False)
         if solved.remark:
             self.failed.emit(Failed("cold_solve", solved.remark, warning=True))
@@ -249,7 +252,7 @@ class SensorClient(QObject):
         result, (patched, numbers) = self.result, answer
         if result is not None and result.estimate is patched.estimate:  # else another is shown
             self._remember(result.frame.index, numbers, demand)
-            if "components" in demand.diagnostics:
+            if "components" in demand.products:
                 parts = _inspection(patched).components
                 self.inspection = replace(self.inspection, components=parts)
             self.result = replace(result, patch=patched.patch)

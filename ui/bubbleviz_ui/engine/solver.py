@@ -188,7 +188,7 @@ class OpenSource:
         """The result with its diagnostics, which use the ground truth if the source has it."""
         if self.opened is NO_SOURCE:
             return result
-        wanted = "kappa_curve" in demand.diagnostics
+        wanted = "kappa_curve" in demand.products
         truth = truth_of(self.source, result.frame.index) if wanted else None
         mask = truth.patch_mask if truth is not None else None
         result = self.pipeline.diagnose(result, demand.products, demand.options, mask)

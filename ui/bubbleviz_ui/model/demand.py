@@ -72,13 +72,13 @@ class Demand:
         return self.options.kappa, self.options.least_area_m2
 
     @property
-    def diagnostics(self) -> Products:
-        """Requested diagnostics of the frame shown: images, κ curve, patch components."""
-        return self.products & DIAGNOSTICS.keys()
+    def images(self) -> Products:
+        """Requested images of the frame shown, which take longest of all diagnostics."""
+        return frozenset(name for name in self.products if name.endswith("_image"))
 
-    def with_diagnostics(self, wanted: Products = NO_PRODUCTS) -> Demand:
-        """The same demand with other diagnostics, or none."""
-        return replace(self, products=self.products - DIAGNOSTICS.keys() | wanted)
+    def without_images(self) -> Demand:
+        """The same demand without images."""
+        return replace(self, products=self.products - self.images)
 
     @property
     def needs_colour(self) -> bool:

@@ -88,7 +88,7 @@ class PlotsPanel(QWidget):
         self.analyse.clicked.connect(lambda: self._controller.analysis.start())
         self.cancel.clicked.connect(lambda: self._controller.analysis.stop())
         self._controller.analysis.progressed.connect(self._on_analysed)
-        self._controller.shown.connect(self._show_kappa)
+        self._controller.shown.connect(self._on_shown)
         self._host.seen.connect(self._on_seen)
 
     def show_other(self, aligned: AlignedRun | None) -> None:
@@ -99,7 +99,12 @@ class PlotsPanel(QWidget):
     # -- events -------------------------------------------------------------------------------
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        self._draw_soon() if by_playback else self._draw_cursor()
+        if not by_playback:  # else when it is shown
+            self._draw_cursor()
+
+    def _on_shown(self) -> None:
+        self._draw_cursor()
+        self._show_kappa()
 
     def _on_source(self) -> None:
         self._show_all_time()
@@ -188,7 +193,7 @@ class PlotsPanel(QWidget):
         if not self._host.ready or facts is None:
             return
         if facts.grows and not self._state.frozen:
-            self._show_last(float(facts.times_s[-1]))
+            self._show_last(float(facts.times_s[-1]) + 1e-3 * EVERY_MS)  # room for the cursor
         for name, plot in self.plots.items():
             if name in self._state.settings.plots:
                 plot.draw(facts, self._state.history, self._state.units)

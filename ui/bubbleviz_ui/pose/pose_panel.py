@@ -213,7 +213,7 @@ class StartBoxes(QWidget):
 MESHES = f"Meshes ({' '.join('*' + suffix for suffix in SUFFIXES)});;All files (*)"
 NONE, FROM_FILE = "none", "from a file…"
 EVERY_MS = 150
-"""Update period of numbers and plots."""
+"""Update period of the curves."""
 
 
 class PosePanel(QWidget):
@@ -253,7 +253,7 @@ class PosePanel(QWidget):
         self._connect()
         watch_controls(self)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._due.timeout.connect(lambda: self._write())
+        self._due.timeout.connect(lambda: self._draw_curves())
         self._write()
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
@@ -406,7 +406,7 @@ class PosePanel(QWidget):
         self._on_changed()
 
     def _on_changed(self) -> None:
-        self._enable_controls()
+        self._write()
         if not self._due.isActive():
             self._due.start()
 
@@ -433,7 +433,7 @@ class PosePanel(QWidget):
         self.track.setChecked(self._state.settings.pose_track)
 
     def _write(self) -> None:
-        """Update numbers and plots of the pose shown."""
+        """Update controls and numbers of the pose shown."""
         self._enable_controls()
         self._show_object()
         for name, text in pose_texts(self.session, self._state.units).items():
@@ -441,6 +441,8 @@ class PosePanel(QWidget):
         title, by_object = LAYERS["object_patch"].title, self.session.object_patch
         area = "" if by_object is None else self._state.units.area.text(by_object.area_m2)
         self.patch.setText(f"{title}: {area}" if area else title)
+
+    def _draw_curves(self) -> None:
         pose = self.session.pose
         if pose is None and self._curves is None:
             return

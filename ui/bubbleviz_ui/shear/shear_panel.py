@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from PySide6.QtCore import QTimer
 from PySide6.QtGui import QColor, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
@@ -134,8 +133,6 @@ def _text(measure: Measure, unit: Unit) -> str:
     return unit.with_interval(*measure)
 
 
-EVERY_MS = 150
-"""Update period of the numbers."""
 SEARCHING = "Looking for contact-free colour images…"
 INITIAL_MU = 0.5
 """Initial friction bound."""
@@ -168,7 +165,7 @@ class ShearPanel(QWidget):
             label.setObjectName("value")
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
         self.plot = ShearPlot()
-        self.plot.seen.connect(self._write_soon)
+        self.plot.seen.connect(self._write)
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("These numbers as text, with their units")
         self._lay_out()
@@ -200,11 +197,9 @@ class ShearPanel(QWidget):
         self._mu = bind(self.friction, state, "friction")
         if state.settings.friction is None:
             self._mu.show(INITIAL_MU)
-        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._due.timeout.connect(self._write)
         self.search_reference.clicked.connect(controller.find_reference)
         self.copy.clicked.connect(self._copy)
-        controller.shown.connect(self._write_soon)
+        controller.shown.connect(self._write)
         state.settings_changed.connect(self._on_settings)
         self._on_settings(frozenset({"friction"}))
 
@@ -215,13 +210,11 @@ class ShearPanel(QWidget):
         if "friction" in names:
             self.friction.setEnabled(self._state.settings.friction is not None)
         if names & (UNIT_CHOICES.keys() | {"panels"}):
-            self._write_soon()
-
-    def _write_soon(self) -> None:
-        if "shear" in self._state.settings.panels and not self._due.isActive():
-            self._due.start()
+            self._write()
 
     def _write(self) -> None:
+        if "shear" not in self._state.settings.panels:
+            return
         result = self._controller.result
         words = shear_texts(result, self._state.units)
         self.reference.setText(self._controller.inspection.reference or SEARCHING)
