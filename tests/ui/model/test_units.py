@@ -29,6 +29,9 @@ from bubbleviz_ui.model.units import UNIT_CHOICES, Units
         (Units().force.with_interval(-0.2, 12.0), "0 ± 12 N"),
         (Units().tension.between(192.79, 244.02), "193 … 244 N/m"),
         (Units().gas_pressure.between(2500.0, 2700.0), "2500 … 2700 Pa"),
+        (Units().area.with_range(28e-6, 7e-6, 139.6e-6), "28 (7…140) mm²"),
+        (Units().area.with_range(28e-6, 4e-7, 139.6e-6), "28 (up to 140) mm²"),
+        (Units().area.with_range(28e-6, 0.0, 0.0), "28 mm²"),
     ],
 )
 def test_default_units(text, expected):

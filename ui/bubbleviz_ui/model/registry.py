@@ -41,7 +41,10 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "wireframe": LayerKind("Wireframe", "Edges of the membrane's mesh", ESTIMATE, False),
         "contour": LayerKind(
-            "Patch contour", "Where the contact pressure crosses the κ threshold", PATCH
+            "Patch contour",
+            "Thick: edge of the contact patch;\n"
+            "thin: the smallest and the largest patch that noise allows",
+            PATCH,
         ),
         "object_patch": LayerKind(
             "Patch by object",
@@ -62,7 +65,8 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "readout": LayerKind(
             "Readout",
-            "Force, its tangential part, peak pressure and patch area, in the view",
+            "Force, its tangential part, peak pressure and patch area, in the view;\n"
+            "in brackets the areas of the smallest and the largest patch that noise allows",
             PATCH,
         ),
         "frustum": LayerKind(

@@ -56,11 +56,14 @@ class Unit:
         return f"{rounded(low, decimals)} … {rounded(high, decimals)} {self.symbol}"
 
     def with_range(self, si: float, low: float, high: float) -> str:
-        """Number, its range in parentheses unless that is empty, and unit."""
+        """Number, its range in parentheses unless that is empty, and unit.
+
+        A range from about 0 is given by its end, as (0…140) looks like no contact.
+        """
         if high <= 0.0 or not math.isfinite(si + low + high):
             return self.text(si)
         value, least, most = (f"{self.from_si(each):.{self.digits}f}" for each in (si, low, high))
-        return f"{value} ({least}…{most}) {self.symbol}"
+        return f"{value} ({f'{least}…' if float(least) else 'up to '}{most}) {self.symbol}"
 
 
 DIMENSIONLESS = Unit("", 1.0, 2)
