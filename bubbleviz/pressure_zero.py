@@ -1,14 +1,18 @@
-"""Zero of the gas pressure: removes changes of ambient pressure and the sensor's offset."""
+"""Zeros of gas pressure and wrench sensor, from frames of a recording without contact.
+
+That of the gas pressure removes changes of ambient pressure and the sensor's offset.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame, FrameSource
+from bubbleviz.recordings import Frame, FrameSource, force_of
 from bubbleviz.result import HALF_95
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 
@@ -16,6 +20,7 @@ ZERO_FRAMES = 15  # contact-free frames for a zero, which is their median: half 
 MIN_FRAMES = 3
 """Fewest consecutive contact-free frames for the zero of a recording: a single one may be a failed
 image."""
+WRENCH_FRAMES = 100  # contact-free frames for the bias of a wrench sensor, which is their median
 _SEARCH_POINTS = 20  # positions in a recording where contact-free frames are searched
 SKIPPED = 6  # live frames after one with contact that are not tested
 
@@ -156,3 +161,31 @@ def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[floa
             break
         rest.append(frame.gas_pressure_pa)
     return rest
+
+
+def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:
+    """Bias of the wrench sensor: median force (3,) of the first contact-free frames, N.
+
+    Yields None after each examined frame, then the bias; NaN if no frames are contact-free.
+    """
+    rest: list[np.ndarray] = []
+    for index in range(len(source)):
+        free = _contact_free(source, index, pipeline)
+        if free is not None:
+            rest.append(force_of(free.wrench))
+        elif len(rest) < MIN_FRAMES:
+            rest.clear()
+        if len(rest) == WRENCH_FRAMES or (rest and free is None):
+            break
+        yield None
+    known = [force for force in rest if np.isfinite(force).all()]
+    yield np.median(known, axis=0) if known else np.full(3, np.nan)
+
+
+def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame | None:
+    """A frame if it can be read and its depth image shows no contact."""
+    try:
+        frame = source[index]
+        return frame if pipeline.is_untouched(frame) else None
+    except InputError:
+        return None

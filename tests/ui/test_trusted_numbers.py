@@ -81,6 +81,33 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
 
 
+class Noisy(Measured):
+    """The same with noise of 0.3 N on the wrench."""
+
+    def __getitem__(self, index):
+        frame = super().__getitem__(index)
+        noise = np.random.default_rng(index).normal(0.0, 0.3, 6)
+        return replace(frame, wrench=frame.wrench + noise)
+
+
+def test_measured_force_does_not_depend_on_the_frames_computed(drive):
+    """Known although no contact-free frame was computed, as after a restart."""
+    sensor = small_sensor(prestretch=1.3)
+    driver = drive(Noisy, sensor=sensor, frame=PRESSED)
+    driver.show("plots")
+    wrench = lambda: re.search(r"wrench ([\d.]+)", heading(driver))  # noqa: E731
+    driver.wait(lambda: bool(driver.window.plots.plots) and wrench() is not None)
+    forces = np.array([Noisy(sensor)[k].wrench[:3] for k in range(FRAMES)])
+    expected = np.linalg.norm(forces[PRESSED] - np.median(forces[:FIRST_CONTACT], axis=0))
+    assert wrench()[1] == f"{expected:.2f}"
+    for frame in (0, 2, PRESSED):
+        driver.seek(frame)
+    driver.wait(lambda: wrench() is not None)
+    assert wrench()[1] == f"{expected:.2f}"
+    analyse(driver)
+    assert wrench()[1] == f"{expected:.2f}"
+
+
 def test_during_playback_every_number_drawn_is_of_one_frame(drive):
     """Looked at whenever the view is drawn."""
     driver = drive(frame=CONTACT - 12)

@@ -189,7 +189,17 @@ class SensorClient(QObject):
         self._shown_demand = self.demand.without_images()
         self._imaged_frame = opened.result.frame
         self._remember(opened.frame, opened.numbers, self.demand)
+        if not opened.facts.grows and opened.result.frame.wrench is not None:
+            self.history.wrench_bias_n = np.full(3, np.nan)  # until it is known
+            function = partial(
+                self.solver.wrench_bias, partial(self.worker.has_more_urgent, "wrench")
+            )
+            self.worker.submit(function, self._take_wrench_bias, key="wrench")
         self.opened_source.emit(opened)
+
+    def _take_wrench_bias(self, bias_n: np.ndarray) -> None:
+        self.history.wrench_bias_n = bias_n
+        self._state.history_changed.emit()
 
     def _take_frame(self, requested_s: float, solved: Solved) -> None:
         now = time.perf_counter()

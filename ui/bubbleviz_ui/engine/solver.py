@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, is_dataclass, replace
 from threading import Event
 from typing import Literal
@@ -18,7 +18,7 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult, SettingsComparison
 from bubbleviz.pipeline import DIAGNOSTICS, FrameOptions, Pipeline, Product
-from bubbleviz.pressure_zero import PressureZero, zero_of, zeroed
+from bubbleviz.pressure_zero import PressureZero, wrench_bias, zero_of, zeroed
 from bubbleviz.processes import PipelineProcess
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import (
@@ -138,14 +138,15 @@ PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 class OpenSource:
     """An open source and its pipeline; used only in the solver thread.
 
-    `solver_process` solves the newest frames of one of two cameras on another core; `zero` is the
-    zero of a recording's gas pressure.
+    `wrench_bias` searches the bias of the wrench sensor; `solver_process` solves the newest frames
+    of one of two cameras on another core; `zero` is the zero of a recording's gas pressure.
     """
 
     opened: Source
     source: FrameSource
     pipeline: Pipeline
     side_by_side: SettingsComparison
+    wrench_bias: Iterator[np.ndarray | None]
     shear: ShearReference = field(default_factory=ShearReference)
     estimates: EstimateCache = field(default_factory=EstimateCache)
     solver_process: PipelineProcess | None = None
@@ -314,6 +315,18 @@ class Solver:
                 break
         return numbers
 
+    def wrench_bias(self, interrupted: Callable[[], bool]) -> np.ndarray:
+        """Bias (3,) of a recording's wrench sensor, N; NaN if no frames are contact-free.
+
+        `interrupted`: Whether to continue later; `Deferred` is raised then.
+        """
+        for bias in self._open.wrench_bias:
+            if bias is not None:
+                return bias
+            if interrupted():
+                raise Deferred
+        return np.full(3, np.nan)
+
     def compare(
         self, index: int, settings: tuple[ComparedOptions, ...], *, cold: bool
     ) -> tuple[ComparedResult | str, ...]:
@@ -367,7 +380,8 @@ class Solver:
             if stream is not None:
                 stream.zero.refer_to(pipeline.model.gas.P0)
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
-            current = OpenSource(request.source, source, pipeline, settings)
+            bias = wrench_bias(source, pipeline)
+            current = OpenSource(request.source, source, pipeline, settings, bias)
             products = current.shear.products(source, pipeline, frame.index, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
             measured_pa = frame.gas_pressure_pa

@@ -17,7 +17,10 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.progress import Cancelled
 
 OPEN = "open"
-KEYS = (OPEN, "object", "reference", "patch", "frame", "newest", "cold_solve", "compare", "analyse")
+KEYS = (
+    OPEN, "object", "reference", "patch", "frame", "newest", "cold_solve", "compare", "wrench",
+    "analyse",
+)  # fmt: skip
 """Jobs of the solver thread, most urgent first."""
 PROGRESS_EVERY_S = 0.05
 CLOSE_TIMEOUT_S = 10.0

@@ -8,6 +8,7 @@ import numpy as np
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.pipeline import Product
+from bubbleviz.pressure_zero import WRENCH_FRAMES
 from bubbleviz.recordings import Gap, measured_force
 from bubbleviz.result import TRUSTED
 
@@ -46,6 +47,8 @@ class FrameHistory:
         self.contact = np.full(frames, UNKNOWN, np.int8)
         self._has = np.zeros(frames, np.uint8)
         self._wrench = np.full((frames, 3), np.nan)
+        # (3,) force of the wrench sensor without contact; None: from the first contact-free frames
+        self.wrench_bias_n: np.ndarray | None = None
         self._untouched = np.zeros(frames, bool)
         self._outdated = np.zeros(frames, bool)
 
@@ -95,13 +98,14 @@ class FrameHistory:
         return np.flatnonzero(self._outdated & ((self._has & _PATCH) == 0))
 
     def quantity(self, name: str) -> np.ndarray:
-        """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`.
-
-        The bias of measured forces is their mean over the frames found contact-free so far.
-        """
-        if name == MEASURED_FORCE:
-            return measured_force(self._wrench, self._untouched)
-        return self.values[name]
+        """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`."""
+        if name != MEASURED_FORCE:
+            return self.values[name]
+        if self.wrench_bias_n is not None:
+            return np.asarray(np.linalg.norm(self._wrench - self.wrench_bias_n, axis=1))
+        free = np.zeros(len(self), bool)
+        free[np.flatnonzero(self._untouched)[:WRENCH_FRAMES]] = True
+        return measured_force(self._wrench, free)
 
     def next_contact(self, frame: int, direction: int) -> int | None:
         """First frame of the next contact, or of the previous one (`direction` −1).
