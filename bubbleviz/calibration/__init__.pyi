@@ -65,7 +65,6 @@ from .verdict import (
     Parameter as Parameter,
     Verdict as Verdict,
     judge as judge,
-    validation_advice as validation_advice,
 )
 from .workbench import (
     Draft as Draft,

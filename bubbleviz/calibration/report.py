@@ -17,7 +17,7 @@ import numpy as np
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.validation import Validation
-from bubbleviz.calibration.verdict import judge, parameters, validation_advice
+from bubbleviz.calibration.verdict import judge, parameters
 from bubbleviz.errors import InputError
 from bubbleviz.files import file_hash, refuse_existing, whole_file, write_ply
 from bubbleviz.progress import Progress, quiet
@@ -133,8 +133,9 @@ def summary(
     """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, cap = found.statistics, surfaces.cap
+    pressed = () if validation is None else (validation.summary,)
     return {
-        "verdict": asdict(verdict) | {"advice": [*verdict.advice, *validation_advice(validation)]},
+        "verdict": asdict(verdict) | {"advice": [*verdict.advice, *pressed]},
         "origin": origin,
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}

@@ -18,6 +18,11 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import simulation_mesh
 from bubbleviz.wording import count_of
 
+LARGEST_SHARE = 0.5
+"""Largest rms distance from the prediction over that from rest, for a confirmed calibration."""
+LEAST_OVERLAP = 0.4
+"""Smallest overlap of both patches; chosen: the predicted edge lies between two nodes."""
+
 
 @dataclass(frozen=True)
 class Validation:
@@ -41,6 +46,38 @@ class Validation:
     # predicted_force_n, measured_force_n: (3,), on the membrane in B
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Reasons why the press does not confirm the calibration; empty if it does."""
+        return tuple(text for text, failed in self._findings if failed)
+
+    @property
+    def summary(self) -> str:
+        """Verdict and reasons in one or two sentences."""
+        if self.failures:
+            remedy = "Check the pose, the object, the gauge pressure and γ0."
+            return f"Known press, poor: {'; '.join(self.failures)}. {remedy}"
+        return f"Known press, good: {'; '.join(text for text, _ in self._findings)}."
+
+    @property
+    def _findings(self) -> tuple[tuple[str, bool], ...]:
+        """Texts, and whether each speaks against the calibration."""
+        overlap = self.patch_overlap
+        patches = f"predicted and estimated patch overlap by {100 * overlap:.0f} %"
+        if np.isnan(overlap):
+            patches = "neither prediction nor estimate has a patch"
+        return (
+            (
+                f"predicted membrane {1e3 * self.rms_m:.2f} mm rms from the measured points, "
+                f"without the press {1e3 * self.untouched_rms_m:.2f} mm rms",
+                self.rms_m > LARGEST_SHARE * self.untouched_rms_m,
+            ),
+            (
+                f"{patches} (at least {100 * LEAST_OVERLAP:.0f} % expected)",
+                not overlap >= LEAST_OVERLAP,
+            ),
+        )
 
     @property
     def distance_image_m(self) -> np.ndarray:

@@ -9,7 +9,6 @@ from typing import Literal
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.surface import SURFACE_NAMES
 from bubbleviz.calibration.tension import Quantity
-from bubbleviz.calibration.validation import Validation
 
 Grade = Literal["good", "usable", "doubtful"]
 PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
@@ -190,19 +189,3 @@ def _interval(gauge: Quantity, pressure: PressureText) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
-
-
-def validation_advice(validation: Validation | None) -> list[str]:
-    """At most one sentence."""
-    if validation is None:
-        return []
-    share = validation.rms_m / max(validation.untouched_rms_m, 1e-12)
-    text = (
-        f"predicted membrane {1e3 * validation.rms_m:.2f} mm rms from the measured points, without"
-        f" the press {1e3 * validation.untouched_rms_m:.2f} mm rms"
-    )
-    if share > 0.5:
-        return [
-            f"Known press, poor: {text}. Check the pose, the object, the gauge pressure and γ0."
-        ]
-    return [f"Known press, good: {text}."]

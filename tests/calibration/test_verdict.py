@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, Validation, identify, judge, validation_advice
+from bubbleviz.calibration import Quantity, Validation, identify, judge
 from bubbleviz.simulation import DepthNoise
 
 from .domes import Dome, sphere
@@ -134,11 +134,25 @@ def test_least_squares_disagree_beyond_the_interval_and_two_percent(ball, relati
         assert warned is (apart > relative)
 
 
-@pytest.mark.parametrize(("left", "check"), [(1.9e-3, False), (2.1e-3, True)])
-def test_poorly_predicted_known_press_needs_a_check(left, check):
+@pytest.mark.parametrize(
+    ("left", "overlap", "why"),
+    [
+        (1.9e-3, 0.8, ()),
+        (2.1e-3, 0.8, ("membrane",)),
+        (1.9e-3, 0.24, ("overlap by 24 %",)),
+        (2.1e-3, 0.24, ("membrane", "overlap by 24 %")),
+        (1.9e-3, np.nan, ("has a patch",)),
+    ],
+)
+def test_poorly_predicted_known_press_needs_a_check(left, overlap, why):
     nothing, none = np.zeros(0), np.zeros((2, 2), bool)
     force = np.zeros(3)
-    press = Validation(nothing, nothing, nothing, left, left, 4e-3, none, none, 1.0, force, force)
-    (line,) = validation_advice(press)
-    assert f"membrane {1e3 * left:.2f} mm rms from" in line and "the press 4.00 mm rms" in line
-    assert ("poor" in line) is ("Check the pose" in line) is check
+    press = Validation(
+        nothing, nothing, nothing, left, left, 4e-3, none, none, overlap, force, force
+    )
+    line = press.summary
+    assert len(press.failures) == len(why)
+    assert all(word in text for word, text in zip(why, press.failures, strict=True))
+    assert ("poor" in line) is ("Check the pose" in line) is bool(why)
+    if not why or "membrane" in why:
+        assert f"membrane {1e3 * left:.2f} mm rms from" in line and "the press 4.00 mm rms" in line

@@ -334,6 +334,14 @@ def test_known_press_is_predicted_and_drawn(drive, sensor):
     bench.click(page.paint)
     bench.wait_until_shown()
     assert np.any(bench.pixels() != before)
+    # only a press that confirms the calibration is ticked
+    tip = lambda: bench.panel.steps.button(bench.panel.pages.index(page)).toolTip()  # noqa: E731
+    assert page.summary.text().startswith("Known press, good") and tip().endswith("done")
+    page.pose.setText(" ".join(f"{x:.9g}" for x in [numbers[0] + 0.008, *numbers[1:]]))
+    bench.click(page.predict)
+    share = 100.0 * bench.draft.validation.patch_overlap
+    assert page.summary.text().startswith("Known press, poor")
+    assert f"overlap by {share:.0f} %" in page.summary.text() and tip().endswith("needs attention")
 
 
 @pytest.mark.long

@@ -282,7 +282,9 @@ class CalibrationPanel(QWidget):
         refused = self._failed_work == self.calibration.work and number == changed
         verdict = answer.verdict(self.units)
         doubtful = verdict is not None and verdict.grade == "doubtful"
-        if refused or (doubtful and page is self.tension):
+        press = answer.draft.validation
+        failed = press is not None and bool(press.failures)
+        if refused or (doubtful and page is self.tension) or (failed and page is self.validation):
             return StepState.NEEDS_ATTENTION
         outdated = self.calibration.outdated and number >= changed
         return StepState.DONE if page.is_done(answer) and not outdated else StepState.TO_DO

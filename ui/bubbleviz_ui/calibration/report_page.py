@@ -28,6 +28,7 @@ from bubbleviz.files import presets_folder
 from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
 
@@ -173,6 +174,7 @@ class ValidationPage(Page):
         self.remove.setToolTip("Remove the validation by this press")
         self.paint.setToolTip("Measured minus predicted range at the points of the membrane")
         self.numbers = Numbers()
+        self.summary = QLabel(wordWrap=True)
         self._lay_out()
         self.predict.clicked.connect(self._on_predict)
         self.remove.clicked.connect(lambda: calibration.edit("Remove the validation", press=None))
@@ -205,8 +207,12 @@ class ValidationPage(Page):
 
     def _show_numbers(self, found: Validation | None) -> None:
         show, length, force = self.numbers.set, self.units.fine_length, self.units.force
+        self.summary.setVisible(found is not None)
         if found is None:
             return
+        self.summary.setText(found.summary)
+        colours = theme.of(self)
+        self.summary.setStyleSheet(f"color: {colours.doubtful if found.failures else colours.good}")
         show("distance, rms", length.text(found.rms_m))
         show("distance, 95th percentile", length.text(found.p95_m))
         show("distance from rest, rms", length.text(found.untouched_rms_m))
@@ -239,5 +245,5 @@ class ValidationPage(Page):
         form.addRow("Frames", frames)
         self.column.addLayout(form)
         buttons = fill(QHBoxLayout(), self.predict, self.remove)
-        fill(self.column, buttons, self.numbers, self.paint, 1)
+        fill(self.column, buttons, self.summary, self.numbers, self.paint, 1)
         self.pose.setToolTip("T_B_O: x y z qx qy qz qw in m; origin in the middle of the rim plane")
