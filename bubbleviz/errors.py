@@ -11,6 +11,20 @@ class InputError(Exception):
     """
 
 
+class UnknownCameraError(InputError):
+    """No sensor preset, or no single one, has a camera of this image size.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Width and height of the images, pixels.
+    """
+
+    def __init__(self, message: str, size: tuple[int, int]) -> None:
+        super().__init__(message)
+        self.size = size
+
+
 class StreamStoppedError(InputError):
     """A live source has stopped sending depth images without ending."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path, PurePosixPath
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, UnknownCameraError
 from bubbleviz.files import preset_names
 from bubbleviz.recordings.depth_topics import CAMERA_INFO, of_type
 from bubbleviz.recordings.frame import FrameSource, shown_name
@@ -88,7 +88,7 @@ def preset_of_size(
 ) -> str:
     """Name of the one sensor preset whose camera has images of this size.
 
-    Raises InputError: None has, or several have.
+    Raises UnknownCameraError: None has, or several have.
     """
     names = preset_names("sensors")
     cameras = {name: load_sensor(name).camera for name in names}
@@ -99,9 +99,10 @@ def preset_of_size(
     known = ", ".join(f"{name} ({_by(sizes[name])})" for name in fitting or names)
     have = "several presets have" if fitting else "no preset has"
     choice = "one of them or the" if fitting else "the"
-    raise InputError(
+    raise UnknownCameraError(
         f"{images}: {have} a camera of {_by(size)} pixels (presets: {known}); "
-        f"choose {choice} sensor file of this camera (--sensor)"
+        f"choose {choice} sensor file of this camera (--sensor)",
+        size,
     )
 
 

@@ -20,12 +20,13 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
 
+from bubbleviz.errors import UnknownCameraError
 from bubbleviz.files import SESSION_SUFFIX, SUFFIXES, TRUTH_SUFFIX, pages_folder
 from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import CalibrationPanel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver import Opened
+from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.upkeep import MemoryRelease
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.export.export_dialog import ExportDialog
@@ -61,7 +62,14 @@ from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.dock import Dock, OpenPanels, fill, scrolled
-from bubbleviz_ui.shell.file_dialogs import picture_format, picture_saved
+from bubbleviz_ui.shell.file_dialogs import (
+    SENSOR_FILES,
+    file_to_open,
+    last_sensor,
+    picture_format,
+    picture_saved,
+    remember_sensor,
+)
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
 from bubbleviz_ui.shell.shortcuts import Shortcuts, ShortcutsDialog
@@ -477,6 +485,9 @@ class MainWindow(QMainWindow):
             self.view.setFocus()
         self.message.drop_warnings()
         self.message.drop_topic(OPENING)
+        name, camera = name_of(opened.sensor), opened.sensor.camera
+        if name is not None and name.endswith(".toml"):
+            remember_sensor(Path(name), (camera.width, camera.height))
         if opened.facts.remark:
             self.messages.add(UserMessage("warning", opened.facts.remark))
         self.scene.depth_camera = opened.camera
@@ -520,6 +531,17 @@ class MainWindow(QMainWindow):
             self.state.set_playing(False)
         kind: MessageKind = "warning" if failed.warning else "error"
         self.messages.add(UserMessage(kind, message, failed.details, topic=topic))
+        if isinstance(failed.error, UnknownCameraError):
+            self._ask_for_sensor(failed.request, failed.error.size)
+
+    def _ask_for_sensor(self, request: object, size: tuple[int, int]) -> None:
+        """Ask for the sensor file of a recording, and open it again."""
+        source = request.source if isinstance(request, OpenRequest) else None
+        if source is not None and source.path is not None:
+            title = f"Sensor file for images of {size[0]}×{size[1]} pixels"
+            path = file_to_open(self, title, SENSOR_FILES, of="sensor", proposed=last_sensor(size))
+            if path is not None:
+                self.controller.opening.open_recording(source.path, path, source.truth)
 
     def show_rates(self) -> None:
         """Show frame rates and latency in the status bar."""

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from fakes import DentSource
+from fakes import DentSource, record
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 from window_driver import run_bubbleviz
@@ -15,8 +15,9 @@ from bubbleviz.cli.command_line import main
 from bubbleviz.live import Recorder
 from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.sensor import save_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
+from bubbleviz_ui import main_window
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.window_session import window_session
 
@@ -148,3 +149,34 @@ def test_command_line_option_for_ground_truth(qtbot, sensor, files):
     assert "the ground truth cannot be read" in done.stderr
     refused = CliRunner().invoke(main, ["open", "--source", "synthetic:", "--truth", str(truth)])
     assert refused.exit_code == 2 and "--truth" in refused.stderr
+
+
+def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
+    drive, sensor, tmp_path, monkeypatch
+):
+    """Sensor first, recording first, and again after a restart."""
+    camera = sensor.camera.model_copy(update={"width": 60, "height": 44, "cx": 29.5, "cy": 21.5})
+    own = sensor.model_copy(update={"camera": camera, "name": "own dome"})
+    save_sensor(own, tmp_path / "own.toml")
+    source = DentSource(own)
+    record(tmp_path / "own.mcap", (source[k] for k in range(4)))
+    asked = []
+
+    def choose(parent, title, kinds, *, of, proposed):
+        asked.append((title, proposed))
+        return proposed
+
+    monkeypatch.setattr(main_window, "file_to_open", choose)
+    driver = drive(DentSource)
+    name = lambda: driver.window.controller.sensor.name  # noqa: E731
+    driver.drop(tmp_path / "own.toml")
+    driver.wait_for_message("own.toml", "60×44", "is used when a recording of that camera")
+    assert name() == sensor.name
+    driver.drop(tmp_path / "own.mcap")
+    driver.wait(lambda: name() == "own dome")
+    assert not asked
+    # another window, which knows neither
+    driver = drive(DentSource)
+    driver.drop(tmp_path / "own.mcap")
+    driver.wait(lambda: name() == "own dome")
+    assert asked == [("Sensor file for images of 60×44 pixels", tmp_path / "own.toml")]

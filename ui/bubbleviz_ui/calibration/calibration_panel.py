@@ -37,7 +37,7 @@ from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import ask_to_save
+from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
 from bubbleviz_ui.shell.message_bars import StepButtons, StepState
 
 OUTDATED = "Outdated: settings changed since."
@@ -113,6 +113,7 @@ class CalibrationPanel(QWidget):
 
         def on_saved(_: None) -> None:
             self.calibration.saved = work
+            remember_sensor(path, (named.sensor.camera.width, named.sensor.camera.height))
             self.calibration.notified.emit(notice)
             controller = self.calibration.controller
             if self._unsaved_sensor is not None and controller.sensor is self._unsaved_sensor:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
+from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import NO_SOURCE, Source, sensor_for
@@ -37,6 +38,7 @@ class Opening(QObject):
         super().__init__()
         self._state, self._ask = state, ask
         self.current: Opened | None = None
+        self._other_camera: Sensor | None = None  # Last sensor given that does not fit the source
         self._waiting: OpenRequest | None = None
 
     @property
@@ -102,12 +104,13 @@ class Opening(QObject):
     def open_recording(
         self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
     ) -> None:
-        """Open a recording with a sensor file, else the current sensor or a matching preset."""
+        """Open a recording with a sensor file, else a sensor given before or a matching preset."""
         source, sensor = Source.of_recording(path, truth), self.sensor
+        known = [each for each in (sensor, self._other_camera) if each is not None]
         if sensor_file is not None:
             self.open(source, lambda: load_sensor(sensor_file))
         elif sensor is not None:
-            self.open(source, lambda: sensor_for(path, sensor))
+            self.open(source, lambda: sensor_for(path, *known))
 
     def use_ground_truth(self, path: Path) -> None:
         """Reopen the simulated recording that is open with its TRUTH.npz."""
@@ -119,8 +122,20 @@ class Opening(QObject):
             self.notified.emit(UserMessage("error", problem))
 
     def open_sensor_file(self, path: Path) -> None:
-        """Use the sensor of a file with the current source."""
-        self.reopen(path.name, lambda: load_sensor(path))
+        """Use the sensor of a file with the current source, or with the next one of its camera."""
+        own = self.sensor
+
+        def open_sensor() -> Sensor:
+            sensor = load_sensor(path)
+            if own is not None and _size(sensor) != _size(own):
+                self._other_camera = sensor
+                raise InputError(
+                    f"{path.name} is for images of {_size(sensor)} pixels, not {_size(own)}; it "
+                    "is used when a recording of that camera is opened"
+                )
+            return sensor
+
+        self.reopen(path.name, open_sensor)
 
     def use_sensor(self, sensor: Sensor) -> None:
         """Use another sensor with the current source."""
@@ -146,3 +161,7 @@ class Opening(QObject):
     def _end(self) -> None:
         self._waiting = None
         self.changed.emit("")
+
+
+def _size(sensor: Sensor) -> str:
+    return f"{sensor.camera.width}×{sensor.camera.height}"

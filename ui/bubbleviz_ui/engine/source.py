@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, UnknownCameraError
 from bubbleviz.recordings import (
     Frame,
     FrameSource,
@@ -71,12 +71,24 @@ def _recording(path: Path, truth: Path | None, sensor: Sensor) -> FrameSource:
         raise
 
 
-def sensor_for(path: Path, present: Sensor) -> Sensor:
-    """Sensor for a recording: the current one if it fits, else the matching preset."""
+def sensor_for(path: Path, *known: Sensor) -> Sensor:
+    """Sensor for a recording: the first known one that fits, else the matching preset.
+
+    Raises UnknownCameraError: There is none.
+    """
     with closing(open_recording(path)) as opened:
-        if image_size(opened) == (present.camera.width, present.camera.height):
-            return present
-        return fitting_sensor(opened, None)[1]
+        size = image_size(opened)
+        for sensor in known:
+            if size == (sensor.camera.width, sensor.camera.height):
+                return sensor
+        try:
+            return fitting_sensor(opened, None)[1]
+        except UnknownCameraError as error:
+            raise UnknownCameraError(
+                f"{opened.name}: images are {size[0]}×{size[1]} pixels; choose the sensor file of "
+                "this camera",
+                size,
+            ) from error
 
 
 def _synthetic(sensor: Sensor) -> FrameSource:

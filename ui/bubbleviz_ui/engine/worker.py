@@ -43,6 +43,7 @@ class Failed:
     details: str = ""
     warning: bool = False
     request: object = None
+    error: Exception | None = None
 
 
 def _ignore(_: Any) -> None:
@@ -199,7 +200,7 @@ class Worker(QObject):
         except Cancelled:
             self._wanted.discard(job)
         except (InputError, SolveError, OSError) as error:
-            self._fail(job, str(error))
+            self._fail(job, str(error), error=error)
         except Exception as error:
             words = f"{type(error).__name__}: {error}".splitlines()[0][:300]
             self._fail(job, words, traceback.format_exc())
@@ -226,8 +227,10 @@ class Worker(QObject):
         if again and self._executor is not None:
             self._executor.submit(self._serve)
 
-    def _fail(self, job: _Job, message: str, details: str = "") -> None:
-        failed = Failed(job.key, message, details, request=job.request)
+    def _fail(
+        self, job: _Job, message: str, details: str = "", error: Exception | None = None
+    ) -> None:
+        failed = Failed(job.key, message, details, request=job.request, error=error)
         self._ready.emit(partial(self._report_failure, job, failed))
 
     # -- in the GUI thread --------------------------------------------------------------------

@@ -20,15 +20,23 @@ SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
 
 
 def file_to_open(
-    parent: QWidget, title: str, kinds: str = "", *, of: str, by_default: Path | None = None
+    parent: QWidget,
+    title: str,
+    kinds: str = "",
+    *,
+    of: str,
+    by_default: Path | None = None,
+    proposed: Path | None = None,
 ) -> Path | None:
     """Ask for a file to read; None: cancelled.
 
     `kinds`: File filters in Qt's syntax.
     `of`: Kind of file, whose last folder the dialog shows.
     `by_default`: Folder shown if there is none yet.
+    `proposed`: File selected at first.
     """
-    name, _ = QFileDialog.getOpenFileName(parent, title, _folder(of, by_default), kinds)
+    start = _folder(of, by_default) if proposed is None else str(proposed)
+    name, _ = QFileDialog.getOpenFileName(parent, title, start, kinds)
     return _remembered(of, name)
 
 
@@ -105,6 +113,21 @@ def _folder(of: str, by_default: Path | None = None) -> str:
 def remember(of: str, path: Path) -> None:
     """Store the folder of a file for the next dialog of its kind."""
     _folders().setValue(of, str(path.absolute().parent))
+
+
+def remember_sensor(path: Path, size: tuple[int, int]) -> None:
+    """Store a sensor file as the last one for images of a size."""
+    _sensors().setValue(f"{size[0]}x{size[1]}", str(path.absolute()))
+
+
+def last_sensor(size: tuple[int, int]) -> Path | None:
+    """The last sensor file for images of a size, if it still exists."""
+    path = Path(str(_sensors().value(f"{size[0]}x{size[1]}", "")))
+    return path if path.is_file() else None
+
+
+def _sensors() -> QSettings:
+    return QSettings("bubbleviz", "sensors")
 
 
 def _remembered(of: str, name: str) -> Path | None:
