@@ -25,6 +25,8 @@ EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
 """Smallest width and height of a plot, screen pixels."""
+LEAST_HEIGHT = 30
+"""Height of the plots on a low screen, where they are scrolled, screen pixels."""
 LIVE_WINDOW_S = 20.0
 """Time span shown of a live source."""
 
@@ -72,10 +74,12 @@ class PlotsPanel(QWidget):
             self.hint,
             self.statistics.copy,
         )
+        plots = scrolled(self._host)
+        plots.setMinimumHeight(LEAST_HEIGHT)
         self._column = fill(
             QVBoxLayout(self),
             row,
-            (scrolled(self._host), 1),
+            (plots, 1),
             self.statistics,
             margins=(8, 4, 8, 4),
             spacing=4,
