@@ -6,7 +6,7 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from threading import Condition
 from typing import Any
@@ -43,7 +43,7 @@ class Failed:
     details: str = ""
     warning: bool = False
     request: object = None
-    error: Exception | None = None
+    error: Exception | None = field(default=None, compare=False)
 
 
 def _ignore(_: Any) -> None:
