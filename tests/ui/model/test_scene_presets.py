@@ -1,5 +1,7 @@
 """Scene presets: hidden products are not computed, invalid presets are refused."""
 
+from dataclasses import replace
+
 import pytest
 from click.testing import CliRunner
 from fakes import DentSource
@@ -31,6 +33,12 @@ def test_every_shipped_scene_is_covered_by_these_tests():
     assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
 
 
+def test_a_new_window_shows_the_scene_press(drive):
+    assert replace(Settings(), **load_scene("press").settings()) == Settings()
+    driver = drive(DentSource, frame=6)
+    assert driver.pipeline.counts["cloud"] == 0
+
+
 def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
     driver = drive(DentSource, frame=6)
     boxes = driver.window.layers.boxes
@@ -54,6 +62,22 @@ def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
     assert tuple(driver.window.view.camera.position) != pytest.approx(before)
     assert not {"kappa", "speed", "loop"} & set(load_scene("press").settings())
     assert needed_products(Settings(**load_scene("cloud").settings())) == {"cloud"}
+
+
+def test_plots_and_images_fit_a_small_screen(drive):
+    """1024×700 at 150 %, minus the frame."""
+    driver = drive(DentSource)
+    window = driver.window
+    window.resize(850, 427)
+    driver.wait_until_shown()
+    for scene, panel in (("review", "plots"), ("pose", "images")):
+        window.use_scene(load_scene(scene))
+        driver.show(panel)
+        window.panels[panel].raise_()
+        driver.wait_until_shown()
+        window.resize(675, 427)
+        driver.wait_until_shown()
+        assert driver.size == (675, 427), scene
 
 
 def test_an_unknown_scene_is_refused_by_name():

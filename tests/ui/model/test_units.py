@@ -71,7 +71,8 @@ def test_labels_follow_the_chosen_units(drive):
     window = driver.window
     window.resize(1280, 800)
     plots, images = frozenset({"force", "center"}), frozenset({"depth"})
-    driver.state.change(plots=plots, images=images, kappa=3.0)
+    layers = driver.state.settings.layers | {"cloud"}
+    driver.state.change(plots=plots, images=images, kappa=3.0, layers=layers)
     driver.show("images", "plots")
     driver.wait(lambda: "depth" in window.controller.inspection.images)
     window.hover.at_pixel(24, 44)

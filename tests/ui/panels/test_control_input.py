@@ -24,7 +24,7 @@ def in_sight(panel):
 
 def test_wheel_over_a_control_scrolls_the_panel_without_changing_it(drive):
     driver = drive(frame=5)
-    driver.state.change(kappa=3.0)
+    driver.state.change(kappa=3.0, layers=driver.state.settings.layers | {"cloud"})
     for name in ("layers", "kappa", "pose", "compare"):
         dock = driver.window.panels[name]
         dock.show()

@@ -61,6 +61,9 @@ def pointed_at(driver, place):
 
 def test_images_and_view_mark_the_same_probed_place(drive):
     driver = drive(frame=CONTACT)
+    driver.choose(layers=driver.state.settings.layers | {"cloud"})
+    driver.wait(lambda: driver.result.cloud_residual_m is not None)
+    driver.wait_until_shown()
     result, nodes, pipeline = driver.result, driver.nodes(), driver.pipeline
     pressure, moved = result.estimate.contact_pressure_pa, result.estimate.displacement_m
     node = int(pressure.argmax())

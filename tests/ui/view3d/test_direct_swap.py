@@ -16,6 +16,12 @@ DIFFERENT = 30
 NAMES = FAST.name, SMOOTH.name
 
 
+def with_points(driver):
+    """The driver with measured points shown, whose noise differs in every frame."""
+    driver.choose(layers=driver.state.settings.layers | {"cloud"})
+    return driver
+
+
 def on_screen(driver):
     """The view's part of the screen, (height, width, 3)."""
     return seen_of(driver.window.view)
@@ -52,7 +58,7 @@ def assert_shown(driver, before):
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
 def test_every_frame_reaches_the_screen_and_closed_popups_leave_no_trace(drive, quality):
     """With direct swap, and through Qt."""
-    driver = drive(quality=quality)
+    driver = with_points(drive(quality=quality))
     assert (driver.window.view.windowHandle() is not None) is quality.own_swap
     for frame in (10, 0, 14):
         before = on_screen(driver)
@@ -76,7 +82,7 @@ def test_every_frame_reaches_the_screen_and_closed_popups_leave_no_trace(drive, 
 
 @pytest.mark.parametrize("quality", [FAST, pytest.param(SMOOTH, marks=pytest.mark.long)], ids=NAMES)
 def test_picture_stays_current_when_the_window_changes(drive, quality):
-    driver = drive(quality=quality)
+    driver = with_points(drive(quality=quality))
     window = driver.window
 
     def before():
@@ -121,7 +127,7 @@ def same(a, b):
 
 
 def test_native_view_and_qt_panels_stay_consistent(drive):
-    driver = drive()
+    driver = with_points(drive())
     swapped: list[int] = []
     driver.window.view.frameSwapped.connect(lambda: swapped.append(1))
     driver.window.status.repaint()

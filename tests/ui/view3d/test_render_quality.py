@@ -77,6 +77,7 @@ def test_edges_and_points_are_smooth_or_fast(drive, quality):
     assert (len(np.unique(colours, axis=0)) > 5) is smooth  # spheres are shaded
     # playing shows fewer points with software rendering
     driver.choose(layers=frozenset({"cloud"}), cloud_colour="plain", cloud_points=200)
+    driver.wait(lambda: driver.result.cloud_m is not None)
     still = len(driver.result.cloud_m)
     assert still > 100
     driver.state.set_playing(True)

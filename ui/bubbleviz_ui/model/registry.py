@@ -56,7 +56,10 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             "Compared outlines", "Patch of settings A and B, while the Compare panel is open"
         ),
         "cloud": LayerKind(
-            "Measured points", "Depth image as points in the bubble frame", frozenset({"cloud"})
+            "Measured points",
+            "Depth image as points in the bubble frame",
+            frozenset({"cloud"}),
+            by_default=False,
         ),
         "force": LayerKind(
             "Force arrow",
