@@ -144,7 +144,8 @@ def test_dropped_frame_gives_a_message_and_a_frozen_one_is_kept(open_bench, monk
         shown = live.shown_frame
         live.wait_until_shown()
         live.show("threshold")  # needs diagnostics of the frozen frame
-        live.wait(lambda: not live.window.controller.client.diagnostics_outdated)
+        live.window.panels["threshold"].raise_()
+        live.wait(lambda: live.window.controller.inspection.kappa_curve is not None)
         live.wait_until_shown()
         assert live.shown_frame == shown == live.state.frame and not live.window.message.isVisible()
         live.window.panels["threshold"].hide()
@@ -160,7 +161,7 @@ def one_frame_everywhere(live):
         and status["force"].text() == f"force {force}"
         and (readout == f"contact  {force}" or (readout, force) == ("no contact", "0.00 N"))
         and live.state.frame == live.shown_frame
-        and not live.window.controller.client.diagnostics_outdated
+        and not live.window.controller.client.images_outdated
     )
 
 
