@@ -50,7 +50,6 @@ class PlotHost(QWidget):
             import pyqtgraph as pg  # not at start
 
             self.canvas = pg.GraphicsLayoutWidget()
-            self.canvas.setMinimumSize(1, 1)  # else a low screen has no room for it
             self.canvas.ci.layout.setSpacing(self._spacing)
             self.canvas.ci.setContentsMargins(0, 0, 0, 0)
             self._column.addWidget(self.canvas)

@@ -25,7 +25,7 @@ EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
 """Smallest width and height of a plot, screen pixels."""
-LEAST_HEIGHT = 30
+LEAST_HEIGHT = 40
 """Height of the plots on a low screen, where they are scrolled, screen pixels."""
 LIVE_WINDOW_S = 20.0
 """Time span shown of a live source."""
