@@ -92,8 +92,8 @@ def _decode_compressed(message: Any) -> np.ndarray:
         size = _PNG_SIZE.unpack_from(data, _CONFIGURATION.size + 16)
         if max(size) > MAX_SIDE:  # Pillow warns of large ones when it opens them
             raise ValueError(
-                    f"a PNG of {size[0]}×{size[1]} pixels is larger than any depth camera's image"
-                )
+                f"a PNG of {size[0]}×{size[1]} pixels is larger than any depth camera's image"
+            )
         with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
             if not image.mode.startswith("I"):
                 raise ValueError(f"a PNG in mode {image.mode} is not a 16-bit depth image")
