@@ -109,7 +109,7 @@ def export_frames(
     progress: Progress = quiet,
     besides: frozenset[Product] = frozenset(),
 ) -> ExportSummary:
-    """Run the stages that the plan's kinds need, and `besides`, and write the files.
+    """Compute what the plan's files need, and the products `besides`, and write the files.
 
     Give a pipeline of its own, as it is warm-started from frame to frame. Nothing is written if an
     InputError or `Cancelled` is raised.

@@ -42,7 +42,7 @@ CheckVerdict = Literal["fits", "drifted", "another"]
 OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure from the shape"
 _UNITS = {OFFSET: ("mm", 1e3), SCALE: ("%", 1e2), GAS: ("Pa", 1.0)}
 _REMEDY = {
-    True: "inflate it as in the sensor file, or identify the sensor again",
+    True: "inflate the sensor to the gauge pressure in its file, or identify it again",
     False: "let the camera warm up, then identify the sensor again at rest",
 }
 

@@ -109,7 +109,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     elif abs(change) > _USABLE:
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
-            " the sensor file's: inflate as before, and make sure that nothing touches the sensor."
+            " the sensor file's: make sure that nothing touches the sensor, and inflate it as"
+            " before; after a change of weather or altitude record the open chamber (--vented)."
         )
     if surfaces.visible_share < _MIN_VISIBLE:
         out.append(

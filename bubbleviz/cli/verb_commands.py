@@ -71,7 +71,12 @@ def doctor(as_json: bool) -> None:
 @option("--sensor", required=True, help="Sensor file or preset.")
 @option("--object", required=True, help="Mesh file or preset of the object.")
 @option("--pose", help='Pose T_B_O of the object, "x y z qx qy qz qw" (m, unit quaternion).')
-@option("--path", "path_file", type=PATH, help="CSV with a pose for each frame, instead of --pose.")
+@option(
+    "--path",
+    "path_file",
+    type=PATH,
+    help="POSES.csv with a pose for each frame, instead of --pose.",
+)
 @option("--frames", type=click.IntRange(1), default=1, help="Number of frames at --pose.")
 @option(
     "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames per second."

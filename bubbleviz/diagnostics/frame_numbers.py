@@ -200,7 +200,7 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
 
 @dataclass
 class ShearSummary:
-    """Shear of many frames: count by status, and values of the frame with the largest |force|.
+    """Shear over many frames: frames of each status, and values at the largest |force|.
 
     Values are None without a frame of status ok.
     """

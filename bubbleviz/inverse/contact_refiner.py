@@ -1,4 +1,4 @@
-"""The contact on a finer mesh, where the mesh and not the noise limits its resolution.
+"""Solve the contact on a finer mesh where the mesh, not the noise, limits its resolution.
 
 Only the triangles around the contact are refined (cut into four), and only the part of the membrane
 around them is solved for: shape beyond some rings and gas pressure are fixed to the estimate
@@ -70,7 +70,7 @@ class _Part:
 
 
 class ContactRefiner:
-    """Solves frames again around their contact, on a refined mesh; useful if `mesh_limits`.
+    """Solves frames again around their contact, on a refined mesh; use it if `mesh_limits`.
 
     Parameters
     ----------

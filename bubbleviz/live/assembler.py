@@ -72,8 +72,7 @@ def _read(message: Message) -> EncodedImage:
         return EncodedImage.of(decode(message))
     except ValueError as error:
         raise InputError(
-            f"{message.topic}: the colour image cannot be decoded ({error}); publish it in a known "
-            "encoding"
+            f"{message.topic}: the colour image cannot be decoded ({error}); correct its publisher"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Select the topics of a live source that belong to the sensor."""
+"""Select the topics of a live source that belong to the sensor, and decode their messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TYPES = (*DEPTH_TYPES, CAMERA_INFO, PRESSURE, WRENCH)
 
 
 def is_used(topic: str, kind: str) -> bool:
-    """Whether messages of a topic and type are used even without colour."""
+    """Whether a topic of this type is used where no colour is requested."""
     return kind in TYPES and (kind != COMPRESSED_IMAGE or topic.endswith(f"/{COMPRESSED}"))
 
 
@@ -92,7 +92,7 @@ def stamp_of(payload: bytes) -> int:
 
 
 def decode(message: Message) -> Any:
-    """Message object of rosbags.
+    """Decode a message by rosbags.
 
     Raises ValueError: the bytes are no message of this type.
     """

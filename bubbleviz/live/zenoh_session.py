@@ -251,7 +251,7 @@ def listening_warning(options: SessionOptions) -> str:
     if parts[1] == "tls" and given.ca and given.cert:
         who = "whoever has a certificate of its authority"
     told = f"{options.listen} is open to other computers: {who} on the network can connect"
-    told += ", unless you give a login" if who == "anybody" else ""
+    told += "; give a login to prevent that" if who == "anybody" else ""
     return told + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")
 
 

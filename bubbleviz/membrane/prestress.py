@@ -114,7 +114,7 @@ class Prestress:
         Its virtual work with the load is none for all smooth displacements that spare the rim:
         facets pull at single nodes by some hundredths of the load, which cancels in those.
 
-        Raises InputError: the surface is flat or hollow, so that no tension holds a pressure, or
+        Raises InputError: the surface is flat or concave, so that no tension holds a pressure, or
         the mesh has fewer nodes than the field has unknowns.
         """
         curvature = mean_curvature(mesh)

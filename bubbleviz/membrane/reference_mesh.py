@@ -58,9 +58,9 @@ def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
 
 
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
-    """Tension γ0 in N/m: the sensor file's, else that balancing the gauge pressure (Eq. 2).
+    """Tension γ0, N/m: the sensor file's, or else the one that balances the gauge pressure (Eq. 2).
 
-    Raises InputError: the surface is flat or hollow, so that no tension holds it.
+    Raises InputError: the surface is flat or concave, so that no tension holds it.
     """
     given = sensor.pneumatics.tension_n_per_m
     if given is not None:
@@ -89,7 +89,7 @@ def build_rubber(
 ) -> RubberMembrane:
     """Exact membrane of a sensor on a mesh of its reference surface.
 
-    Its stiffness is μh = γ0 / (1 − λ⁻⁶), its stress at rest what holds the gauge pressure. A sensor
+    Its stiffness is μh = γ0 / (1 − λ⁻⁶), its stress at rest balances the gauge pressure. A sensor
     without pre-stretch has constant tension.
     """
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
@@ -106,7 +106,7 @@ def varied_rubber(
     rim_slack_m: float | None = None,
     stress: Prestress | None = None,
 ) -> list[RubberMembrane]:
-    """The membrane with γ0, gauge pressure and λ in turn off by one standard deviation.
+    """Copies of the membrane, each with one of γ0, gauge pressure and λ raised by its σ.
 
     Of those whose 95 % interval the sensor's calibration gives, and of the gauge pressure whose
     standard deviation the sensor file gives; parameters as of `build_rubber`.

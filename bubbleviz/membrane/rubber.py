@@ -6,7 +6,7 @@ stress-free triangle. 1/det C = (A₀/A)² depends on the current area alone. Th
 
     W(x) = ½ xᵀ (L₀ ⊗ I) x + Σ ψ(A),   ψ(A) = ½ μh A₀³/A².
 
-Far-stretched rubber, λ → ∞, keeps the springs alone, whose stiffness is the paper's K. Free to
+In rubber stretched far (λ → ∞) only the springs remain, whose stiffness is the paper's K. Free to
 slide along itself it is a film of constant tension: the least energy of the springs over all ways
 to lay the nodes on a surface is γ0 times its area (a conformal map).
 """

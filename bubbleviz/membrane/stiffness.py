@@ -64,13 +64,13 @@ def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
     rim, where L x holds the housing's pull besides the curvature. It is linear in the curvature,
     whose errors on a measured surface cancel in the sum. For a spherical cap it is P R / 2.
 
-    Raises InputError: the surface is flat or hollow, so that no tension holds it.
+    Raises InputError: the surface is flat or concave, so that no tension holds it.
     """
     area, bending = area_and_bending(mesh)
     if not bending > 0.0:
         raise InputError(
-            "reference surface: flat or concave, so no tension can balance the gauge pressure; "
-            "identify the inflated sensor, or correct the surface in the sensor file"
+            "the reference surface is flat or concave, so no tension balances the gauge pressure; "
+            "inflate the sensor and identify it again, or correct the surface in the sensor file"
         )
     return gauge_pressure_pa * area / bending
 

@@ -1,4 +1,4 @@
-"""A recording as topics of messages, for all file formats.
+"""Open a recording in any file format, and read the messages of its topics.
 
 rosbags is imported with the first recording: the window starts without it.
 """

@@ -1,4 +1,4 @@
-"""Random access to messages in bag files: common base, ROS 1 and SQLite (MCAP: separate module)."""
+"""Random access to messages in ROS 1, SQLite and MCAP files."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class ChunkCache:
 
 
 def decompress(data: bytes) -> bytes:
-    """Decompress one zstd message, refusing one that grows beyond any sensor's."""
+    """Decompress one zstd message, refusing one larger than any sensor sends."""
     if (zstd.get_frame_info(data).decompressed_size or 0) < MAX_SIZE:
         out = zstd.ZstdDecompressor().decompress(data, MAX_SIZE)
         if len(out) < MAX_SIZE:
@@ -169,7 +169,7 @@ _MAGICS = {b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2"}  # no record can begin lik
 
 
 class Storage(Protocol):
-    """One file of a bag; any exception means that the file is damaged.
+    """One file of a bag; every exception of its methods means that the file is damaged.
 
     Attributes
     ----------

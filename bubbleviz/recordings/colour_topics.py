@@ -115,8 +115,8 @@ def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None
             return topic
     if name is not None:
         raise InputError(
-            f"{bag.path}: no colour images of a known encoding on topic {name}; choose "
-            "an image topic that bubbleviz info lists"
+            f"{bag.path}: topic {name} has no colour images in a known encoding; choose a topic "
+            "with rgb8, bgr8, mono8, JPEG or PNG images"
         )
     return None
 

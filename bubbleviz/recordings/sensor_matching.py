@@ -70,9 +70,10 @@ def gas_warning(
     if measured_pa is None or abs(measured_pa - known_pa) <= WEATHER_PA:
         return ""
     return (
-        f"gas pressure of {1e-3 * measured_pa:.1f} kPa {where}, {1e-3 * known_pa:.1f} kPa "
-        "(atmospheric plus gauge) in the sensor file: more than weather explains; correct the "
-        "pressures in the sensor file, or check the pressure sensor"
+        f"gas pressure of {1e-3 * measured_pa:.1f} kPa (absolute) {where}, but "
+        f"{1e-3 * known_pa:.1f} kPa (atmospheric plus gauge) in the sensor file: more than weather "
+        "explains; record absolute pressure, correct the pressures in the sensor file, or check "
+        "the pressure sensor"
     )
 
 

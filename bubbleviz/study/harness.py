@@ -371,7 +371,8 @@ def _fields(pipeline: Pipeline, estimate: Estimate, patch: Patch, band: Band) ->
         return [f"negative pressure {estimate.contact_pressure_pa.min():.3g} Pa"]
     touched = bool(np.any(estimate.contact_pressure_pa > 0.0))
     if touched != (estimate.status == "ok"):
-        return [f"status {estimate.status} with{'' if touched else 'out'} contact pressure"]
+        found = "has" if touched else "has no"
+        return [f"status is {estimate.status}, but the estimate {found} contact pressure"]
     limit = KKT.get(pipeline.estimator.solver_name, 1e-3)
     if estimate.kkt_residual > limit:
         return [f"KKT residual {estimate.kkt_residual:.2g} above {limit:g}"]

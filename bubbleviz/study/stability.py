@@ -524,9 +524,13 @@ def _rubber() -> Iterator[Case]:
 
 
 def _rubber_views() -> Iterator[Case]:
-    for side, x in (("seen", -0.03), ("unseen", 0.03), ("both", 0.0)):
+    for side, x in (("visible half", -0.03), ("hidden half", 0.03), ("border", 0.0)):
         trial = _rubber_trial(alter=shapes.left_half, offset_m=(x, 0.0))
-        yield Case(f"rubber, half unseen, press on {side}", trial, quick=side == "both")
+        yield Case(
+            f"rubber, half of the membrane hidden, press on the {side}",
+            trial,
+            quick=side == "border",
+        )
     for mm in (0.0, 0.1, 3.0, 10.0):
         trial = _rubber_trial(noise=DepthNoise(absolute_m=1e-3 * mm))
         yield Case(f"rubber, noise {mm:g} mm", trial)
@@ -538,7 +542,7 @@ def _rubber_views() -> Iterator[Case]:
     nonsense = _rubber_trial(alter=lambda d: 1e3 * d, known=False)
     yield Case("rubber, depth millimetres for metres", nonsense, "refuse")
     turned = _rubber_trial(alter=lambda d: np.roll(d[::-1], 60, axis=1), known=False)
-    yield Case("rubber, depth upside down, off the axis", turned, "refuse")
+    yield Case("rubber, depth image upside down and shifted by 60 pixels", turned, "refuse")
     yield Case("rubber, 2 valid pixels", _rubber_trial(alter=shapes.only_pixels(2)))
     outliers = DepthNoise(relative=0.01, outliers=0.3)
     yield Case("rubber, 30 % outliers of 20 mm", _rubber_trial(noise=outliers))

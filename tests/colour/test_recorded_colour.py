@@ -96,7 +96,7 @@ def test_topic_can_be_chosen(tmp_path):
         assert recording[0].colour is None
     with Recording(path, colour_topic="/elsewhere") as recording:
         assert recording[0].colour is not None
-    with pytest.raises(InputError, match="no colour images of a known encoding on topic /gas"):
+    with pytest.raises(InputError, match="topic /gas has no colour images in a known encoding"):
         Recording(path, colour_topic="/gas")
 
 

@@ -153,7 +153,7 @@ def test_undecodable_colour_is_reported_on_demand():
     broken = arrived(COLOUR, IMAGE, b"\0\1\0\0garbage", NOW + PERIOD)
     found = frames_of(assembler, *messages, broken)
     image = found[-1].colour
-    with pytest.raises(InputError, match="publish it in a known encoding"):
+    with pytest.raises(InputError, match="correct its publisher"):
         image.grey()
 
 

@@ -35,7 +35,7 @@ def test_there_are_enough_cases_of_every_kind():
         "30 % outliers", "saturated", "constant", "millimetres for metres", "frozen", "float32",
         "big-endian", "NaN in the sensor pose", "rubber, λ 1.0001", "rubber, dome 2 %",
         "over-inflated", "rubber, 30 nodes", "rubber, 5000 nodes", "rubber, press of 45 mm",
-        "rubber, half unseen",
+        "rubber, half of the membrane hidden",
     ):  # fmt: skip
         assert any(word in name for name in names), word
     assert 10 <= sum(case.quick for case in all_cases()) < len(names) / 2
@@ -98,7 +98,7 @@ RUBBER_MUTANTS = {
     "half the way": (times(0.5, "displacement_3d_m"), "balance"),
     "other gas": (other_gas, "balance|gas law"),
     "another force": (times(1.1, "force_n"), "differs from the integral of pressure and friction"),
-    "weak": (lambda e: {"status": "no_contact"}, "with contact pressure"),
+    "weak": (lambda e: {"status": "no_contact"}, "but the estimate has contact pressure"),
 }
 SMALL_RUBBER = replace(
     SMALL, sensor={"membrane": {"nodes": 300, "prestretch": 1.2}}, object_name="sphere"

@@ -44,8 +44,8 @@ class Page(QWidget):
         raise NotImplementedError
 
 
-class Numbers(QWidget):
-    """Form of names and numbers."""
+class NumberForm(QWidget):
+    """Form with named numbers."""
 
     def __init__(self) -> None:
         super().__init__()

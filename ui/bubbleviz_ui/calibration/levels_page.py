@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton
 
-from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
+from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.engine.source import RECORDINGS
 from bubbleviz_ui.model.units import Units
@@ -35,7 +35,7 @@ class RectificationPage(Page):
         self.vented.setToolTip(
             "Recording with the chamber open to the air, to measure the atmospheric pressure"
         )
-        self.numbers = Numbers()
+        self.numbers = NumberForm()
         row = fill(QHBoxLayout(), self.add, self.drop)
         # controls first: a small screen shows no more without scrolling
         fill(self.column, self.levels, row, self.vented, self.before, self.after, self.numbers, 1)
@@ -51,7 +51,7 @@ class RectificationPage(Page):
 
     def set_vented(self, path: Path) -> None:
         """Use a recording of the open chamber for the atmospheric pressure."""
-        self.calibration.edit(f"Use {path.name} for the open chamber", vented=path)
+        self.calibration.edit(f"Choose the open-chamber recording {path.name}", vented=path)
 
     def is_done(self, answer: Answer) -> bool:
         return bool(answer.work.settings.levels or answer.work.settings.vented)

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.calibration import SURFACE_NAMES, Draft, Step, Surfaces
 from bubbleviz.wording import count_of
-from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
+from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell.dock import fill
@@ -49,7 +49,7 @@ class PixelsPage(Page):
         self.deviations.tip(
             "Pixels with noise or offset beyond this many robust standard deviations are excluded"
         )
-        self.numbers = Numbers()
+        self.numbers = NumberForm()
         form = QFormLayout()
         form.addRow("Picture", self.picture)
         form.addRow("Minimum validity", self.validity)
@@ -184,7 +184,7 @@ class SurfacePage(Page):
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")
         self.nodes.setToolTip("Number of nodes of the surface mesh")
         self.paint.setToolTip("Measured minus fitted range at the points of the membrane")
-        self.numbers = Numbers()
+        self.numbers = NumberForm()
         form = QFormLayout()
         form.addRow("Surface", self.choice)
         form.addRow("Nodes of the mesh", self.nodes)
@@ -264,7 +264,7 @@ class TensionPage(Page):
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
         self.view = ImageView()
-        self.numbers = Numbers()
+        self.numbers = NumberForm()
         fill(self.column, self.view, self.numbers, 1)
 
     def enter(self) -> None:

@@ -25,7 +25,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.calibration import Step
 from bubbleviz.files import presets_folder
-from bubbleviz_ui.calibration.calibration_page import ImageView, Numbers, Page
+from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
@@ -173,7 +173,7 @@ class ValidationPage(Page):
         )
         self.remove.setToolTip("Remove the validation by this press")
         self.paint.setToolTip("Measured minus predicted range at the points of the membrane")
-        self.numbers = Numbers()
+        self.numbers = NumberForm()
         self.summary = QLabel(wordWrap=True)
         self._lay_out()
         self.predict.clicked.connect(self._on_predict)

@@ -36,7 +36,7 @@ class Unit:
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
 
     def with_interval(self, si: float | None, half_width: float | None) -> str:
-        """Number ± half of its 95 % interval, rounded to significant digits, and unit.
+        """Text: number ± half of its 95 % interval, rounded to significant digits, with unit.
 
         The half width is shown as 0 only if it is exactly 0.
         """

@@ -1,4 +1,4 @@
-"""Compare panel: two settings on the frame shown, and the open recording against another one."""
+"""Compare panel: two settings on the current frame; the open recording with another one."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ STATISTICS = {"median": "median", "p95": "95th percentile", "max": "maximum"}
 """Words for the statistics of a `Comparison`."""
 
 
-class Column:
-    """Controls of one setting of the two, and a column of what it makes of the frame."""
+class SettingColumn:
+    """One of the two settings: its controls, and a column with its results for the frame."""
 
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
@@ -283,7 +283,7 @@ class OtherRecording(QWidget):
 
 
 class ComparePanel(QWidget):
-    """Two settings A and B; measures whenever the frame or a setting is another.
+    """Two settings A and B; measures again whenever the frame or a setting changes.
 
     What it measures it asks of the solver thread, which does it when nobody waits for a frame.
     """
@@ -296,7 +296,7 @@ class ComparePanel(QWidget):
         self.setObjectName("compare")
         self._state, self._controller = state, controller
         self._measured: tuple[ComparedResult | str | None, ...] = NOT_MEASURED
-        self.a, self.b = Column(state, 0), Column(state, 1)
+        self.a, self.b = SettingColumn(state, 0), SettingColumn(state, 1)
         self.outlines = QCheckBox("Outlines in the 3-D view")
         self.outlines.setToolTip("Draw the patch outlines of A and B in their colours")
         bind_membership(self.outlines, state, "layers", "compared")

@@ -46,7 +46,7 @@ TIPS = {
     "solve": "Time per frame, depth image in to results out, and frames processed in the last "
     "second; click for more",
     "latency": "From the time stamp of a live frame to its display: median and 95th percentile",
-    "render": "Pictures drawn in the last second",
+    "render": "Pictures of the 3-D view drawn in the last second",
     "dropped": "Frames skipped because a newer one had arrived",
 }
 
