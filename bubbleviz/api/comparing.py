@@ -99,7 +99,8 @@ class Comparison(SavedSummary):
         """Text for the terminal, with units."""
         facts, by = self.facts(), "time"
         if self.align == "contact":
-            by = f"first contact: {self.shift_s:+.3f} s in {Path(self.other).name}"
+            later = "later" if self.shift_s >= 0.0 else "earlier"
+            by = f"first contact, {abs(self.shift_s):.3f} s {later} in {Path(self.other).name}"
         contact = count_of(facts["contact_frames"], "frame")
         lines = [f"compared  {count_of(facts['frames'], 'frame')}, aligned by {by}"]
         lines += [f"contact   {contact}; differences in these:"]

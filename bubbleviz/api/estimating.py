@@ -453,4 +453,6 @@ def _check_any_pose(run: Run) -> None:
     statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
         why = _REASONS[statuses.most_common(1)[0][0]]
-        raise InputError(f"{run.context['recording']}: no pose in any frame, mostly because {why}")
+        raise InputError(
+            f"{run.context['recording']}: no pose in any frame; most frequent reason: {why}"
+        )

@@ -75,7 +75,9 @@ class Frames(Sequence[Frame]):
         try:
             chosen = self.chosen[index]
         except IndexError:
-            raise IndexError(f"frame {index} of {len(self)} of {self.name}") from None
+            raise IndexError(
+                f"frame {index}: {self.name} has frames 0 to {len(self) - 1}"
+            ) from None
         return self.source[chosen]
 
     @property

@@ -207,7 +207,7 @@ def _largest(force_n: np.ndarray) -> float:
 def _with_interval(number: Interval, factor: float = 1.0, unit: str = "") -> str:
     value, half = factor * float(number.value), factor * float(number.half_width)
     if not np.isfinite(value):
-        return "not determined: no press ends in the recording"
+        return "not determined: record also the release of a press"
     digits = decimals_of(half, 2)
     return f"{rounded(value, digits)} ± {rounded(half, digits)}{unit}"
 

@@ -114,8 +114,9 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     if surfaces.visible_share < _MIN_VISIBLE:
         out.append(
-            f"{_percent(1.0 - surfaces.visible_share)} of the dome is not visible: there the "
-            "surface is extrapolated from the fitted cap, and contact is only inferred. Uncover it."
+            f"The camera does not see {_percent(1.0 - surfaces.visible_share)} of the dome: there "
+            "the surface is extrapolated from the fitted cap, and contact is only inferred."
+            " Uncover it, or check the camera's pose in the sensor file."
         )
     height = tension.dimensions["height_m"].value
     rim = surfaces.rim_height_m
@@ -157,7 +158,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         "gas_pressure": "record longer (largest error: noise of the gas pressure)",
         "facets": "use more nodes (largest error: flat facets of the mesh)",
         "gauge_pressure": "measure the gauge pressure more accurately",
-        "statics": "nothing, as shape and pressure of a sensor with an oval rim do not determine "
+        "statics": "not possible: shape and pressure of a sensor with an oval rim do not determine "
         "the mean tension",
         "surface": "uncover the rim (largest error: shape that is hidden or too fine for the fit)",
     }[part]

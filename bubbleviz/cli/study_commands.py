@@ -118,7 +118,7 @@ def accuracy(
 @click.option(
     "--recording",
     type=click.Path(exists=True, path_type=Path),
-    help="Also time the exact and the linear membrane on this real press.",
+    help="Recording of a real press, on which both membrane models are timed, too.",
 )
 @_moved_option("--stages")
 def speed(

@@ -75,7 +75,7 @@ def doctor(as_json: bool) -> None:
     "--path",
     "path_file",
     type=PATH,
-    help="POSES.csv with a pose for each frame, instead of --pose.",
+    help="CSV with a pose for each frame (x_m … qw), instead of --pose.",
 )
 @option("--frames", type=click.IntRange(1), default=1, help="Number of frames at --pose.")
 @option(
@@ -183,7 +183,7 @@ def pose(**options: Any) -> None:
     "patch (points with pressure), depth, pressure (pictures; png for both).",
 )
 @frames_option
-@option("--poses", type=PATH, help="POSES.csv to add to the table.")
+@option("--poses", type=PATH, help="CSV that `bubbleviz pose` wrote, to add to the table.")
 @kappa_option
 @solver_option
 @friction_option
@@ -215,7 +215,11 @@ def export(**options: Any) -> None:
     help="CSV with a time in s for each image; by default times.csv in the folder, or the file "
     "names.",
 )
-@option("--gas-pressure", type=PATH, help="CSV of time in s, absolute gas pressure in Pa.")
+@option(
+    "--gas-pressure",
+    type=PATH,
+    help="CSV of time in s and absolute gas pressure in Pa, to add to images.",
+)
 @hidden_alias("--pressure", "gas_pressure", type=PATH)
 @option("--wrench", type=PATH, help="CSV of time in s, forces x y z in N, torques in N·m.")
 @option(

@@ -31,7 +31,7 @@ def pose_row(result: Result) -> PoseRow:
     A `lost` frame has the last good pose.
     """
     if result.pose is None:
-        raise ValueError("the result lacks the product pose")
+        raise ValueError('the result has no pose; process frames with the product "pose"')
     pose, patch, by_object = result.pose, result.trusted_patch, result.object_patch
     one, two = pose.stage_one, pose.stage_two
     known = np.isfinite(pose.T_B_O).all()

@@ -144,8 +144,8 @@ class ImageFolder:
                 continue
             if number in files:
                 raise InputError(
-                    f"{path}: its name ends with the same number as {files[number].name}; remove "
-                    "one"
+                    f"{path}: this colour image has the same number as {files[number].name}; "
+                    "remove one"
                 )
             files[number] = path
         numbers = [_number(path.stem) for path in self._files]

@@ -99,7 +99,7 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
     assert [float(row["force_z_n"]) for row in rows] == pytest.approx(runs[0].force_n[:, 2])
     words = ["compare", *map(str, recordings), "--sensor", str(sensor), "--align", "contact"]
     text = CliRunner().invoke(main, words).stdout
-    assert "aligned by first contact: +0.100 s in b.mcap" in text and "N median" in text
+    assert "aligned by first contact, 0.100 s later in b.mcap" in text and "N median" in text
 
 
 def test_what_cannot_be_compared_is_refused(runs, tmp_path):

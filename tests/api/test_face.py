@@ -107,7 +107,7 @@ def test_recording_behaves_like_a_list(recording):
         with Recording(recording) as plain:
             np.testing.assert_array_equal(frames[3].depth_m, plain[3].depth_m)
             np.testing.assert_allclose(frames[1:3].times_s, plain.times_s[1:3])
-        with pytest.raises(IndexError, match="frame 5 of 5"):
+        with pytest.raises(IndexError, match="has frames 0 to 4"):
             frames[5]
 
 

@@ -101,7 +101,7 @@ def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relat
         (lambda found: gauged(found, 0.94), "The gauge pressure is 6 % below"),
         (without_gas, "The recording has no gas pressure"),
         (lambda found: with_seen_share(found, 0.81), ""),
-        (lambda found: with_seen_share(found, 0.79), "21 % of the dome is not visible"),
+        (lambda found: with_seen_share(found, 0.79), "does not see 21 % of the dome"),
         (lambda found: rim_at(found, 5e-4, 1e-5), ""),  # of 45 mm: 2 % are 0.9 mm
         (lambda found: rim_at(found, -2e-3, 1e-3), ""),
         (lambda found: rim_at(found, -2e-3, 5e-4), "The edge of the cloud lies -2.0 mm from"),

@@ -109,7 +109,7 @@ def test_bad_input_gives_one_sentence(rest, monkeypatch):
         OpticalFlow.of(rest[:4])
     with pytest.raises(InputError, match="sizes differ"):
         OpticalFlow.of([*rest, rest[0][1:]])
-    with pytest.raises(InputError, match="use fast, balanced, fine"):
+    with pytest.raises(InputError, match="choose one of fast, balanced, fine"):
         OpticalFlow.of(rest, "best")
     with pytest.raises(InputError, match="320×239 pixels, the contact-free ones have 320×240"):
         OpticalFlow.of(rest).measure(rest[0][1:])

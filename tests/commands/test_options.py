@@ -153,9 +153,7 @@ def test_run_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path
     kept = bv.estimate(bv.open(press), sensor)
     np.testing.assert_array_equal(run_of.force_n, kept.force_n)
     assert len(run_of) == 2 and "wrote" in run_of.to_text() and "wrote" not in kept.to_text()
-    with pytest.raises(
-        bv.InputError, match=r"r\.npz: only this file has the results; read them with load_run"
-    ):
+    with pytest.raises(bv.InputError, match=r"r\.npz: holds the results; read them with load_run"):
         run_of[0]
 
 

@@ -185,6 +185,7 @@ def test_tangential_force_of_the_friction_setting_is_shown_everywhere(drive):
     assert tangential() == "–"
     for _ in range(2):
         window.undo_stack.undo()
+    driver.wait(lambda: driver.solver.current is not None)  # None while it is built
     driver.wait(lambda: driver.pipeline.options.friction == EstimatorOptions().friction)
     driver.wait_until_shown()
     driver.wait(lambda: tangential() == f"{friction:.2f} N")

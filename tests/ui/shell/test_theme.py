@@ -111,7 +111,7 @@ def check_contrasts(driver):
     menu.setActiveAction(action)
     assert selected(within(menu, menu.actionGeometry(action))) > 4.5
     menu.close()
-    box = driver.window.layers.cloud_points
+    box = driver.window.playback.speed
     box.showPopup()
     view = box.view()
     driver.wait(view.isVisible)

@@ -321,7 +321,8 @@ class Menus:
         endpoint, chosen = QInputDialog.getText(
             self._bar,
             "Publish results",
-            "Listen at (127.0.0.1: this computer only; a network address: others too)",
+            "Address, tcp/HOST:PORT (HOST 127.0.0.1: only for this computer; its network address: "
+            "for others, too)",
             text=state.settings.publish_at,
         )
         if chosen:
