@@ -203,7 +203,7 @@ def test_warning_if_the_gas_pressure_does_not_match_the_sensor(tmp_path, off_pa,
     if warned:
         assert done.exit_code == 0, told
         (line,) = (line for line in told.splitlines() if "more than weather" in line)
-        assert "109.9 kPa " in line and "in the recording, 103.9 kPa" in line
+        assert "109.9 kPa " in line and "in the recording, but 103.9 kPa" in line
 
 
 def test_missing_sensor_file(bench, solving):
