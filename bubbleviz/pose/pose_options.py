@@ -44,11 +44,9 @@ class ImageOptions:
     # distance around the patch in which pixels are compared; the membrane further away hardly moves
     around_m: float = 8e-3
     max_pixels: int = 6_000  # more are not worth their computing time
-    # weight of the pixels' information. The error of the model's facets persists until the object's
-    # edge has moved to others, with twice the variance of the noise averaged over that time: 0.3.
-    # Derivatives by the pose have such errors, too, which count as information but do not pull: the
-    # gradient of a nut that is turned by 10° is 0.4 of the predicted one.
-    trust: float = 0.12
+    # weight of the pixels' information: the error of the model's facets persists until the object's
+    # edge has moved to others, with twice the variance of the noise averaged over that time
+    trust: float = 0.3
     outlier_sigmas: float = 4.0  # residual in standard deviations that reduces a pixel to a quarter
     min_sigma_m: float = 5e-4  # lower bound of the noise, below which model errors dominate
     # model error of the membrane around the contact, as motions of the object in the directions
