@@ -141,7 +141,7 @@ def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
     window, result = driver.window, driver.result
     assert result.estimate.status == "implausible"
-    assert "153.9 kPa in the recording" in window.message.label.text()
+    assert "153.9 kPa (absolute) in the recording" in window.message.label.text()
     assert window.status.labels["force"].text() == "force –"
     assert window.status.labels["area"].text() == "patch –"
     assert window.status.labels["residual"].text() == "residual –"

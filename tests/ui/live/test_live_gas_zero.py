@@ -47,5 +47,6 @@ def test_warning_if_gas_pressure_at_rest_contradicts_the_sensor_file(open_bench)
             pass
         assert live.window.message.isVisible() == warned
         assert (
-            "of 103.9 kPa without contact, 111.9 kPa (atmospheric" in live.message_text
+            "of 103.9 kPa (absolute) without contact, but 111.9 kPa (atmospheric"
+            in live.message_text
         ) == warned

@@ -69,7 +69,7 @@ def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path
     driver.wait(lambda: "median" in panel.result.text())
     by_time = numbers(driver, "|ΔF|")
     driver.pick(panel.align, "By first contact")
-    assert f"+{LATER * STEP_S:.3f} s" in panel.result.text()
+    assert f"-{LATER * STEP_S:.3f} s" in panel.result.text()
     here, median, _, largest = numbers(driver, "|ΔF|")
     assert max(here, median) <= largest < 0.2 * by_time[1]
     assert numbers(driver, "|Δarea|")[1] < 0.1 * 1e6 * driver.result.patch.area_m2

@@ -357,7 +357,7 @@ def test_rejected_or_removed_object_takes_its_fit_patch_and_tracking_with_it(ben
     assert not fit.points.visibility and bench.result.pose is None
     # undo restores object and tracking
     bench.undo()
-    bench.wait(lambda: session.pose is not None and panel.track.isChecked())
+    bench.wait(lambda: session.obj is not None and panel.track.isChecked())
 
 
 def lose(monkeypatch, lost):

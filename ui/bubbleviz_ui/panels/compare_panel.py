@@ -270,7 +270,7 @@ class OtherRecording(QWidget):
         found, units, k = self._aligned.found, self._state.units, self._state.frame
         facts = self._aligned.facts
         shift = units.time.text(-found.shift_s, signed=True)
-        lines = [f"{found.other}: dashed in Plots, drawn at its times {shift}"]
+        lines = [f"{found.other}: dashed in Plots, drawn at its time {shift}"]
         for title, unit, name, here in (
             ("|ΔF|", units.force, "force_difference_n", found.force_difference_n[k]),
             ("|Δarea|", units.area, "area_difference_m2", abs(found.area_difference_m2[k])),
