@@ -87,7 +87,7 @@ def test_killed_robot_ends_the_loop(sensor):
             assert age_s > 1e-9 * (asked_ns - arrived_ns) - 1e-6
             if count == 3:
                 process.kill()
-    assert found.age_s > age_s + 0.5
+    assert found.age_s > max(age_s, 0.5)  # the time-out counts from the last image
     assert set(threading.enumerate()) <= threads
 
 
