@@ -38,7 +38,9 @@ class Opening(QObject):
         super().__init__()
         self._state, self._ask = state, ask
         self.current: Opened | None = None
-        self._other_camera: Sensor | None = None  # Last sensor given that does not fit the source
+        self._other_camera: Sensor | None = (
+            None  # the last sensor given that does not fit the source
+        )
         self._waiting: OpenRequest | None = None
 
     @property
