@@ -236,8 +236,13 @@ def batch(
         load_sensor(sensor)  # one error instead of one for every recording
     if scheduler is not None:
         check_cluster(scheduler)
-    if not ((resume or overwrite) and out.is_dir()):
+    if not out.is_dir():
         refuse_existing(out)
+    elif not (resume or overwrite):
+        raise InputError(
+            f"{out}: exists already; continue it with --resume, replace its results with "
+            "--overwrite, or choose another folder"
+        )
     all_jobs = _jobs(found, Path(folder), out, str(sensor), options, keep=not overwrite or resume)
     rows: dict[str, BatchRow] = {}
     with _locked(out, all_jobs, scheduler is None):
@@ -266,7 +271,7 @@ def find_recordings(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"{folder}: not a folder; give the folder that holds the recordings")
+        raise InputError(f"{folder}: no such folder; give the folder that contains the recordings")
     found: list[Path] = []
     visited: set[str] = set()
     for parent, folders, files in os.walk(folder, followlinks=True):
@@ -333,7 +338,8 @@ def _run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[BatchRow]:
 
 
 def _lost(job: Job, why: str) -> BatchRow:
-    return BatchRow(job.name, "failed", error=f"{job.recording}: {why}; repeat it with --resume")
+    error = f"{job.recording}: {why}; repeat with --resume, with fewer processes if memory ran out"
+    return BatchRow(job.name, "failed", error=error)
 
 
 def _run(job: Job) -> BatchRow:
@@ -432,7 +438,7 @@ def _lock(descriptor: int, out: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise InputError(
-            f"{out}: another batch writes there; wait for it, or choose another folder"
+            f"{out}: another batch is writing there; wait until it ends, or choose another folder"
         ) from None
 
 

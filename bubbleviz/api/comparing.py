@@ -99,11 +99,12 @@ class Comparison(SavedSummary):
         """Text for the terminal, with units."""
         facts, by = self.facts(), "time"
         if self.align == "contact":
-            later = "later" if self.shift_s >= 0.0 else "earlier"
-            by = f"first contact, {abs(self.shift_s):.3f} s {later} in {Path(self.other).name}"
+            way = "earlier" if self.shift_s >= 0.0 else "later"
+            by = f"first contact: {Path(self.other).name} shifted {abs(self.shift_s):.3f} s {way}"
         contact = count_of(facts["contact_frames"], "frame")
         lines = [f"compared  {count_of(facts['frames'], 'frame')}, aligned by {by}"]
-        lines += [f"contact   {contact}; differences in these:"]
+        differences = "differences in these:" if facts["contact_frames"] else "no differences"
+        lines += [f"contact   {contact} with contact in either; {differences}"]
         for label, name, factor, unit in (
             ("|ΔF|", "force_difference_n", 1.0, "N"),
             ("|Δarea|", "area_difference_m2", 1e6, "mm²"),
@@ -205,8 +206,9 @@ def compare(
     )  # fmt: skip
     if not np.isfinite(found.force_difference_n).any():
         raise InputError(
-            f"{names[0]}, {names[1]}: at no time have both a trusted force; align by contact, or "
-            "check the status of the frames"
+            f"{names[0]}, {names[1]}: at no time do both have a trusted force; use --align "
+            f"{'time' if align == 'contact' else 'contact'}, or look up the status of the frames "
+            "with bubbleviz estimate --csv"
         )
     if out is not None:
         found.save(out, overwrite=overwrite)
@@ -224,7 +226,7 @@ def _run(given: Run | Recorded, sensor: SensorName, progress: Progress) -> Run:
 def _first_contact_s(run: Run) -> float:
     touching = run.columns()["patch_area_m2"] > 0.0
     if not touching.any():
-        raise InputError(f"{run.context['recording']}: no contact was found; align by time instead")
+        raise InputError(f"{run.context['recording']}: no contact was found; use --align time")
     return float(run.times_s[touching.argmax()])
 
 

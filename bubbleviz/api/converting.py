@@ -49,7 +49,7 @@ class ConvertSummary(Summary):
         }
         return (
             f"wrote {self.out}: {count_of(self.frames, 'frame')} of {self.width}×{self.height} "
-            f"pixels lasting {self.duration_s:.3g} s"
+            f"pixels over {self.duration_s:.3g} s"
             + "".join(f", {name}" for name, present in parts.items() if present)
         )
 
@@ -93,8 +93,9 @@ def convert(
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
     if image_options:
         raise InputError(
-            f"{source}: not a folder of depth images, and only these take intrinsics, times, unit, "
-            "gas pressure or wrench; correct the path, or leave those options out"
+            f"{source}: not a folder of depth images, and only these take --intrinsics, --rate, "
+            "--times, --metres-per-unit, --gas-pressure and --wrench; correct the path, or leave "
+            "those options out"
         )
     with Recording(source) as recording:
         whole_millimetres = recording.encoding == "16UC1"
@@ -112,7 +113,7 @@ def _images_of(
     metres_per_unit: float | None = None,
 ) -> ImageFolder:
     if rate_hz is not None and times is not None:
-        raise InputError(f"{folder}: give either a rate or times of the images, not both")
+        raise InputError(f"{folder}: give either --rate or --times, not both")
     camera = intrinsics or _existing(folder, *INTRINSICS)
     times = times or (None if rate_hz else _existing(folder, "times.csv"))
     return ImageFolder(

@@ -376,7 +376,10 @@ def _watched(
     from bubbleviz.api.watching import Watcher  # loads network and camera libraries
 
     for path in filter(None, files):
-        raise InputError(f"{path}: estimate of a stream writes no files; use watch(source, out=…)")
+        raise InputError(
+            f"{path}: estimate and track write no files for a live stream; use bv.watch(source, "
+            "out=…)"
+        )
     own = stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
     patience_s = stream.timeout_s if isinstance(timeout_s, EllipsisType) else timeout_s
     return Watcher.on(stream, own, **options).results(patience_s)
@@ -444,8 +447,8 @@ def _check_any_data(run: Run, any_depth: bool) -> None:
 _REASONS: dict[PoseStatus, str] = {
     "no_contact": "nothing touches the membrane; choose frames with contact",
     "few_points": "the contact patch has fewer points than a pose needs; press deeper",
-    "no_data": "the membrane could not be estimated; try bubbleviz estimate first",
-    "lost": "the object does not fit the contact; check the object, its unit and --init",
+    "no_data": "the membrane could not be estimated; bubbleviz estimate says why",
+    "lost": "the object does not fit the contact; check --object, --unit and --init",
 }
 
 

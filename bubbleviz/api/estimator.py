@@ -192,7 +192,7 @@ class Estimator:
             )
         for name, value in (("gas_pressure_pa", gas_pressure_pa), ("time_s", time_s)):
             if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
-                raise InputError(f"{name}: expected a number or None, got {value!r}")
+                raise InputError(f"{name}: expected a finite number or None, got {value!r}")
         known_pa = self._pipeline.model.gas.P0
         if gas_pressure_pa is not None and not 0.5 < gas_pressure_pa / known_pa < 2.0:
             raise InputError(
@@ -239,7 +239,7 @@ class Estimator:
             raise InputError(
                 f"depth: {median_m:.3g} m in the median, but the membrane of sensor "
                 f"{self._sensor.name} is {rest_m:.3g} m from the camera; give floats in m or "
-                "integers in mm"
+                "integers in mm, and the sensor file of this camera"
             )
 
 
@@ -332,8 +332,8 @@ def _camera_warning(pipeline: Pipeline, where: str) -> str:
     weight = pipeline.estimator.observer.observe_everything().weight
     if moved < 1.0 / np.sqrt(np.median(weight[weight > 0.0])):
         return ""
-    there, own = model.camera.intrinsics.fx, model.sensor.camera.fx
     return (
-        f"the {where}'s camera info has fx = {there:.1f} pixels but the sensor file {own:.1f}, "
-        f"which shifts depth by {1e3 * moved:.2f} mm; choose the sensor file of this camera"
+        f"the {where}'s camera info differs from the intrinsics in the sensor file, which shifts "
+        f"depth by {1e3 * moved:.2f} mm rms; choose the sensor file of this camera, or identify "
+        "the sensor again"
     )

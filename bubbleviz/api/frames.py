@@ -161,7 +161,7 @@ def parse_frames(text: str | None, count: int, name: str, option: str = "--frame
         return range(count)
     given, parts = f'{option} "{text}"', [part.strip() for part in text.split(":")]
     if len(parts) not in (2, 3) or not all(p.isascii() and p.isdigit() for p in parts if p):
-        raise InputError(f"{given}: give A:B or A:B:STEP, such as 0:60 for 0 … 59")
+        raise InputError(f"{given}: give A:B or A:B:STEP, such as 0:60 for frames 0 to 59")
     start, stop, step = (
         int(part) if part else default
         for part, default in zip([*parts, ""][:3], (0, count, 1), strict=True)
@@ -274,7 +274,8 @@ class RecordingInfo(Summary):
             return "no missing frames"
         places = [f"{g.missing} after frame {g.after_frame}" for g in self.gap_positions[:10]]
         more = len(self.gap_positions) - len(places)
-        return f"{self.gaps} missing: {', '.join(places)}" + (f" and {more} more" if more else "")
+        others = f" and {count_of(more, 'more gap')}" if more else ""
+        return f"{count_of(self.gaps, 'missing frame')}: {', '.join(places)}{others}"
 
 
 def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
@@ -295,7 +296,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
             return info(opened)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
-        raise InputError(f"{source.name}: no ROS recording, so it has no topics to list; give one")
+        raise InputError(f"{source.name}: not a ROS recording, the only kind for info; give one")
     times = source.times_s
     gaps, period = find_gaps(times), usual_step(np.diff(times))
     pressures = source.gas_pressures_pa()
@@ -324,7 +325,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
 
 def _intrinsics_text(camera: Intrinsics | None) -> str:
     if camera is None:
-        return "not recorded"
+        return "none recorded for images of this size"
     return (
         f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} "
         f"pixels, distortion {camera.distortion_model}"

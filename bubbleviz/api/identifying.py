@@ -249,7 +249,10 @@ def _known_press(
     if obj is None and pose is None and pressed is None:
         return None
     if obj is None or pose is None or pressed is None:
-        raise InputError("validation needs --object, --pose and --pressed; give all three, or none")
+        raise InputError(
+            "validation by a known press needs --object, --pose and --pressed; give all three, or "
+            "none"
+        )
     load_object(obj), parse_pose(pose)
     frames = parse_frames(pressed, len(source), source.name, "--pressed")
     return KnownPress(obj, pose, frames.start, frames.stop)

@@ -94,7 +94,8 @@ def _libraries() -> dict[str, str]:
     try:
         requirements = metadata.requires("bubbleviz") or ()
     except metadata.PackageNotFoundError:
-        return {"bubbleviz": "not installed; run from a folder"}
+        text = "runs from its source folder, not installed, so its libraries are not listed"
+        return {"bubbleviz": text}
     found = {}
     for requirement in requirements:
         name = re.split(r"[^\w.-]", requirement)[0]
@@ -103,7 +104,7 @@ def _libraries() -> dict[str, str]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             if extra is not None:
-                found[name] = f"not installed; {how_to_install(extra[1])}"
+                found[name] = f"not installed, optional; to add it: {how_to_install(extra[1])}"
             elif ";" not in requirement:  # else it may be for another system
                 found[name] = "missing; install bubbleviz again"
     return found
@@ -122,7 +123,7 @@ def _answer(program: str, extra: str) -> str:
     except subprocess.TimeoutExpired:
         return f"no answer in {_TIMEOUT_S:.0f} s"
     if "ModuleNotFoundError" in done.stderr:
-        return f"not known; {how_to_install(extra)}"
+        return f"unknown, as its library is not installed; to add it: {how_to_install(extra)}"
     lines = (done.stderr if done.returncode else done.stdout).split("\n")
     printed = [line.strip() for line in lines if line.strip()]
-    return printed[-1] if printed else f"the driver ended with code {done.returncode}"
+    return printed[-1] if printed else f"no answer; the process ended with code {done.returncode}"

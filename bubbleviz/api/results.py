@@ -311,7 +311,11 @@ class Run(Sequence[FrameResult], Summary):
             Results were written to a file and not kept.
         """
         if len(self) and not self._results:
-            raise InputError(f"{self.context['out']}: holds the results; read them with load_run")
+            remedy = "call track without out" if "object" in self.context else "use bv.load_run"
+            raise InputError(
+                f"{self.context['out']}: written frame by frame, so results are not in memory; "
+                f"{remedy}"
+            )
         if not isinstance(index, slice):
             return self._results[index]
         part = type(self)(self.model, self.context, self.provenance)
@@ -521,7 +525,7 @@ def load_run(path: str | Path) -> Run:
         sensor = checked(Sensor, tomllib.loads(texts["sensor_toml"]), Path(path), "sensor")
         mesh = MembraneMesh(arrays["nodes_m"], arrays["triangles"], arrays["rim"])
         results, solver = results_of(arrays), texts["solver"]
-    shear_warning = "traction and slip are not loaded into a run; read them from the file"
+    shear_warning = "traction and slip in the file are not loaded; read them with numpy.load"
     context = {
         "recording": str(path),
         "sensor": sensor.name,
@@ -541,8 +545,8 @@ def load_run(path: str | Path) -> Run:
 _LINES = {
     "fit": "fit     {} (medians)",
     "median_contact_force_n": "force   {:.3g} N median in contact, {max_force_n:.3g} N highest",
-    "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench, without "
-    "its contact-free bias",
+    "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench sensor, "
+    "minus its bias without contact",
     "gas_zero": "{}",
     "shear": "{}\n        {texture}",
     "median_total_ms": "time    depth image in → {end}: {:.1f} ms median, "
@@ -629,7 +633,7 @@ def _shear_texts(facts: dict[str, Any]) -> dict[str, str]:
     return {
         "shear": f"shear   {facts['median_traction_force_n']:.3g} ± "
         f"{facts['median_traction_half_width_n']:.2g} N (95 %) "
-        f"median with friction: {status}; its direction has not been verified"
+        f"median force with friction: {status}; force direction not verified on real sensors"
     }
 
 

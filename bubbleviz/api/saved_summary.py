@@ -62,5 +62,8 @@ def check_out(out: str | Path | None, *, overwrite: bool) -> None:
     if out is None:
         return
     if Path(out).suffix not in ("", ".csv", ".json", *_PICTURES):
-        raise InputError(f"{out}: end it in .png, .svg, .pdf, .csv or .json, or name a folder")
+        raise InputError(
+            f"{out}: not a name of a plot, a table or numbers; end it in .png, .svg, .pdf, .csv or "
+            ".json, or give a folder without a dot in its name"
+        )
     refuse_existing(Path(out), overwrite=overwrite)

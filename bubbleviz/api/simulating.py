@@ -171,7 +171,8 @@ def simulate(
                 poses = np.repeat(poses[None], frames, axis=0)
         if moved:
             raise InputError(
-                "drag and twist follow a press to a single pose; leave them out with a path"
+                "--drag-m and --twist-rad start from a single pose; give --pose instead of --path, "
+                "or leave them out"
             )
         source = SyntheticSource(
             sensor,

@@ -73,15 +73,15 @@ class ValidationSummary(SavedSummary):
         rotation = found.rotation_rad
         sizes = np.linalg.norm([rotation.value, rotation.half_width], axis=1)
         angle = Interval(*np.degrees(sizes))
-        spin = "" if found.spin_known else ", not determined about the force direction"
+        spin = ", undetermined about the force direction (press in other directions too)"
         lines = [
             f"compared    {count_of(len(found.time_s), 'frame')}, presses: {found.presses}",
             f"force       {_largest(found.estimate_n):.2f} N largest estimate,"
             f" {_largest(found.measured_n):.2f} N largest measurement",
             f"gain        {_with_interval(found.gain)}, estimate divided by measurement",
             f"bias        {bias} N of the wrench sensor, in its axes",
-            f"rotation    {_with_interval(angle)}°{spin}",
-            f"delay       {_with_interval(found.delay_s, 1e3)} ms, estimate after measured",
+            f"rotation    {_with_interval(angle)}°{'' if found.spin_known else spin}",
+            f"delay       {_with_interval(found.delay_s, 1e3)} ms from measurement to estimate",
             f"hysteresis  {_with_interval(found.hysteresis_n, unit=' N')}",
             f"rmse        {found.rmse_n:.2f} N after this fit; {found.size_rmse_n:.2f} N between "
             "the force magnitudes, gain not applied",
@@ -207,7 +207,7 @@ def _largest(force_n: np.ndarray) -> float:
 def _with_interval(number: Interval, factor: float = 1.0, unit: str = "") -> str:
     value, half = factor * float(number.value), factor * float(number.half_width)
     if not np.isfinite(value):
-        return "not determined: record also the release of a press"
+        return "not determined; record also the release of a press"
     digits = decimals_of(half, 2)
     return f"{rounded(value, digits)} ± {rounded(half, digits)}{unit}"
 

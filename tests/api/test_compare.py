@@ -99,14 +99,14 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
     assert [float(row["force_z_n"]) for row in rows] == pytest.approx(runs[0].force_n[:, 2])
     words = ["compare", *map(str, recordings), "--sensor", str(sensor), "--align", "contact"]
     text = CliRunner().invoke(main, words).stdout
-    assert "aligned by first contact, 0.100 s later in b.mcap" in text and "N median" in text
+    assert "aligned by first contact: b.mcap shifted 0.100 s earlier" in text and "N median" in text
 
 
 def test_what_cannot_be_compared_is_refused(runs, tmp_path):
     clear = runs[1][: 2 + LATER]
-    with pytest.raises(InputError, match=r"b\.mcap: no contact was found; align by time"):
+    with pytest.raises(InputError, match=r"b\.mcap: no contact was found; use --align time"):
         bv.compare(runs[0], clear, align="contact")
-    with pytest.raises(InputError, match="at no time have both a trusted force"):
+    with pytest.raises(InputError, match="at no time do both have a trusted force"):
         bv.compare(runs[0][:2], runs[0][4:])
     with pytest.raises(InputError, match=r"end it in \.png"):
         bv.compare(*runs, out=tmp_path / "a.xyz")

@@ -152,7 +152,7 @@ def test_gas_pressure_not_absolute_or_not_in_pascals_is_refused(pressure, frames
 
 def test_other_invalid_arguments(frames, estimator):
     for given in ({"gas_pressure_pa": float("nan")}, {"gas_pressure_pa": "1e5"}, {"time_s": "now"}):
-        with pytest.raises(bv.InputError, match=f"{next(iter(given))}: expected a number or None"):
+        with pytest.raises(bv.InputError, match=f"{next(iter(given))}: expected a finite number"):
             estimator.update(frames[0].depth_m, **given)
     with pytest.raises(bv.InputError, match=r"colour: expected an array \(43, 56, 3\) of uint8"):
         estimator.update(frames[0].depth_m, colour=np.zeros(SHAPE))

@@ -216,7 +216,7 @@ def test_invalid_result_file_is_refused_in_one_sentence(tmp_path):
 
 def test_the_real_press_is_saved_and_loaded(punyo_press, tmp_path):
     run = bv.estimate(bv.open(punyo_press)[76:80], out=tmp_path / "press.npz")
-    with pytest.raises(bv.InputError, match="read them with load_run"):
+    with pytest.raises(bv.InputError, match=r"use bv\.load_run"):
         run[0]
     got = bv.load_run(tmp_path / "press.npz")
     np.testing.assert_array_equal(got.force_n, run.force_n)

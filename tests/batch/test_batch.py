@@ -251,7 +251,7 @@ def test_second_batch_in_the_same_folder_is_refused(
     os.killpg(running.pid, signal.SIGKILL)
     running.communicate()
     assert done.returncode == 2
-    assert "another batch writes there" in done.stderr
+    assert "another batch is writing there" in done.stderr
 
 
 @pytest.mark.long
@@ -323,7 +323,7 @@ def test_single_recording_as_input(recordings):
 @pytest.mark.parametrize(
     ("folder", "more", "words"),
     [
-        ("nope", [], "nope: not a folder"),
+        ("nope", [], "nope: no such folder"),
         ("in", ["--sensor", "nope.toml"], "nope.toml: no such sensor file"),
         ("in", ["--out", "there"], "exists already"),
         ("in", ["--jobs", "0"], "--jobs"),

@@ -120,7 +120,7 @@ def test_a_bag_of_the_realsense_viewer(unit_m, option, tmp_path):
     """In any depth unit; infrared images of 16 bits are not taken for depth."""
     out = tmp_path / "out.mcap"
     write_realsense_bag(tmp_path / "camera.bag", unit_m, option)
-    assert "4 frames of 32×24 pixels lasting 0.1 s, intrinsics" in converted(
+    assert "4 frames of 32×24 pixels over 0.1 s, intrinsics" in converted(
         tmp_path / "camera.bag", out
     )
     with Recording(out) as recording:

@@ -153,7 +153,7 @@ def test_run_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path
     kept = bv.estimate(bv.open(press), sensor)
     np.testing.assert_array_equal(run_of.force_n, kept.force_n)
     assert len(run_of) == 2 and "wrote" in run_of.to_text() and "wrote" not in kept.to_text()
-    with pytest.raises(bv.InputError, match=r"r\.npz: holds the results; read them with load_run"):
+    with pytest.raises(bv.InputError, match=r"r\.npz: written frame .*; use bv\.load_run"):
         run_of[0]
 
 
@@ -162,5 +162,5 @@ def test_unused_output_options_are_refused(press, sensor, tmp_path):
         bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
     with bv.connect(f"replay:{press}", sensor) as stream:
         for verb in (bv.estimate, partial(bv.track, object="sphere")):
-            with pytest.raises(bv.InputError, match="of a stream writes no files; use watch"):
+            with pytest.raises(bv.InputError, match="write no files for a live stream; use"):
                 verb(stream, out=tmp_path / "r.npz")
