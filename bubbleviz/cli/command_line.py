@@ -59,7 +59,7 @@ class OneLineErrors(click.Group):
             library = (error.name or "").split(".")[0]
             if library not in WINDOW_LIBRARIES:
                 raise
-            _fail(f"{library}, which the window needs, {NOT_INSTALLED}", 2)
+            _fail(f"{library}, which the window and VTK files need, {NOT_INSTALLED}", 2)
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else "bubbleviz"
             _fail(f"{_usage_problem(error)}; see {command} --help", 2)
@@ -71,7 +71,11 @@ class OneLineErrors(click.Group):
             if "shared object file" not in str(error):
                 raise
             library = str(error).partition(":")[0]
-            _fail(f"{library} is not installed; run make setup, which names its package", 1)
+            _fail(
+                f"the system library {library} is not installed; install its package, which make "
+                "setup names in a checkout",
+                1,
+            )
         sys.exit(code if isinstance(code, int) else 0)
 
 

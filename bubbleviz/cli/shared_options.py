@@ -24,7 +24,7 @@ hidden_alias = partial(click.option, hidden=True)
 sensor_option = click.option(
     "--sensor",
     default="auto",
-    help="Sensor file or preset; auto (default): the preset whose camera fits.",
+    help="Sensor file or preset; auto (default): the preset whose camera has the images' size.",
 )
 solver_option = click.option(
     "--solver",
@@ -49,7 +49,8 @@ frames_option = click.option(
 zero_gas_option = click.option(
     "--zero-gas/--no-zero-gas",
     default=True,
-    help="Shift the gas pressure by that of contact-free frames (default), or use it as recorded.",
+    help="Shift the gas pressure so that contact-free frames have the sensor file's (default), or "
+    "use it as measured.",
 )
 shear_option = click.option(
     "--shear",
@@ -74,7 +75,7 @@ duration_option = click.option(
     "--duration",
     "duration_s",
     type=click.FloatRange(0.0, min_open=True),
-    help="Seconds; until ^C by default.",
+    help="Time until it stops, s; by default until ^C or the end of the source.",
 )
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing files.")
 json_option = click.option(

@@ -79,7 +79,7 @@ def run(study: Study, out: Path | None, as_json: bool) -> None:
 @report_options
 @sensor_option
 @seed_option
-@click.option("--shipped-only", is_flag=True, help="Only the default estimator, on the whole grid.")
+@click.option("--shipped-only", is_flag=True, help="Only the default estimator, not the others.")
 @click.option(
     "--model",
     type=click.Choice(("rubber", "linear")),

@@ -41,7 +41,7 @@ _recording = click.argument("recording", metavar="REC", type=PATH)
 _simulated = click.option(
     "--sensor",
     default="auto",
-    help="Sensor that synthetic: simulates; auto (default): the built-in one.",
+    help="Sensor to simulate, only for --source synthetic:; auto (default): the built-in one.",
 )
 
 
@@ -75,33 +75,34 @@ def doctor(as_json: bool) -> None:
     "--path",
     "path_file",
     type=PATH,
-    help="CSV with a pose for each frame (x_m … qw), instead of --pose.",
+    help="CSV with a pose for each frame (columns x_m … qw), instead of --pose.",
 )
 @option("--frames", type=click.IntRange(1), default=1, help="Number of frames at --pose.")
 @option(
     "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames per second."
 )
-@_number("--noise-sigma", "noise_sigma_m", help="σ of range, m.")
-@_number("--noise-relative", help="σ of range relative to range.")
+@_number("--noise-sigma", "noise_sigma_m", help="Noise: standard deviation of range, m.")
+@_number("--noise-relative", help="Noise: standard deviation of range over range.")
 @_number(
     "--noise-correlation",
     "noise_correlation_px",
-    help="1/e distance of the noise's correlation, pixels.",
+    help="1/e distance of the noise's correlation, pixels; 0 (default): white noise.",
 )
-@_number("--holes", help="Fraction of pixels without a return.")
-@_number("--outliers", help="Fraction of pixels with a grossly wrong depth.")
+@_number("--holes", help="Fraction of pixels without a return, 0 to 1.")
+@_number("--outliers", help="Fraction of pixels with a grossly wrong depth, 0 to 1.")
 @option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
 @option(
     "--model",
     type=click.Choice(["rubber", "linear"]),
-    help="Exact membrane (default if the sensor file has a prestretch) or linear one.",
+    help="rubber: exact membrane (default if the sensor file has a prestretch); linear: constant "
+    "tension (default otherwise).",
 )
 @_number("--friction", metavar="MU", help="Coefficient of friction; needs the exact membrane.")
 @_number("--drag-m", metavar="M", help="After the press, drag the object along x of B, m.")
 @_number("--twist-rad", metavar="RAD", help="After the drag, twist it about its z axis, rad.")
 @_number("--drag", "drag_mm", hidden=True)
 @_number("--twist", "twist_deg", hidden=True)
-@option("--texture", is_flag=True, help="Speckle on the membrane, and colour images of it.")
+@option("--texture", is_flag=True, help="Print a speckle on the membrane, and add colour images.")
 @out_option("Recording, REC.mcap.")
 @option("--truth", type=PATH, help="Ground truth, TRUTH.npz.")
 def simulate(
@@ -153,7 +154,11 @@ def estimate(**options: Any) -> None:
 @_recording
 @sensor_option
 @option("--object", required=True, help="Mesh file or preset of the object.")
-@option("--unit", type=click.Choice(["m", "mm"]), help="Unit of the mesh file.")
+@option(
+    "--unit",
+    type=click.Choice(["m", "mm"]),
+    help="Unit of the mesh file; by default mm if its name ends in _mm, else m.",
+)
 @option("--init", help='Pose T_B_O in the first frame, "x y z qx qy qz qw"; searched by default.')
 @solver_option
 @friction_option
@@ -208,7 +213,12 @@ def export(**options: Any) -> None:
     help="Sensor file, or TOML or JSON with width, height, fx, fy, cx, cy, distortion_model and "
     "distortion; by default intrinsics.toml or .json in the folder.",
 )
-@option("--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), help="Images per second.")
+@option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(0.01, 1e4),
+    help="Images per second, instead of --times.",
+)
 @option(
     "--times",
     type=PATH,
@@ -264,8 +274,8 @@ def convert(**options: Any) -> None:
     "--level-sigma",
     type=click.FloatRange(min=0.0),
     metavar="PA",
-    help="σ of gas pressure differences between recordings, Pa; by default 1 % of the largest "
-    "gauge pressure.",
+    help="Standard deviation of gas pressure differences between recordings, Pa; by default 1 % of "
+    "the largest gauge pressure.",
 )
 @option(
     "--vented",
@@ -314,7 +324,7 @@ def check(**options: Any) -> None:
 @option(
     "--wrench",
     metavar="TOPIC",
-    help="Topic of the wrench sensor; by default the one of the most similar name.",
+    help="Topic of the wrench sensor; by default that most similar in name to the depth topic.",
 )
 @solver_option
 @friction_option
@@ -340,7 +350,7 @@ def validate(recording: Path, **options: Any) -> None:
     "--align",
     type=click.Choice(["time", "contact"]),
     default="time",
-    help="By the time since A and B began (default), or since their first frame with contact.",
+    help="time: since A and B began (default); contact: since their first frame with contact.",
 )
 @out_option(
     "PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.", required=False
