@@ -139,7 +139,7 @@ def _read_rows(
                 stored = _values(body, length, 1, at)[0]
                 size = int(stored)
                 if size != stored:
-                    raise ValueError(f"a list has the length {stored}")
+                    raise ValueError(f"a list has the length {stored}, not a whole number")
                 at += length.itemsize
             rows[name].append(_values(body, kind, size, at))
             at += size * kind.itemsize
@@ -184,7 +184,7 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
             f"{path}: a coordinate of vertex {wrong[0]} is not finite or beyond 10⁹; repair the "
             "mesh"
         )
-    with as_input_error(path, "the mesh", "export it again"):
+    with as_input_error(path, "the mesh", "merge close vertices and export it again"):
         return _merge(vertices, triangles)
 
 
@@ -212,11 +212,11 @@ def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
         words = [line.split() for line in data.splitlines()]
         vertices = np.array([each[1:4] for each in words if each[:1] == [b"vertex"]], np.float64)
     else:
-        raise ValueError(f"{len(data)} bytes are not an STL file of {count} triangles")
+        raise ValueError(f"not ASCII, and {len(data)} bytes do not match {count} triangles")
     with np.errstate(invalid="ignore"):  # NaN, which is refused later
         vertices = vertices.astype(np.float64).reshape(-1, 3)
     if len(vertices) % 3:
-        raise ValueError("a triangle is cut short")
+        raise ValueError("the last triangle has fewer than three vertices")
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 

@@ -101,8 +101,8 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
             known = each.name in _WRITTEN_FOLDERS if each.is_dir() else suffix in _WRITTEN_SUFFIXES
             if not known:
                 raise InputError(
-                    f"{path}: contains {each.relative_to(path)}, which is no output of bubbleviz; "
-                    "choose another folder, or move it away"
+                    f"{path}: {each.relative_to(path)} in it, which is no output of bubbleviz, "
+                    "would be deleted; move that away, or choose another folder"
                 )
     if not parent_exists:
         raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
@@ -234,7 +234,7 @@ def create_folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{path}: the folder cannot be created ({error}); choose another folder"
+            f"{path}: the folder cannot be created ({error.strerror or error}); choose another"
         ) from error
     return path
 

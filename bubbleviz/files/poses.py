@@ -36,9 +36,9 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     """4×4 transform from x, y, z in m and a unit quaternion xyzw, shape (7,)."""
     position, quaternion = numbers[:3], numbers[3:]
     if not np.isfinite(numbers).all():
-        raise InputError("a number is not finite; correct it")
+        raise InputError("a number is missing or not finite; correct it")
     if np.abs(position).max() > _MAX_DISTANCE_M:
-        raise InputError("a coordinate is above 2 m; give x y z in metres, not millimetres")
+        raise InputError("a coordinate is beyond ±2 m; give x y z in metres, not millimetres")
     if not is_unit(quaternion):
         raise InputError("the quaternion is not of unit length; normalise qx qy qz qw")
     T = np.eye(4)
@@ -92,8 +92,10 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     for k, row in enumerate(rows):
         try:
             poses[k] = pose_matrix(np.array([float(row[name] or "nan") for name in COLUMNS]))
-        except (InputError, ValueError) as error:
-            raise InputError(f"{path}: correct line {k + 2}: {error}") from None
+        except InputError as error:
+            raise InputError(f"{path}: line {k + 2}: {error}") from None
+        except ValueError as error:
+            raise InputError(f"{path}: line {k + 2}: {error}; correct it") from None
     return poses, _times(path, rows)
 
 
@@ -118,8 +120,8 @@ def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:
         raise InputError(f"{path}: time_s: {error}; give times in s") from None
     if not (np.abs(times) < _MAX_TIME_S).all():
         raise InputError(
-            f"{path}: time_s: a time is not finite or not plausible; give s since 1970 or since "
-            "the start"
+            f"{path}: time_s: a time is missing, not finite or beyond 2³¹ s; give s since 1970 or "
+            "since the start"
         )
     if not (np.diff(times) > 0.0).all():
         raise InputError(f"{path}: time_s does not increase from line to line; correct it")

@@ -20,7 +20,7 @@ MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 p
 
 @contextmanager
 def as_input_error(
-    path: str | Path, what: str, remedy: str = "correct the cause, or record or copy it again"
+    path: str | Path, what: str, remedy: str = "correct that, or copy or record the file again"
 ) -> Iterator[None]:
     """Convert any exception that a damaged file causes in a reader to InputError."""
     try:
@@ -33,6 +33,8 @@ def as_input_error(
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read
             reason = "a size in it is implausible, or memory is full"
+        if isinstance(error, KeyError):
+            reason = f"no entry {reason}"
         if isinstance(error, RecursionError):
             reason = "it is nested too deeply"
         raise InputError(f"{path}: {what} cannot be read ({reason}); {remedy}") from error
@@ -55,13 +57,14 @@ def read_npy(file: IO[bytes], size: int) -> np.ndarray:
         warnings.simplefilter("ignore")  # of headers written by Python 2
         version = np.lib.format.read_magic(file)
         if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"version {version[0]}.{version[1]} of the format is not supported")
+            raise ValueError(f"its .npy version {version[0]}.{version[1]} is not supported")
         header = "read_array_header_1_0" if version == (1, 0) else "read_array_header_2_0"
         shape, _, dtype = getattr(np.lib.format, header)(file)
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > min(size, MAX_ARRAY_BYTES):
-        raise ValueError(f"shape {shape} exceeds the file size")
+        most = f"{MAX_ARRAY_BYTES >> 20} MiB"
+        raise ValueError(f"an array of shape {shape} is larger than the file or than {most}")
     if dtype.kind not in "biufUS":
-        raise ValueError(f"values of {dtype} are not plain numbers")
+        raise ValueError(f"values of {dtype} are neither numbers nor texts")
     file.seek(0)
     return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
@@ -74,7 +77,7 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(path) as archive:
         members = [each for each in archive.infolist() if each.filename.endswith(".npy")]
         if sum(each.file_size for each in members) > MAX_ARRAY_BYTES:
-            raise ValueError(f"its arrays are larger than {MAX_ARRAY_BYTES >> 20} MiB")
+            raise ValueError(f"its arrays together are larger than {MAX_ARRAY_BYTES >> 20} MiB")
         return {each.filename.removesuffix(".npy"): _member(archive, each) for each in members}
 
 
