@@ -409,7 +409,8 @@ def report_of(grid: Grid, rows: list[Row]) -> Report:
     by = "specimen", "object_name", "noise"
     press = (*(Column(name, name) for name in by), *_ERRORS)
     title = f"Force error over press depth, all membranes and noises; truth: {grid.model} membrane"
-    time = f"Run time, from {100 * MIN_DEPTH_SHARE:g} % of the height; front: Pareto front"
+    deep = f"presses from {100 * MIN_DEPTH_SHARE:g} % of the height"
+    time = f"Errors and run time, {deep}; front: on the Pareto front"
     tables = [
         Table("curves", curves(rows), _CURVE, title),
         Table("points", points(rows), _POINT, time),

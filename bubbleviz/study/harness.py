@@ -161,7 +161,10 @@ class Study:
         """
         for suffix in ("csv", "json", "png"):
             if out is not None:  # fail before the computation
-                refuse_existing(create_folder(out) / f"{self.name}.{suffix}")
+                path = create_folder(out) / f"{self.name}.{suffix}"
+                if path.exists():
+                    raise InputError(f"{path}: exists already; choose another --out, or delete it")
+                refuse_existing(path)
         if self.parts is not None:
             check_same(self.parts, self.settings)
         rows, omitted = self._rows()
@@ -220,7 +223,8 @@ def check_same(parts: Path, settings: Record) -> None:
         write_json(path, own)
     elif json.loads(path.read_text(encoding="utf-8")) != own:
         raise InputError(
-            f"{path}: has the settings of another study; choose another folder, or delete this one"
+            f"{parts}: has cases of a study with other settings; choose another --out, or delete "
+            "this folder"
         )
 
 

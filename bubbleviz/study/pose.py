@@ -288,7 +288,10 @@ _COLUMNS = (
 def report_of(grid: Grid, rows: list[Row]) -> Report:
     """Errors by object, over the directions that normals and that an image determine."""
     points = summaries(rows, ("object_name",), AVERAGES)
-    title = "Rubber; initial poses off by 3 mm and 8°; over determined directions, then over all"
+    title = (
+        "Rubber; initial poses off by 3 mm and 8°; errors over the directions that the contact, "
+        "then (seen) that the image determines"
+    )
     targets = []
     if rows:
         errors_m, worst_rad = [row.seen_m for row in rows], max(row.seen_rad for row in rows)

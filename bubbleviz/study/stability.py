@@ -217,7 +217,8 @@ def stability_study(pattern: str = "", *, quick: bool = False) -> Study:
     chosen = [c for c in stability_cases.all_cases() if pattern in c.name and c.quick >= quick]
     if not chosen:
         raise InputError(
-            f"--case {pattern}: no name of a case contains this; give another text, or leave it out"
+            f"--case {pattern}: no name of a {'quick ' if quick else ''}case contains this; give "
+            "another text, or leave it out"
         )
     cases = [
         harness.Case(
