@@ -241,7 +241,7 @@ class ShearSummary:
                 _measure(self.slip_share, self.slip_share_sigma),
             )
             lines += [f"         {numbers}, where the force was highest; ±: 95 % interval"]
-            lines += ["         its direction has not been verified"]
+            lines += ["         force direction not verified on real sensors"]
         return "\n".join([*lines, *(f"         {line}" for line in filter(None, [self.reference]))])
 
 

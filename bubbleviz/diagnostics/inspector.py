@@ -152,7 +152,7 @@ def _image(name: str, result: Result, model: SensorModel) -> np.ndarray | None:
 
 def _no_flow(pipeline: Pipeline, result: Result) -> str:
     if result.flow is not None:
-        return result.flow.problem or "none of the texture could be matched"
+        return result.flow.problem
     if result.frame.find_colour is None:
         return result.frame.no_colour
     return "" if pipeline.optical_flow is None else "no colour image at this time"

@@ -91,9 +91,8 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
     needed = ("frame", "status", *COLUMNS)
     missing = [name for name in needed if not rows or name not in rows[0]]
     if missing:
-        raise InputError(
-            f"{path}: no rows, or no column {missing[0]}; give the CSV of bubbleviz pose"
-        )
+        lack = f"column {missing[0]}" if rows else "rows"
+        raise InputError(f"{path}: no {lack}; give the CSV of bubbleviz pose")
     poses = {}
     for line, row in enumerate(rows, 2):
         try:

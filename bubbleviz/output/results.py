@@ -17,6 +17,7 @@ from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import Frame, force_of
 from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.wording import count_of
 
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
@@ -192,7 +193,9 @@ def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
     for key in per_frame:
         kinds = "U" if key == "status" else "biuf"
         if values[key].dtype.kind not in kinds or len(values[key]) != max(frames, 1):
-            raise ValueError(f"{key} has {len(values[key])} values of {values[key].dtype}")
+            kind = "text" if kinds == "U" else "numbers"
+            found = f"{len(values[key])} values of {values[key].dtype}"
+            raise ValueError(f"{key} has {found}, not {kind} for {count_of(frames, 'frame')}")
     return [_result_of({key: values[key][k] for key in per_frame}) for k in range(frames)]
 
 

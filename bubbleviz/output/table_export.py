@@ -119,7 +119,8 @@ def require_parquet(path: Path) -> None:
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise InputError(
-            f"{path}: Parquet needs pyarrow; run {how_to_install('parquet')}, or choose .csv"
+            f"{path}: Parquet files need pyarrow; run {how_to_install('parquet')}, or export a "
+            "table as .csv"
         ) from error
 
 

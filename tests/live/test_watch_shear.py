@@ -87,7 +87,7 @@ def test_force_torque_and_slip_of_a_known_puck():
     assert summary.slip_share == pytest.approx(0.0, abs=0.05)
     assert "N with friction, torque" in shear_line(result) and "slip 0 ±" in shear_line(result)
     text = summary.to_text()
-    assert "± " in text and "its direction has not been verified" in text
+    assert "± " in text and "force direction not verified on real sensors" in text
 
 
 def test_images_just_before_contact_are_not_used_as_reference():
