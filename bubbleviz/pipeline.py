@@ -312,9 +312,10 @@ class Pipeline:
         from bubbleviz.shear import TractionEstimator  # only needed here
 
         if self.estimator.solver_name != RUBBER:
+            default = f" (the default, as sensor {self.model.sensor.name} has no prestretch)"
             raise InputError(
-                f"sensor {self.model.sensor.name}: shear requires the exact membrane; choose "
-                "--solver rubber"
+                f"solver {self.estimator.solver_name}{'' if self.options.solver else default}: "
+                "cannot estimate shear; choose --solver rubber"
             )
         return TractionEstimator(self.estimator, self._colour_camera, self._traction_options)
 
@@ -503,5 +504,5 @@ def _evenly(chosen: np.ndarray, limit: int) -> np.ndarray:
 
 def _required(product: _T | None) -> _T:
     if product is None:
-        raise AssertionError("a stage ran before one that it requires")
+        raise AssertionError("internal error: a stage ran before one that it requires")
     return product

@@ -106,8 +106,8 @@ class PressureZero:
         if self.offset_pa is None:
             weather = 1e-3 * HALF_95 * WEATHER_SIGMA_PA
             return (
-                "gas pressure zero: unknown without contact-free frames, within the weather's"
-                f" ±{weather:.0f} kPa (95 %)"
+                f"gas pressure zero: unknown without {MIN_FRAMES} contact-free frames in a row, "
+                f"so within ±{weather:.0f} kPa by the weather (95 %)"
             )
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 

@@ -435,7 +435,7 @@ class Result:
     def solution(self) -> tuple[Estimate, Patch]:
         """Estimate and patch. Raises ValueError: they were not requested."""
         if self.estimate is None or self.patch is None:
-            raise ValueError("the result lacks the products estimate and patch")
+            raise ValueError("the result lacks the product estimate or patch; request both")
         return self.estimate, self.patch
 
     @property

@@ -76,11 +76,12 @@ def object_mesh(
         vertices = vertices * 1e-3
     size = float(np.ptp(vertices, axis=0).max())
     if size > _MAX_SIZE_M:
-        raise InputError(
-            f"{path}: the object is {size:.4g} m long; scale it or, if the file is in millimetres, "
-            "choose millimetres next to it in the window, give pose --unit mm, or end its name in "
-            "_mm"
+        millimetres = (
+            "scale it or, if the file is in millimetres, choose millimetres next to it in the "
+            "window, give pose --unit mm, or end its name in _mm"
         )
+        advice = "scale it" if in_mm else millimetres
+        raise InputError(f"{path}: the object is {size:.4g} m long, more than 1 m; {advice}")
     if size < _MIN_SIZE_M:
         metres = "if the file is in metres, set its unit to m, or rename it without _mm"
         advice = metres if in_mm else "scale the mesh to metres"

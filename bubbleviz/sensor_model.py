@@ -48,8 +48,8 @@ class SensorModel:
         shape = own.height, own.width
         if intrinsics is not None and (intrinsics.height, intrinsics.width) != shape:
             raise InputError(
-                f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, the "
-                f"recording's {intrinsics.width}×{intrinsics.height}; choose the sensor "
+                f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, but the "
+                f"intrinsics are for {intrinsics.width}×{intrinsics.height}; choose the sensor "
                 "file of this camera"
             )
         if sensor.calibration is not None:

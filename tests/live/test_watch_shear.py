@@ -123,7 +123,7 @@ def test_without_colour_depth_alone_is_reported():
     [
         (["--friction", "-0.5"], "--friction"),
         (["--colour-delay", "-0.05"], "--colour-delay needs --shear"),
-        (["--shear"], "shear requires the exact membrane; choose --solver rubber"),
+        (["--shear"], "cannot estimate shear; choose --solver rubber"),
     ],
 )
 def test_impossible_options_are_reported(tmp_path, options, said):

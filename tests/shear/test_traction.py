@@ -168,6 +168,6 @@ def test_torque_and_its_sigma_about_any_point():
 
 def test_the_linear_membrane_is_refused_in_one_sentence():
     pipeline = Pipeline.of(sensor(200), options=EstimatorOptions("linear"))
-    expected = "shear requires the exact membrane; choose --solver rubber"
+    expected = "solver linear: cannot estimate shear; choose --solver rubber"
     with pytest.raises(InputError, match=expected):
         pipeline.prepare(frozenset({"traction"}))
