@@ -100,6 +100,6 @@ async def _kind_of_server(address: str) -> str:
 
 def _lost(address: str) -> InputError:
     return InputError(
-        f"--scheduler {address}: the connection to the scheduler is lost; restart it and continue "
-        "with --resume"
+        f"--scheduler {address}: the connection to the scheduler is lost; check or restart the "
+        "scheduler, and continue with --resume"
     )
