@@ -70,7 +70,7 @@ def _validation_pictures(validation: Validation) -> list[dict[str, str]]:
     patches = validation.predicted_patch + 2.0 * validation.measured_patch
     return [
         _picture("Known press: distance of the cloud", "from the predicted membrane, inside: < 0",
-                 1e3 * validation.distance_image_m, "mm", (-limit, limit), _DIVERGING),
+                 1e3 * validation.distance_m, "mm", (-limit, limit), _DIVERGING),
         _picture("Known press: patches", "0 none, 1 predicted only, 2 estimated only, 3 both",
                  patches, "", (0.0, 3.0)),
     ]  # fmt: skip

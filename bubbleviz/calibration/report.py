@@ -237,7 +237,7 @@ def _validation(validation: Validation | None) -> dict[str, Any] | None:
         "rms_m": validation.rms_m,
         "p95_m": validation.p95_m,
         "untouched_rms_m": validation.untouched_rms_m,
-        "points": len(validation.distance_m),
+        "points": len(validation.points_m),
         "patch_overlap": overlap if np.isfinite(overlap) else None,
         "predicted_force_n": validation.predicted_force_n.tolist(),
         "measured_force_n": validation.measured_force_n.tolist(),

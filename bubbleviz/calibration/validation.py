@@ -30,12 +30,9 @@ class Validation:
 
     # (k, 3), measured cloud in B (mean of the frames), less the calibrated bias, m
     points_m: np.ndarray
-    # (k,), signed distance of each point from the predicted membrane, positive outside, m
+    # (H, W), signed distance of each of them from the predicted membrane, positive outside, m; NaN
+    # in pixels without one
     distance_m: np.ndarray
-    pixels: np.ndarray  # (k,) int, flat pixel indices
-    # rms_m, p95_m: root mean square, and 95th percentile of the absolute distance, m
-    rms_m: float
-    p95_m: float
     # rms distance of the cloud from the membrane without contact, for comparison, m
     untouched_rms_m: float
     # predicted_patch, measured_patch: (H, W) bool, pixels that see the contact, by the forward
@@ -46,6 +43,16 @@ class Validation:
     # predicted_force_n, measured_force_n: (3,), on the membrane in B
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square of the distance, m."""
+        return float(np.sqrt(np.nanmean(self.distance_m**2)))
+
+    @property
+    def p95_m(self) -> float:
+        """95th percentile of the absolute distance, m."""
+        return float(np.nanpercentile(np.abs(self.distance_m), 95.0))
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -78,13 +85,6 @@ class Validation:
                 not overlap >= LEAST_OVERLAP,
             ),
         )
-
-    @property
-    def distance_image_m(self) -> np.ndarray:
-        """Signed distance in the pixel of each point, (H, W), m; NaN where there is none."""
-        image = np.full(self.predicted_patch.shape, np.nan)
-        image.ravel()[self.pixels] = self.distance_m
-        return image
 
 
 @dataclass(frozen=True)
@@ -135,9 +135,9 @@ def validate(
         )
     view = MembraneView(model.camera, mesh)
     measured = model.range_image(frame.depth_m).astype(float)
-    distance, pixels = _distance(view, measured, contact.displacement_m)
-    untouched, _ = _distance(view, measured, np.zeros(len(mesh.nodes)))
-    if not len(distance):
+    distance = _distance(view, measured, contact.displacement_m)
+    untouched = _distance(view, measured, np.zeros(len(mesh.nodes)))
+    if not np.isfinite(distance).any():
         raise InputError(
             "validation: no valid pixel sees the membrane; choose the sensor file of this camera"
         )
@@ -150,12 +150,9 @@ def validate(
         estimated, force = result.patch.pixel_mask, result.patch.force_n
     union = int(np.count_nonzero(predicted | estimated))
     return Validation(
-        points_m=model.camera.points_at(measured, pixels),
+        points_m=model.camera.points_at(measured, np.flatnonzero(np.isfinite(distance))),
         distance_m=distance,
-        pixels=pixels,
-        rms_m=_rms(distance),
-        p95_m=float(np.percentile(np.abs(distance), 95.0)),
-        untouched_rms_m=_rms(untouched),
+        untouched_rms_m=float(np.sqrt(np.nanmean(untouched**2))),
         predicted_patch=predicted,
         measured_patch=estimated,
         patch_overlap=np.count_nonzero(predicted & estimated) / union if union else float("nan"),
@@ -178,22 +175,16 @@ def mean_frame(frames: Sequence[Frame]) -> Frame:
     )
 
 
-def _distance(
-    view: MembraneView, measured_m: np.ndarray, displacement_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distance of the measured points from the membrane, to first order, and their pixels.
+def _distance(view: MembraneView, measured_m: np.ndarray, displacement_m: np.ndarray) -> np.ndarray:
+    """Signed distance of the measured points from the membrane, to first order, (H, W), m.
 
-    The difference of ranges along the ray, projected onto the facet's normal.
+    The difference of ranges along the ray, projected onto the facet's normal; NaN without either.
     """
     hits = view.hits(displacement_m)
     nodes = view.mesh.deformed(displacement_m)[view.mesh.triangles[hits.triangle]]
     normal = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     facing = np.einsum("ij,ij->i", normal, view.camera.directions[hits.ray])
-    distance = (measured_m.ravel()[hits.ray] - hits.range_m) * facing
-    known = np.isfinite(distance)
-    return distance[known], hits.ray[known]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    distance = np.full(measured_m.shape, np.nan)
+    distance.ravel()[hits.ray] = (measured_m.ravel()[hits.ray] - hits.range_m) * facing
+    return distance

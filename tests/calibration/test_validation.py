@@ -47,7 +47,7 @@ def test_prediction_matches_the_cloud(model, press):
     truth = press.truth(11).force_n
     # Other mesh, sharp edge: contact begins and ends with whole nodes.
     assert found.predicted_force_n == pytest.approx(truth, abs=0.12 * np.linalg.norm(truth))
-    assert len(found.points_m) == len(found.distance_m) == len(found.pixels)
+    assert len(found.points_m) == np.count_nonzero(np.isfinite(found.distance_m))
 
 
 def test_wrong_pose_is_detected(model, press):

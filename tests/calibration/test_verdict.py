@@ -145,11 +145,9 @@ def test_least_squares_disagree_beyond_the_interval_and_two_percent(ball, relati
     ],
 )
 def test_poorly_predicted_known_press_needs_a_check(left, overlap, why):
-    nothing, none = np.zeros(0), np.zeros((2, 2), bool)
-    force = np.zeros(3)
-    press = Validation(
-        nothing, nothing, nothing, left, left, 4e-3, none, none, overlap, force, force
-    )
+    points, none, force = np.zeros((4, 3)), np.zeros((2, 2), bool), np.zeros(3)
+    distance = np.full((2, 2), left)
+    press = Validation(points, distance, 4e-3, none, none, overlap, force, force)
     line = press.summary
     assert len(press.failures) == len(why)
     assert all(word in text for word, text in zip(why, press.failures, strict=True))

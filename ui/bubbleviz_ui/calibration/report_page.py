@@ -199,7 +199,7 @@ class ValidationPage(Page):
         found = answer.draft.validation
         self.paint.setEnabled(found is not None)
         self.numbers.setVisible(found is not None)
-        image = found.distance_image_m if found is not None else None
+        image = found.distance_m if found is not None else None
         limit = 3.0 * found.rms_m if found is not None else 1e-3
         title = "Distance of the points from the predicted membrane"
         self.view.show_image(title, image, units.fine_length, -limit, limit)
@@ -234,7 +234,8 @@ class ValidationPage(Page):
     def _paint(self) -> None:
         found = self.calibration.answer.draft.validation
         if found is not None:
-            self.painted.emit(found.points_m, found.distance_m)
+            known = np.isfinite(found.distance_m)
+            self.painted.emit(found.points_m, found.distance_m[known])
 
     def _lay_out(self) -> None:
         self.column.addWidget(self.view)
