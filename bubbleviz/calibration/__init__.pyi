@@ -8,7 +8,6 @@ from .ellipsoid import (
 )
 from .identification import (
     Identification as Identification,
-    assemble as assemble,
     rest_gauge as rest_gauge,
 )
 from .material import (

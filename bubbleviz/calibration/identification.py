@@ -10,7 +10,7 @@ import numpy as np
 
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import Surfaces
-from bubbleviz.calibration.tension import Quantity, TensionEstimate
+from bubbleviz.calibration.tension import TensionEstimate
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 class Identification:
     """A sensor identified from its contact-free frames."""
 
-    # with the shape "spherical_cap" where the sphere was chosen, else "mesh"; `write_sensor` writes
-    # the mesh file
-    sensor: Sensor
     given: Sensor  # the sensor file before identification
     samples: FrameSamples
     surfaces: Surfaces
@@ -58,18 +55,29 @@ class Identification:
         return self.tension.tension.value
 
     @property
-    def gauge(self) -> Quantity | None:
-        """Gauge pressure, Pa, whose error is part of γ0's interval; None: of unknown error."""
-        if self.rubber is not None and self.rubber.gauge is not None:
-            return self.rubber.gauge
-        pneumatics = self.sensor.pneumatics
-        sigma = pneumatics.gauge_sigma_pa
-        return None if sigma is None else Quantity.normal(pneumatics.gauge_pressure_pa, sigma)
-
-    @property
     def gauge_source(self) -> str:
         """Source of the gauge pressure, as text."""
         return "the sensor file" if self.rubber is None else self.rubber.gauge_source
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """The sensor identified.
+
+        Its shape is "spherical_cap" where the sphere was chosen, else "mesh"; `write_sensor` writes
+        the mesh file.
+        """
+        statistics, surfaces = self.samples.statistics, self.surfaces
+        pneumatics = self.given.pneumatics.model_copy(update=self._pressures())
+        stretch = None if self.rubber is None else self.rubber.prestretch
+        before = self.given.membrane.prestretch
+        prestretch = before if stretch is None else round(stretch.value, 4)
+        update = {
+            "membrane": _membrane_section(surfaces, prestretch),
+            "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
+            "camera": _camera_section(self.given.camera, surfaces.camera, statistics, self.pixels),
+            "calibration": None,
+        }
+        return self.given.model_copy(update=update)
 
     @cached_property
     def model(self) -> SensorModel:
@@ -80,6 +88,19 @@ class Identification:
     def modelled_range_m(self) -> np.ndarray:
         """Range of the reference surface, (H, W), m; NaN where the ray misses it."""
         return self.statistics.range_m - self.surfaces.residual_m
+
+    def _pressures(self) -> dict[str, float | None]:
+        """Pressures and γ0 for the sensor file."""
+        gauge, known = self.tension.gauge_pressure_pa, self.tension.gauge
+        values = {
+            "gauge_pressure_pa": round(gauge, 1),
+            "gauge_sigma_pa": None if known is None else round(known.sigma, 1),
+            "tension_n_per_m": round(self.tension_n_per_m, 3),
+        }
+        if self.samples.gas_pressure_pa is not None:
+            absolute = float(np.median(self.samples.gas_pressure_pa))
+            values["atmospheric_pressure_pa"] = round(absolute - gauge, 1)
+        return values
 
 
 def rest_gauge(samples: FrameSamples, sensor: Sensor) -> tuple[float, float | None]:
@@ -113,48 +134,6 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor) -> tuple[float, float | No
             "the sensor file, or inflate the bubble"
         )
     return gauge, WEATHER_SIGMA_PA
-
-
-def assemble(
-    sensor: Sensor,
-    samples: FrameSamples,
-    surfaces: Surfaces,
-    pixels: PixelModel,
-    tension: TensionEstimate,
-) -> Identification:
-    """Combine the results of all steps into a sensor."""
-    sigma = rest_gauge(samples, sensor)[1]
-    pneumatics = sensor.pneumatics.model_copy(update=pressures(samples, tension, sigma))
-    update = {
-        "membrane": _membrane_section(surfaces, sensor.membrane.prestretch),
-        "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
-        "camera": _camera_section(sensor.camera, surfaces.camera, samples.statistics, pixels),
-        "calibration": None,
-    }
-    return Identification(
-        sensor=sensor.model_copy(update=update),
-        given=sensor,
-        samples=samples,
-        surfaces=surfaces,
-        pixels=pixels,
-        tension=tension,
-    )
-
-
-def pressures(
-    samples: FrameSamples, tension: TensionEstimate, gauge_sigma_pa: float | None
-) -> dict[str, float | None]:
-    """Pressures and γ0 for the sensor file."""
-    gauge = tension.gauge_pressure_pa
-    values = {
-        "gauge_pressure_pa": round(gauge, 1),
-        "gauge_sigma_pa": None if gauge_sigma_pa is None else round(gauge_sigma_pa, 1),
-        "tension_n_per_m": round(tension.tension.value, 3),
-    }
-    if samples.gas_pressure_pa is not None:
-        absolute = float(np.median(samples.gas_pressure_pa))
-        values["atmospheric_pressure_pa"] = round(absolute - gauge, 1)
-    return values
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.calibration.identification import Identification, pressures, rest_gauge
+from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rest_frames import FrameSamples, collect
 from bubbleviz.calibration.rubber_problem import LARGEST_Q, SMALLEST_Q, Fit, RubberProblem
 from bubbleviz.calibration.tension import Quantity
@@ -159,18 +159,8 @@ def with_rubber(
     if vented is None and not shapes:
         return found
     rubber = _estimate(found, shapes, vented, level_sigma_pa, pressed=not levels)
-    tension, sensor, section = found.tension, found.sensor, {}
-    if rubber.gauge is not None:
-        tension = tension.under(rubber.gauge)
-        section = pressures(found.samples, tension, rubber.gauge.sigma)
-    stretch = {}
-    if rubber.prestretch is not None:
-        stretch = {"prestretch": round(rubber.prestretch.value, 4)}
-    update = {
-        "membrane": sensor.membrane.model_copy(update=stretch),
-        "pneumatics": sensor.pneumatics.model_copy(update=section),
-    }
-    return replace(found, sensor=sensor.model_copy(update=update), tension=tension, rubber=rubber)
+    tension = found.tension if rubber.gauge is None else found.tension.under(rubber.gauge)
+    return replace(found, tension=tension, rubber=rubber)
 
 
 def _estimate(
@@ -186,7 +176,7 @@ def _estimate(
     known = RubberEstimate(None, None, "given", text, "press" if pressed else "levels")
     samples, tension = found.samples, found.tension
     gauge, gas = tension.gauge_pressure_pa, samples.gas_pressure_pa
-    sigma = rest_gauge(samples, found.given)[1] or WEATHER_SIGMA_PA
+    sigma = WEATHER_SIGMA_PA if tension.gauge is None else tension.gauge.sigma
     if vented is not None:
         if gas is None:
             raise InputError(

@@ -96,7 +96,7 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
 def _intervals(found: Identification) -> dict[str, Any]:
     """Intervals and sources of gauge pressure and λ for the sensor file."""
     keys: dict[str, Any] = {}
-    if (gauge := found.gauge) is not None:
+    if (gauge := found.tension.gauge) is not None:
         keys["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
         keys["gauge_from"] = found.gauge_source
     if (rubber := found.rubber) is not None and (stretch := rubber.prestretch) is not None:

@@ -132,6 +132,14 @@ class TensionEstimate:
         return self.tension.value / self.gauge_pressure_pa
 
     @property
+    def gauge(self) -> Quantity | None:
+        """Gauge pressure, Pa, whose error is part of γ0's interval; None: of unknown error."""
+        part = self.parts.get("gauge_pressure")
+        if part is None:
+            return None
+        return Quantity.normal(self.gauge_pressure_pa, part / self.per_pascal)
+
+    @property
     def of_shape(self) -> Quantity:
         """γ0 with the error of the shape alone, at an exact gauge pressure, N/m."""
         exact = self.gauge_pressure_pa

@@ -144,7 +144,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 
 def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
     """γ0, gauge pressure and λ with their sources, and what would narrow their intervals."""
-    tension, rubber, gauge = found.tension, found.rubber, found.gauge
+    tension, rubber, gauge = found.tension, found.rubber, found.tension.gauge
     vented = rubber is not None and rubber.gauge_from == "vented"
     chamber = "record the open chamber for ten seconds (--vented)"
     gauge_text = f"{pressure(tension.gauge_pressure_pa)}, error unknown"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.identification import Identification, assemble, rest_gauge
+from bubbleviz.calibration.identification import Identification, rest_gauge
 from bubbleviz.calibration.material import Vented, collect_press, with_rubber
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rest_frames import (
@@ -184,7 +184,7 @@ class Workbench:
                 (draft.ranges, settings.nodes, settings.surface, settings.vented),
                 lambda: estimate_tension(samples, surfaces, *gauge, progress),
             )
-        return assemble(sensor, samples, surfaces, _known(draft.pixels), tension)
+        return Identification(sensor, samples, surfaces, _known(draft.pixels), tension)
 
     def _with_rubber(
         self,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from bubbleviz.calibration import (
+    Identification,
     Quantity,
     Vented,
-    assemble,
     collect,
     identify,
     judge,
@@ -84,10 +84,9 @@ def identified(dome):
 
     def of(**pneumatics):
         sensor = sensor_file(**pneumatics)
-        gauge, _ = rest_gauge(once.samples, sensor)
-        tension = once.tension.under(Quantity(gauge, gauge, gauge))
+        tension = once.tension.under(Quantity.normal(*rest_gauge(once.samples, sensor)))
         parts = once.samples, once.surfaces, once.pixels, tension
-        return with_rubber(assemble(sensor, *parts), levels)
+        return with_rubber(Identification(sensor, *parts), levels)
 
     return of
 

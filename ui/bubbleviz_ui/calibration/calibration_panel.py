@@ -101,7 +101,7 @@ class CalibrationPanel(QWidget):
         if found is None or initial is None:
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
-        named = replace(found, sensor=found.sensor.model_copy(update={"name": path.stem}))
+        named = replace(found, given=found.given.model_copy(update={"name": path.stem}))
 
         def job(progress: Progress) -> None:
             from bubbleviz.calibration import save  # not at start

@@ -101,7 +101,7 @@ class RectificationPage(Page):
         else:
             stretch = "{}, 95 % interval {} … {}".format(*rubber.prestretch.texts(3))
         self.numbers.set("λ", stretch)
-        gauge = found.gauge if found is not None else None
+        gauge = found.tension.gauge if found is not None else None
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
         rests_on = "the sensor file" if found is None else found.gauge_source
