@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bubbleviz.calibration import Quantity, Vented, collect, identify, with_rubber
+import bubbleviz as bv
+from bubbleviz.calibration import Quantity, Vented, collect, with_rubber
 from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber, InflatedSensor
 from bubbleviz.study.harness import (
     Case,
@@ -126,8 +127,10 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     truths = rubber.tension_n_per_m, rubber.prestretch, rubber.gauge_pressure_pa
     for known, opened in (("levels", None), ("vented", vented)):
         given = opened.set_in(sensor) if opened else sensor
-        found = identify(rest, given, range(grid.frames), nodes=grid.nodes)
-        found = with_rubber(found, levels, opened)
+        alone = bv.identify(
+            rest, given, contact_free=range(grid.frames), nodes=grid.nodes, held_press=False
+        )
+        found = with_rubber(alone.found, levels, opened)
         numbers: list[Quantity | None] = [None] * len(QUANTITIES)
         if found.rubber is not None and found.rubber.gauge is not None:
             numbers = [found.tension.tension, found.rubber.prestretch, found.rubber.gauge]

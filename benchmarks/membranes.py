@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 
-from bubbleviz.calibration import collect, identify, with_rubber
+import bubbleviz as bv
+from bubbleviz.calibration import collect, with_rubber
 from bubbleviz.camera import DepthCamera
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
@@ -87,5 +88,7 @@ def _identified(rubber: InflatedRubber, seed: int, noise: DepthNoise) -> SensorM
         rubber.recording(level, seed + k, noise, _FRAMES) for k, level in enumerate(levels)
     )
     drawn = rubber.sensor()
-    found = identify(rest, drawn, range(_FRAMES), nodes=_NODES)
+    found = bv.identify(
+        rest, drawn, contact_free=range(_FRAMES), nodes=_NODES, held_press=False
+    ).found
     return with_rubber(found, [collect(level, drawn, range(_FRAMES)) for level in others]).model

@@ -70,7 +70,6 @@ from .workbench import (
     Settings as Settings,
     Step as Step,
     Workbench as Workbench,
-    identify as identify,
 )
 from .wrench_comparison import (
     Interval as Interval,

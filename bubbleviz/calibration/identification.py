@@ -47,10 +47,6 @@ class Identification:
         return self.surfaces.mesh
 
     @property
-    def statistics(self) -> DepthStatistics:
-        return self.samples.statistics
-
-    @property
     def tension_n_per_m(self) -> float:
         return self.tension.tension.value
 
@@ -87,7 +83,7 @@ class Identification:
     @property
     def modelled_range_m(self) -> np.ndarray:
         """Range of the reference surface, (H, W), m; NaN where the ray misses it."""
-        return self.statistics.range_m - self.surfaces.residual_m
+        return self.samples.statistics.range_m - self.surfaces.residual_m
 
     def _pressures(self) -> dict[str, float | None]:
         """Pressures and γ0 for the sensor file."""

@@ -42,7 +42,8 @@ def local_tension_image(found: Identification) -> np.ndarray:
 
 
 def pictures(found: Identification, validation: Validation | None) -> list[dict[str, str]]:
-    statistics, residual, mask = found.statistics, found.surfaces.residual_m, found.pixels.mask
+    statistics, mask = found.samples.statistics, found.pixels.mask
+    residual = found.surfaces.residual_m
     limit = 3.0 * float(np.std(residual[mask]))
     top = float(np.nanpercentile(statistics.noise_m[mask], 99.0))
     (before, after), tension = before_after(found), found.tension_n_per_m

@@ -51,7 +51,7 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
     lost = int(np.count_nonzero(pixels.mask & ~known))
     line = RangeLine(
         slope=np.where(mask, slope, 1.0),
-        rest_m=np.where(mask, found.statistics.range_m, 0.0),
+        rest_m=np.where(mask, found.samples.statistics.range_m, 0.0),
         nearest_m=np.where(mask, nearest, 0.0),
         farthest_m=np.where(mask, farthest, 0.0),
         levels=len(every),

@@ -132,7 +132,7 @@ def summary(
 ) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
-    statistics, cap = found.statistics, surfaces.cap
+    statistics, cap = found.samples.statistics, surfaces.cap
     pressed = () if validation is None else (validation.summary,)
     return {
         "verdict": asdict(verdict) | {"advice": [*verdict.advice, *pressed]},

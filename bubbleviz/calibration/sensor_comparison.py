@@ -57,7 +57,7 @@ def compare(old: Sensor, new: Identification) -> Comparison:
             f"{old.name}: its images have {old.camera.width}×{old.camera.height} pixels, those of "
             f"the new sensor {intrinsics.width}×{intrinsics.height}; compare sensors of one camera"
         )
-    measured = np.where(new.pixels.mask, new.statistics.range_m, np.nan)
+    measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
     models = SensorModel.of(old, intrinsics), new.model
     before, after = (_numbers(model, measured) for model in models)
     stretch, known = None if new.rubber is None else new.rubber.prestretch, old.calibration

@@ -8,7 +8,7 @@ at once.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -235,23 +235,6 @@ class Workbench:
                 results.popitem(last=False)
         results.move_to_end(inputs)
         return results[inputs]  # type: ignore[return-value]
-
-
-def identify(
-    source: FrameSource,
-    sensor: Sensor,
-    contact_free: Sequence[int] | None = None,
-    *,
-    nodes: int = 1000,
-    surface: SurfaceName | None = None,
-    progress: Progress = quiet,
-) -> Identification:
-    """Identify a sensor from contact-free frames alone; arguments as in `bubbleviz.identify`."""
-    ranges = None if contact_free is None else as_ranges(contact_free)
-    settings = Settings(
-        Step.TENSION, ranges, surface=surface, nodes=nodes, held_press=False, search=False
-    )
-    return _known(Workbench(source, sensor).work(settings, progress).found)
 
 
 @contextmanager

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import identify, write_sensor
+from bubbleviz.calibration import write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import balance_tension, build_mesh, mesh_cap, spherical_cap
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
 
+from .identified import identify
 from .twin import ATMOSPHERE, FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias
 
 
@@ -74,7 +75,8 @@ def test_tension_and_noise(twin, found):
     assert by_shape.low < truth < by_shape.high and by_shape.half_width < 0.05 * truth
     assert found.surfaces.chosen == "free-form"
     assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE, abs=5.0)
-    assert found.statistics.noise_m[found.pixels.mask].mean() == pytest.approx(6e-5, rel=0.4)
+    noise = found.samples.statistics.noise_m[found.pixels.mask]
+    assert noise.mean() == pytest.approx(6e-5, rel=0.4)
 
 
 def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path):

@@ -14,7 +14,6 @@ from bubbleviz.calibration import (
     Quantity,
     Vented,
     collect,
-    identify,
     judge,
     rest_gauge,
     with_rubber,
@@ -33,6 +32,8 @@ from tests.rubber_renders import (
     render,
     rubber_truth,
 )
+
+from .identified import identify
 
 FRAMES, NODES = 10, 500
 WEATHER = 2e3 / 1.96

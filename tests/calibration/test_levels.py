@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.calibration import Settings, Step, Workbench, identify, write_sensor
+from bubbleviz.calibration import Settings, Step, Workbench, write_sensor
 from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
@@ -18,6 +18,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 
 from .domes import Dome
+from .identified import identify
 
 QUIET = DepthNoise(absolute_m=5e-5)
 STRETCH = 0.02
@@ -74,7 +75,7 @@ def test_levels_determine_the_prestretch(found):
 def test_frames_at_rest_stay_without_contact(found):
     plain, rectified = found
     mask, line = rectified.pixels.mask, rectified.pixels.line
-    rest = np.where(mask, rectified.statistics.range_m, np.nan)
+    rest = np.where(mask, rectified.samples.statistics.range_m, np.nan)
     np.testing.assert_allclose(line.straighten(rest)[mask], rest[mask], atol=1e-12)
     assert mask.sum() <= plain.pixels.mask.sum()
     removed = rectified.pixels.removed

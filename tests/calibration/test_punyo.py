@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import collect, collect_press, identify, with_rubber, write_sensor
+from bubbleviz.calibration import collect, collect_press, with_rubber, write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.files import file_hash
@@ -14,6 +14,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording, find_contact_free
 from bubbleviz.sensor import load_sensor
 
+from .identified import identify
 from .twin import residuals_and_bias
 
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"

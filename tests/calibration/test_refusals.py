@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import identify
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 
+from .identified import identify
 from .twin import ATMOSPHERE, FREE, cast, make_twin, nominal_sensor
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bubbleviz.calibration import Vented, collect, identify, with_rubber
+from bubbleviz.calibration import Vented, collect, with_rubber
 from bubbleviz.cli.verb_commands import identify as command
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, prestressed
@@ -19,6 +19,8 @@ from bubbleviz.simulation import ATMOSPHERE_PA
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.round_sheet import round_sheet
 from tests.oracles.rubber_oracle import AxialRubber
+
+from .identified import identify
 
 G = 2500.0
 SHEET = round_sheet(0.045, 110.0, 1.15, G)

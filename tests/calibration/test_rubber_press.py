@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Vented, collect_press, identify, summary, with_rubber
+from bubbleviz.calibration import Vented, collect_press, summary, with_rubber
 from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import (
     EllipsoidalCap,
@@ -20,6 +20,8 @@ from bubbleviz.recordings import measure_depth
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, InflatedSensor
+
+from .identified import identify
 
 RIM, HEIGHT, G = (0.045, 0.038), 0.022, 4000.0
 STRETCH, MU_H = 1.2, 90.0

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import bubbleviz as bv
-from bubbleviz.calibration import identify, write_sensor
+from bubbleviz.calibration import write_sensor
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, MembraneMesh, build_rubber
@@ -17,6 +17,7 @@ from bubbleviz.recordings import RecordingWriter
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 
+from .identified import identify
 from .twin import FREE, cast, make_twin, nominal_sensor
 
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"

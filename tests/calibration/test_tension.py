@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, covariances, identify
+from bubbleviz.calibration import Quantity, covariances
 from bubbleviz.membrane import (
     EllipsoidalCap,
     MembraneMesh,
@@ -17,6 +17,7 @@ from bubbleviz.membrane import (
 from bubbleviz.simulation import DepthNoise
 
 from .domes import GAUGE, oval, sphere
+from .identified import identify
 
 SEEDS = 20 if "TEST_ALL" in os.environ else 2
 TRUTH = GAUGE * 0.08125 / 2.0

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, Validation, identify, judge
+from bubbleviz.calibration import Quantity, Validation, judge
 from bubbleviz.simulation import DepthNoise
 
 from .domes import Dome, sphere
+from .identified import identify
 
 NOISE = DepthNoise(relative=0.003)
 

@@ -16,7 +16,6 @@ from bubbleviz.calibration import (
     as_ranges,
     compare,
     frame_numbers,
-    identify,
     save,
     write_sensor,
 )
@@ -25,6 +24,7 @@ from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import HeldFrames
 
 from .domes import sphere
+from .identified import identify
 
 NODES = 200
 LONG = "TEST_ALL" in os.environ
