@@ -12,6 +12,7 @@ the camera's fixed pattern, a larger one misses part of the shape.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,10 +57,6 @@ class FreeForm:
         return self.efficiency * self.weights[:, None] * (self.D @ adjoint)
 
 
-Normal = tuple[sparse.csc_array, np.ndarray]
-"""Normal equations: matrix n×n and right side (n,)."""
-
-
 def fit_free_form(
     start: MembraneMesh,  # mesh of the fitted cap in B
     camera: DepthCamera,
@@ -78,7 +75,7 @@ def fit_free_form(
     prior = _prior(start, scale_m)
     fold = fold_of(pixels, use.shape[1], tile_px)
     correction = np.zeros(len(start.nodes))
-    smoothing = left_out = float("nan")
+    smoothing = left_out_rms = float("nan")
     left_out_image = np.full(range_m.size, np.nan)
     for k in range(_RELINEARISATIONS):
         nodes = start.nodes + correction[:, None] * arms
@@ -94,16 +91,20 @@ def fit_free_form(
         if k < 2:  # later rounds move by micrometres: λ stays
             near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse search
             tried = _DECADES[near] if k else _DECADES[::2]
-            smoothing, left_out, missed = _choose(D, target, weights, fold[hit], prior, unit, tried)
-            left_out_image[hits.ray] = missed
-        data_matrix, right = _normal(D, target, weights)
-        matrix = (data_matrix + prior * (smoothing * unit)).tocsc()
-        correction = symmetric_lu(matrix).solve(right)
+            priors = [prior * (10.0**decade * unit) for decade in tried]
+            errors = left_out(D, target, weights, fold[hit], priors)
+            squares = errors.astype(float) ** 2 @ weights / float(weights.sum())
+            best = int(np.argmin(squares))
+            smoothing, left_out_rms = float(10.0 ** tried[best]), float(np.sqrt(squares[best]))
+            left_out_image[hits.ray] = errors[best]
+        weighted = D.multiply(weights[:, None]).tocsr()
+        matrix = (weighted.T @ D + prior * (smoothing * unit)).tocsc()
+        correction = symmetric_lu(matrix).solve(weighted.T @ target)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
     return FreeForm(
         mesh=mesh,
-        left_out_rms_m=left_out,
+        left_out_rms_m=left_out_rms,
         residual_m=range_m - MembraneView(camera, mesh).rest_range,
         left_out_m=left_out_image.reshape(range_m.shape),
         pixels=hits.ray,
@@ -131,38 +132,27 @@ def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
     return (row // tile_px * 2 + column // tile_px) % FOLDS
 
 
-def _normal(D: sparse.csr_array, target: np.ndarray, weights: np.ndarray) -> Normal:
-    weighted = D.multiply(weights[:, None]).tocsr()
-    return (weighted.T @ D).tocsc(), weighted.T @ target
-
-
 def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) -> float:
     """λ at which data and prior have equal trace."""
     return float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
 
 
-def _choose(
-    D: sparse.csr_array,
-    target: np.ndarray,
-    weights: np.ndarray,
-    fold: np.ndarray,
-    prior: sparse.csc_array,
-    unit: float,
-    decades: np.ndarray,  # log10 of the λ / unit to try
-) -> tuple[float, float, np.ndarray]:
-    """λ / unit of least cross-validation error, its rms error and errors (k,), m."""
-    parts = [_normal(D[fold == k], target[fold == k], weights[fold == k]) for k in range(FOLDS)]
-    all_folds = _normal(D, target, weights)
-    errors = np.zeros(len(decades))
-    missed = np.empty((len(decades), len(target)), np.float32)
-    for k, part in enumerate(parts):
-        matrix, right = all_folds[0] - part[0], all_folds[1] - part[1]
-        rows, wanted, weight = D[fold == k], target[fold == k], weights[fold == k]
-        for j, decade in enumerate(decades):
-            regularised = (matrix + prior * (10.0**decade * unit)).tocsc()
-            error = wanted - rows @ symmetric_lu(regularised).solve(right)
-            errors[j] += float(np.sum(weight * error**2))
-            missed[j, fold == k] = error
-    errors /= float(weights.sum())
-    best = int(np.argmin(errors))
-    return float(10.0 ** decades[best]), float(np.sqrt(errors[best])), missed[best]
+def left_out(
+    D: sparse.csr_array,  # (k, n)
+    target: np.ndarray,  # (k,)
+    weights: np.ndarray,  # (k,)
+    fold: np.ndarray,  # (k,) int
+    priors: Sequence[sparse.csc_array],  # n×n, added to the normal matrix
+) -> np.ndarray:
+    """Errors of linear least squares with each prior, fitted without the fold of a row; (P, k)."""
+    weighted = D.multiply(weights[:, None]).tocsr()
+    matrix, right = weighted.T @ D, weighted.T @ target
+    errors = np.empty((len(priors), len(target)), np.float32)
+    for k in range(FOLDS):
+        own = fold == k
+        rest = matrix - weighted[own].T @ D[own]
+        rest_right = right - weighted[own].T @ target[own]
+        for error, prior in zip(errors, priors, strict=True):
+            solution = symmetric_lu((rest + prior).tocsc()).solve(rest_right)
+            error[own] = target[own] - D[own] @ solution
+    return errors

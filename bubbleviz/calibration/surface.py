@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
 
 from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
+from bubbleviz.calibration.free_form import FreeForm, fit_free_form, fold_of, left_out
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.segmentation import (
     away_from_edges,
@@ -181,33 +182,17 @@ def _left_out_squares(
     facing = np.einsum("ij,ij->i", caps[1].normals(points), camera.directions[pixels])
     missed = free_form.left_out_m.ravel()[pixels] * np.abs(facing)
     weights = tukey_weights(missed - np.median(missed), robust_sigma(missed))
-    errors = {
-        "sphere": _left_out_cap(caps[0], points, weights, fold, sphere=True),
-        "ellipsoid": _left_out_cap(caps[1], points, weights, fold, sphere=False),
-        "free-form": missed,
-    }
+    errors: dict[SurfaceName, np.ndarray] = {"free-form": missed}
+    for name, cap in zip(SURFACE_NAMES, caps, strict=False):  # refitted in one step
+        J = sparse.csr_array(cap.derivatives(points, sphere=name == "sphere"))
+        none = sparse.csc_array((J.shape[1], J.shape[1]))
+        errors[name] = left_out(J, cap.distance(points), weights, fold, [none])[0]
     total = np.maximum(np.bincount(tile, weights), 1e-9)
     counted = np.bincount(tile, weights > 0.0) > 0
     return {
         name: (np.bincount(tile, weights * errors[name] ** 2) / total)[counted]
         for name in SURFACE_NAMES
     }
-
-
-def _left_out_cap(
-    surface: Ellipsoid, points: np.ndarray, weights: np.ndarray, fold: np.ndarray, *, sphere: bool
-) -> np.ndarray:
-    """Distances of points (k,) from the cap refitted without their fold (in one step), m."""
-    J, now = surface.derivatives(points, sphere=sphere), surface.distance(points)
-    weighted = J * weights[:, None]
-    matrix, right = weighted.T @ J, weighted.T @ now
-    missed = np.empty(len(points))
-    for k in range(FOLDS):
-        own = fold == k
-        rest = matrix - weighted[own].T @ J[own]
-        step = -np.linalg.lstsq(rest, right - weighted[own].T @ now[own], rcond=1e-14)[0]
-        missed[own] = now[own] + J[own] @ step
-    return missed
 
 
 def _choose(squares: dict[SurfaceName, np.ndarray], facet_error_m: float) -> SurfaceName:
