@@ -12,6 +12,7 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -154,70 +155,61 @@ class Workbench:
         return self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
 
     def _tension(self, draft: Draft, progress: Progress) -> Draft:
-        settings = draft.settings
-        vented = None if settings.vented is None else self._vented(settings.vented)
-        found = self._at_rest(draft, vented, part_of(progress, 0.0, 0.5))
-        levels_progress = part_of(progress, 0.5, 0.6)
-        levels = [self._level(each, settings.nodes, levels_progress) for each in settings.levels]
-        found = rectify(found, levels)
-        found = self._cached(
-            "rubber",
-            replace(settings, press=None),
-            lambda: self._with_rubber(found, levels, vented, settings, part_of(progress, 0.6, 0.9)),
-        )
-        draft = replace(draft, pixels=found.pixels, found=found)
-        if (press := settings.press) is None:
-            return draft
-        progress("predicting the known press", 0.9)
-        validation = self._cached(
-            "validation", settings, lambda: press.validate(found.model, self.source)
-        )
-        return replace(draft, validation=validation)
-
-    def _at_rest(self, draft: Draft, vented: Vented | None, progress: Progress) -> Identification:
         settings, samples, surfaces = draft.settings, _known(draft.samples), _known(draft.surfaces)
-        sensor = self.sensor if vented is None else vented.set_in(self.sensor)
+        sensor, vented = self.sensor, None
+        if settings.vented is not None:
+            vented = self._of_other(settings.vented, "vented", Vented.measure)
+            sensor = vented.set_in(sensor)
         with _errors_name(self.source):
             gauge = rest_gauge(samples, sensor)
             tension = self._cached(
                 "tension",
                 (draft.ranges, settings.nodes, settings.surface, settings.vented),
-                lambda: estimate_tension(samples, surfaces, *gauge, progress),
+                lambda: estimate_tension(samples, surfaces, *gauge, part_of(progress, 0.0, 0.5)),
             )
-        return Identification(sensor, samples, surfaces, _known(draft.pixels), tension)
+        found = Identification(sensor, samples, surfaces, _known(draft.pixels), tension)
+        levels = [
+            self._of_other(each, settings.nodes, partial(self._level, draft, progress))
+            for each in settings.levels
+        ]
+        found = rectify(found, levels)
 
-    def _with_rubber(
-        self,
-        found: Identification,
-        levels: list[Level],
-        vented: Vented | None,
-        settings: Settings,
-        progress: Progress,
-    ) -> Identification:
-        use_press = settings.held_press and not levels
-        press = collect_press(self.source, found, progress) if use_press else None
-        progress("fitting the rubber", 0.0)
-        shapes = [samples for samples, _, _ in levels]
-        return with_rubber(found, shapes, vented, press, settings.level_sigma_pa)
+        def fit_rubber() -> Identification:
+            own = part_of(progress, 0.6, 0.9)
+            use_press = settings.held_press and not levels
+            press = collect_press(self.source, found, own) if use_press else None
+            own("fitting the rubber", 0.0)
+            shapes = [samples for samples, _, _ in levels]
+            return with_rubber(found, shapes, vented, press, settings.level_sigma_pa)
 
-    def _vented(self, frames: FrameSource | Path) -> Vented:
-        def measure() -> Vented:
-            with _opened(frames) as chamber:
-                return Vented.measure(chamber)
+        rubber = self._cached("rubber", replace(settings, press=None), fit_rubber)
+        draft = replace(draft, pixels=rubber.pixels, found=rubber)
+        if (press := settings.press) is None:
+            return draft
+        progress("predicting the known press", 0.9)
+        validation = self._cached(
+            "validation", settings, lambda: press.validate(rubber.model, self.source)
+        )
+        return replace(draft, validation=validation)
 
-        return self._cached(f"vented {frames}", (), measure)
-
-    def _level(self, frames: FrameSource | Path, nodes: int, progress: Progress) -> Level:
+    def _level(self, draft: Draft, progress: Progress, level: FrameSource) -> Level:
         """Frames, surface and pixels of a level, by the same steps."""
+        settings = Settings(Step.SURFACE, nodes=draft.settings.nodes)
+        found = Workbench(level, self.sensor).work(settings, part_of(progress, 0.5, 0.6))
+        return _known(found.samples), _known(found.surfaces), _known(found.pixels)
 
-        def measure() -> Level:
-            with _opened(frames) as level:
-                draft = Workbench(level, self.sensor).work(
-                    Settings(Step.SURFACE, nodes=nodes), progress
-                )
-            return _known(draft.samples), _known(draft.surfaces), _known(draft.pixels)
+    def _of_other(
+        self, frames: FrameSource | Path, inputs: Hashable, measure: Callable[[FrameSource], T]
+    ) -> T:
+        """Result of another source, from the cache or measured."""
 
-        return self._cached(f"level {frames}", nodes, measure)
+        def opened() -> T:
+            if not isinstance(frames, Path):
+                return measure(frames)
+            with Recording(frames) as recording:
+                return measure(CachedFrames(recording))
+
+        return self._cached(f"source {frames}", inputs, opened)
 
     def _select(
         self, draft: Draft, samples: FrameSamples, membrane: np.ndarray, residual_m: np.ndarray
@@ -246,16 +238,6 @@ def _errors_name(source: FrameSource) -> Iterator[None]:
         if source.name in str(error):
             raise
         raise InputError(f"{source.name}: {error}") from error
-
-
-@contextmanager
-def _opened(frames: FrameSource | Path) -> Iterator[FrameSource]:
-    """Frames as given, or those of a recording, closed afterwards."""
-    if not isinstance(frames, Path):
-        yield frames
-        return
-    with Recording(frames) as recording:
-        yield CachedFrames(recording)
 
 
 def _known(value: T | None) -> T:
