@@ -149,8 +149,8 @@ class Bag:
         files = sorted(f for f in self.path.iterdir() if f.suffix in (".mcap", ".db3"))
         if not files:
             raise InputError(
-                f"{self.path}: no recording in this folder; give one with metadata.yaml, "
-                ".mcap or .db3 files"
+                f"{self.path}: no recording in this folder; give one with metadata.yaml, .mcap or "
+                ".db3 files, or convert a folder of depth images first (bubbleviz convert)"
             )
         return files
 

@@ -73,7 +73,7 @@ class LazyChunk:
         if codec not in _DECOMPRESSORS:
             raise ValueError(f"unknown compression {codec[:20]!r}")
         if size > MAX_SIZE:
-            raise ValueError(f"a chunk of {size} bytes is implausibly large")
+            raise ValueError(f"a chunk of {size} bytes is above the limit of {MAX_SIZE}")
         self.size = size
         self._packed, self._piece = packed, _FIRST_PIECE
         self._inflater = _DECOMPRESSORS[codec]()
@@ -148,7 +148,7 @@ def decompress(data: bytes) -> bytes:
         out = zstd.ZstdDecompressor().decompress(data, MAX_SIZE)
         if len(out) < MAX_SIZE:
             return out
-    raise ValueError("a compressed message is implausibly large")
+    raise ValueError(f"a compressed message is above the limit of {MAX_SIZE} bytes")
 
 
 def check_unpacked(folder: Path) -> None:
@@ -160,8 +160,8 @@ def check_unpacked(folder: Path) -> None:
                 left -= len(piece)
                 if left < 0:
                     raise InputError(
-                        f"{file}: would fill more than half of the free disk space when unpacked; "
-                        f"free space in {tempfile.gettempdir()}"
+                        f"{folder}: its files would fill more than half of the free disk space "
+                        f"when unpacked; free space in {tempfile.gettempdir()}, or set TMPDIR"
                     )
 
 
@@ -218,7 +218,7 @@ class Ros1Storage:
                 opcode = Header.read(data).get_uint8("op")
                 size = read_uint32(data)
                 if size > MAX_SIZE:
-                    raise ValueError("a message is implausibly large")
+                    raise ValueError(f"a message of {size} bytes is above the limit of {MAX_SIZE}")
                 if opcode == RecordType.CONNECTION:
                     read_bytes(data, size)
             if opcode != RecordType.MSGDATA:
@@ -253,7 +253,7 @@ class SqliteStorage:
         with self._database.blob_open("main", "messages", "data", offset, False) as blob:
             size = blob.length()
             if size > MAX_SIZE:
-                raise ValueError("a message is implausibly large")
+                raise ValueError(f"a message of {size} bytes is above the limit of {MAX_SIZE}")
             return bytes(blob.read(size if limit is None else min(limit, size))), size
 
 
@@ -298,7 +298,7 @@ class McapStorage:
     """
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = FilePart(file, 0, os.fstat(file.fileno()).st_size)
+        self._name, self._file = file.name, FilePart(file, 0, os.fstat(file.fileno()).st_size)
         self._cache = ChunkCache(self._load)
         self._places: list[_ChunkPlace] = []
         # rows of `entries` by channel, one after the other, of messages without an index
@@ -307,7 +307,7 @@ class McapStorage:
         self._topics: dict[int, tuple[str, str]] = {}
         size = self._file.size
         if size == 0 or self._bytes(0, 8) != MAGIC:
-            raise ValueError("it is no MCAP file" if size else "the file is empty")
+            raise ValueError("it is not an MCAP file" if size else "the file is empty")
         self.is_cut = size < 16 or self._bytes(size - 8, 8) != MAGIC  # whether it has no end
         self.lost_bytes = 0  # bytes behind the last whole chunk of such a file
         counts: dict[int, int] = {}
@@ -449,7 +449,10 @@ class McapStorage:
             rows = self._found.setdefault(to, array("q"))
             rows.extend((min(log, 2**63 - 1), number, at))
             if len(rows) > 3 * _MAX_MESSAGES:
-                raise ValueError(f"more than {_MAX_MESSAGES} messages on a topic")
+                raise InputError(
+                    f"{self._name}: more than {_MAX_MESSAGES:,} messages on a topic without an "
+                    "index; run mcap recover to add one"
+                )
 
 
 def _records(data: FilePart | LazyChunk, at: int, stop: int) -> Iterator[tuple[int, int, int]]:

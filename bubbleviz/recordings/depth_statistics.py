@@ -253,8 +253,8 @@ def measure_depth(
     valid = np.isfinite(depth)
     if not valid.any():
         raise InputError(
-            "depth images: no pixel has a valid depth in any frame; uncover the camera, keep the "
-            "membrane beyond its shortest range, and record again"
+            "depth images: no pixel has a valid depth in any frame; uncover the camera, or keep "
+            "the membrane beyond the camera's shortest range, and record again"
         )
     quantum = _quantum(depth)
     mean, sigma, deviations = _clipped_moments(depth, quantum)

@@ -71,13 +71,14 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
         first = candidates[0].name
         raise InputError(
             f"{bag.path}: no depth images: {first} has encoding {encodings[first][:40]!r}; "
-            f"record depth images with encoding {' or '.join(DEPTH_ENCODINGS)}"
+            f"{'record' if name is None else 'choose a topic of'} depth images with encoding "
+            f"{' or '.join(DEPTH_ENCODINGS)}"
         )
     raise InputError(
         f"{bag.path}: no topic with depth images or point clouds; record the depth camera"
         if name is None
-        else f"{bag.path}: no depth images or point clouds on topic {name}; choose a topic that "
-        "bubbleviz info lists"
+        else f"{bag.path}: no depth images or point clouds on topic {name}; choose another topic "
+        "from bubbleviz info"
     )
 
 
@@ -110,8 +111,8 @@ def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") 
     topics.sort(key=lambda topic: common_prefix(topic.name, near), reverse=True)
     if name is not None and not topics:
         raise InputError(
-            f"{bag.path}: no {kind} messages on topic {name}; choose a topic that bubbleviz "
-            "info lists"
+            f"{bag.path}: no {kind} messages on topic {name}; choose a topic of this type from "
+            "bubbleviz info"
         )
     return topics[0] if topics else None
 

@@ -12,7 +12,7 @@ import numpy as np
 from bubbleviz.camera import ColourImage, Intrinsics
 from bubbleviz.errors import InputError
 
-NO_COLOUR = "no colour images in this source"
+NO_COLOUR = "no colour images of this sensor in a known encoding"
 SAME_CLOCK_NS = 5_000_000_000
 """Stamps further than this from the arrival are from another clock: age counts from arrival."""
 
@@ -151,7 +151,7 @@ class EqualImages:
         if self.most < FROZEN_AFTER:
             return ""
         return (
-            f"{self.most} depth images in a row are identical to the last bit: the camera hangs "
+            f"{self.most} depth images in a row were identical to the last bit: the camera hung "
             "(restart it), or this is a simulation without noise"
         )
 
@@ -221,7 +221,7 @@ class HeldFrames:
 
     def __getitem__(self, index: int) -> Frame:
         if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} of {len(self)}")
+            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.name}")
         return self._frames[index]
 
     def close(self) -> None:

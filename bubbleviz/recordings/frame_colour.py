@@ -27,7 +27,7 @@ class FrameColour:
                 return cls(reason="no colour image at this time")
             return cls(found.rgb(), found.camera)
         except InputError:  # the depth image can be used without it
-            return cls(reason="the colour image cannot be decoded")
+            return cls(reason="the colour image cannot be read")
 
     def aligned(self, depth: DepthCamera) -> bool:
         """Whether its pixels are those of the depth image."""
@@ -51,7 +51,8 @@ class Texture:
         camera = placed(colour.camera, depth)
         if colour.rgb is None or camera is None:
             nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)
-            return cls(colour, *nothing, colour.reason or "no camera info for the colour image")
+            why = colour.reason or "no intrinsics for a colour image of this size"
+            return cls(colour, *nothing, why)
         T, own = camera.T_B_C, camera.intrinsics
         points = (nodes_m - T[:3, 3]) @ T[:3, :3]
         before = points[:, 2] > 0.0

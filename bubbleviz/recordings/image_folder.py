@@ -152,8 +152,8 @@ class ImageFolder:
         frames = [k for k, number in enumerate(numbers) if number in files]
         if not frames:
             raise InputError(
-                f"{folder}: no JPEG or PNG file name has the last number of a depth image's; "
-                "rename them, or remove this folder"
+                f"{folder}: no JPEG or PNG has the same last number in its name as a depth image; "
+                "rename these files, or remove this folder"
             )
         stamps = [self._stamp_ns(k) for k in frames]
 
@@ -189,13 +189,13 @@ class ImageFolder:
             if self._intrinsics is None:
                 raise InputError(
                     f"{path}: unorganised points need the camera's intrinsics to become an image; "
-                    "give intrinsics, or put an intrinsics.toml into the folder"
+                    "give them (--intrinsics), or put an intrinsics.toml into the folder"
                 )
             return project_points(pixels.astype(np.float64), self._intrinsics)
         if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or pixels.dtype.itemsize < 2:
             raise InputError(
-                f"{path}: {pixels.shape} of {pixels.dtype} is not a depth image; export one "
-                "channel of 16-bit or floating-point numbers, or points x, y, z"
+                f"{path}: an array of shape {pixels.shape} and type {pixels.dtype} is not a depth "
+                "image; export one channel of 16-bit or floating-point numbers, or points x, y, z"
             )
         return pixels
 
@@ -212,8 +212,8 @@ class ImageFolder:
         if not MIN_DEPTH_M <= middle <= MAX_DEPTH_M:
             raise InputError(
                 f"{self._files[0]}: the median depth {middle:.4g} m is not between "
-                f"{MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m; correct metres_per_unit, the depth of a "
-                "pixel value of 1"
+                f"{MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m; correct the unit (--metres-per-unit), the "
+                "depth of a pixel value of 1"
             )
 
     def _stamps(self) -> np.ndarray:
@@ -223,7 +223,7 @@ class ImageFolder:
         if not np.isfinite(last).all() or last[0] < 1e6:  # counts, not times
             raise InputError(
                 f"{self.path}: the file names are not times in s or ns; give the rate of the "
-                "images, or put a times.csv with the time of each in s into the folder"
+                "images (--rate), or put a times.csv with the time of each in s into the folder"
             )
         if last[0] < _NANOSECONDS:
             return last
@@ -346,7 +346,7 @@ def _read(path: Path) -> np.ndarray:
             with Image.open(file, formats=("PNG", "TIFF")) as image:
                 if max(image.size) > MAX_SIDE:
                     raise ValueError(
-                        f"{image.width}×{image.height} pixels are too many for a depth camera"
+                        f"{image.width}×{image.height} pixels are more than {MAX_SIDE} a side"
                     )
                 return np.asarray(image)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import bubbleviz
-from bubbleviz.errors import InputError
 from bubbleviz.files import cannot_write, refuse_existing, sync
 from bubbleviz.recordings.message_encoding import Message, ros2_types
 
@@ -137,10 +136,6 @@ class McapFile:
 
     def _new_channel(self, topic: str, kind: str) -> int:
         types = ros2_types()
-        if kind not in types.fielddefs:
-            raise InputError(
-                f"{self.path}: {topic} has the unknown type {kind}; record it with ros2 bag"
-            )
         if kind not in self._schemas:
             definition, _ = types.generate_msgdef(kind, ros_version=2)
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", definition.encode())

@@ -86,14 +86,12 @@ def _decode_compressed(message: Any) -> np.ndarray:
     if COMPRESSED not in message.format or encoding not in DEPTH_ENCODINGS:
         raise ValueError(f"format is {message.format[:60]!r}, not depth in 16UC1 or 32FC1")
     if "rvl" in message.format.lower():
-        raise ValueError("depth is compressed by RVL, which is not supported; publish it as PNG")
+        raise ValueError("depth is compressed by RVL, but only PNG is supported")
     try:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
         size = _PNG_SIZE.unpack_from(data, _CONFIGURATION.size + 16)
         if max(size) > MAX_SIDE:  # Pillow warns of large ones when it opens them
-            raise ValueError(
-                f"a PNG of {size[0]}×{size[1]} pixels is larger than any depth camera's image"
-            )
+            raise ValueError(f"a PNG of {size[0]}×{size[1]} pixels has more than {MAX_SIDE} a side")
         with Image.open(io.BytesIO(data[_CONFIGURATION.size :]), formats=("PNG",)) as image:
             if not image.mode.startswith("I"):
                 raise ValueError(f"a PNG in mode {image.mode} is not a 16-bit depth image")
@@ -131,7 +129,10 @@ def decode_intrinsics(message: Any) -> Intrinsics | None:
         return None  # ROS: K = 0 means uncalibrated
     fx, cx, fy, cy = (float(matrix[k]) for k in (0, 2, 4, 5))
     if not (np.isfinite(matrix).all() and fx > 0 and fy > 0):
-        raise ValueError(f"focal lengths {fx:g}, {fy:g} px are not positive")
+        raise ValueError(
+            f"its matrix has a focal length that is not positive ({fx:g}, {fy:g} px), or a number "
+            "that is not finite"
+        )
     model, distortion = distortion_of(str(message.distortion_model), coefficients)
     return Intrinsics(int(message.width), int(message.height), fx, fy, cx, cy, model, distortion)
 
@@ -148,8 +149,8 @@ def distortion_of(name: str, coefficients: np.ndarray) -> tuple[DistortionModel,
     key = name.strip().lower().replace(" ", "_")
     if key not in _MODELS or key in ("", "none") or coefficients[5:].any():
         raise ValueError(
-            f"distortion model {name[:40]!r} with {len(coefficients)} coefficients is not known; "
-            "rectify the images, or use plumb_bob or inverse_brown_conrady"
+            f"distortion model {name[:40]!r} with {len(coefficients)} coefficients is not "
+            "supported, unlike plumb_bob and inverse_brown_conrady with up to 5"
         )
     return _MODELS[key], tuple(coefficients[:5].tolist())
 
@@ -203,7 +204,7 @@ def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
         z = points[:, 2].reshape(int(message.height), int(message.width)).astype(np.float32)
         return metres(z, 1.0)
     if camera is None:
-        raise ValueError("an unorganised point cloud needs camera info to become an image")
+        raise ValueError("an unorganised point cloud needs intrinsics (camera info)")
     return project_points(points, camera)
 
 
@@ -219,7 +220,9 @@ def _points(message: Any) -> np.ndarray:
     step, row = int(message.point_step), int(message.row_step)
     height, width = int(message.height), int(message.width)
     if not (height > 0 and width > 0 and 0 < step <= 1024 and width * step <= row):
-        raise ValueError(f"a cloud of {height}×{width} points of {step} bytes is not plausible")
+        raise ValueError(
+            f"a cloud of {height}×{width} points of {step} bytes in rows of {row} is not plausible"
+        )
     if height * row > len(message.data):
         raise ValueError(
             f"{len(message.data)} bytes do not make a cloud of {height}×{width} points"

@@ -115,7 +115,7 @@ class Recording:
             depth = self._nothing if index in self._bad else self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
                 raise ValueError(
-                    f"its image has {depth.shape[1]}×{depth.shape[0]} pixels, the first "
+                    f"its image has {depth.shape[1]}×{depth.shape[0]} pixels, the first image "
                     f"{self.size[0]}×{self.size[1]}"
                 )
             return Frame(
@@ -325,7 +325,9 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
     if read is None:
         return Recording(path, **topics)
     if chosen := next(filter(None, topics.values()), None):
-        raise InputError(f"{path}: a recording of this format has no topics; leave out {chosen}")
+        raise InputError(
+            f"{path}: a recording of this format has no topics; leave out the topic {chosen}"
+        )
     if not path.exists():
         raise InputError(f"{path}: no such file; check the path")
     try:

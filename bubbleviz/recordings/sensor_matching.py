@@ -127,7 +127,8 @@ def _check_camera_info(recording: Recording) -> None:
         if size != recording.size:
             raise InputError(
                 f"{recording.path}: camera info on {topic.name} is for {_by(size)} pixels but the "
-                f"images are {_by(recording.size)}; record both from one camera without scaling"
+                f"images are {_by(recording.size)}; record both from one camera, neither cropped "
+                "nor scaled"
             )
 
 

@@ -54,10 +54,13 @@ def test_second_camera_projects_from_its_own_pose():
 @pytest.mark.parametrize(
     ("find", "words"),
     [
-        (None, "no colour images in this source"),
+        (None, "no colour images of this sensor in a known encoding"),
         (lambda lag_s: None, "no colour image at this time"),
-        (partial(colour_image, data=b"nothing"), "the colour image cannot be decoded"),
-        (partial(colour_image, camera=ColourCamera()), "no camera info for the colour image"),
+        (partial(colour_image, data=b"nothing"), "the colour image cannot be read"),
+        (
+            partial(colour_image, camera=ColourCamera()),
+            "no intrinsics for a colour image of this size",
+        ),
     ],
 )
 def test_missing_data_are_reported(find, words):

@@ -191,7 +191,7 @@ def test_colour_images_in_a_folder_are_matched_by_number(told, tmp_path):
 @pytest.mark.parametrize(
     ("names", "says"),
     [
-        (["c_7.png"], "no JPEG or PNG file name has the last number of a depth image"),
+        (["c_7.png"], "no JPEG or PNG has the same last number in its name as a depth image"),
         (["c_1.png", "d_01.jpg"], "has the same number as c_1.png; remove one"),
     ],
 )
@@ -239,7 +239,10 @@ def test_force_equals_that_of_the_original(tmp_path):
         (lambda p: None, "not times in s or ns; give the rate"),
         (lambda p: (p / "9.png").write_bytes(b"\x89PNG broken"), "the image cannot be read"),
         (lambda p: np.save(p / "9.npy", np.ones((4, 5))), "5×4 pixels, the first image has 32×24"),
-        (lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)), "correct metres_per_unit"),
+        (
+            lambda p: np.save(p / "0.npy", np.full((24, 32), 90.0)),
+            "correct the unit (--metres-per-unit)",
+        ),
         (lambda p: np.save(p / "0.npy", np.full((24, 32), -0.1)), "most depths are negative"),
         (lambda p: np.save(p / "9.npy", np.ones((9, 3))), "need the camera's intrinsics"),
         (lambda p: (p / "intrinsics.toml").write_text("width = 9"), "height: missing; add it"),

@@ -236,7 +236,7 @@ def test_reason_for_missing_colour(tmp_path, small_sensor):
     assert said == [
         "colour images were not yet subscribed to when this frame arrived",
         f"waiting for colour images on {COLOUR}",
-        "no colour images in this source",
+        "no colour images of this sensor in a known encoding",
     ]
 
 

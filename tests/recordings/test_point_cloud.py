@@ -92,5 +92,5 @@ def test_integer_points_are_refused_and_unorganised_ones_need_a_camera():
     message.fields[1].datatype = 5
     with pytest.raises(ValueError, match="not floating-point"):
         decode_cloud(message, None)
-    with pytest.raises(ValueError, match="needs camera info"):
+    with pytest.raises(ValueError, match="needs intrinsics"):
         decode_cloud(cloud(POINTS[:1]), None)

@@ -77,7 +77,7 @@ def test_compressed_depth_is_read(tmp_path, kind, encoding, off_m):
     [
         (60, "", "not a compressed depth image"),
         (5, "", "not a compressed"),
-        (None, " rvl", "as PNG"),
+        (None, " rvl", "only PNG"),
     ],
 )
 def test_compressed_depth_that_cannot_be_read_is_refused(tmp_path, cut, more, says):
