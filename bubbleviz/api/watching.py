@@ -278,8 +278,8 @@ def _warn_of_silence(stream: LiveStream, warned: bool) -> bool:
     if silent_s < STOPPED_AFTER_S or stream.ended:
         return False
     if not warned:
-        warning = f"bubbleviz: warning: {stream.silence()}; check the camera and its connection"
-        tqdm.write(f"{warning}; waiting for the next image", file=sys.stderr)
+        warning = f"bubbleviz: warning: {stream.silence()}; waiting for the next image"
+        tqdm.write(warning, file=sys.stderr)
     return True
 
 

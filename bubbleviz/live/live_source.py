@@ -1,4 +1,4 @@
-"""Base class of live sources: a thread that delivers messages and stops immediately."""
+"""Base class of live sources (a thread that delivers messages), and the `--source` URIs."""
 
 from __future__ import annotations
 

@@ -277,18 +277,18 @@ class LiveStream:
             elif ended:
                 return
             elif timeout_s is not None and (self._silent_s() or 0.0) >= timeout_s:
-                raise StreamStoppedError(
-                    f"{self.silence()}; check the camera and its connection, or give a longer "
-                    "timeout_s"
-                )
+                longer = "" if self._problem() else ", or give a longer timeout_s"
+                raise StreamStoppedError(f"{self.silence()}{longer}")
 
     def nothing_arrived(self) -> InputError:
         """The error to raise about a source without a depth image, with the reason if known."""
-        reason = self.source.problem or self.counters.problem or self.offered
-        return InputError(
-            f"--source {self.uri}: no depth image arrived: {reason}; check the address or "
-            "file, and the depth topic"
-        )
+        reason = self.source.problem  # with its remedy
+        if not reason and self.counters.problem:
+            reason = f"{self.counters.problem}; correct its publisher, or choose a topic by depth="
+        elif not reason and self.source.topics:
+            reason = f"{self.offered}; check that the camera publishes, or choose a topic by depth="
+        reason = reason or f"{self.offered}; check the address or file"
+        return InputError(f"--source {self.uri}: no depth image arrived: {reason}")
 
     @property
     def offered(self) -> str:
@@ -297,10 +297,11 @@ class LiveStream:
         return f"topics found: {topics}" if topics else "no topics were found"
 
     def silence(self) -> str:
-        """Text: for how long no depth image has come, and why if known."""
+        """Text: for how long no depth image has come, and why, or what to check."""
         silent_s = self.status().silent_s
         since = "" if silent_s is None else f" for {silent_s:.1f} s"
-        return "; ".join(filter(None, (f"{self.name}: no depth image{since}", self._problem())))
+        remedy = self._problem() or "check the camera and its connection"
+        return f"{self.name}: no depth image{since}; {remedy}"
 
     def _problem(self) -> str:
         """Why no depth image comes, if known."""

@@ -148,7 +148,7 @@ def sensor_for_source(
         return SYNTHETIC_SENSOR
     if uri.scheme == "realsense":
         raise uri.refusal(
-            "the sensor file sets the image size of this camera; give one with --sensor"
+            "the sensor of a RealSense camera is not chosen automatically; give it with --sensor"
         )
     with open_stream(text, load_sensor(SYNTHETIC_SENSOR), any_size=True) as stream:
         first = stream.first_frame(patience_s, lambda: waiting(stream), camera_s=0.0)

@@ -188,6 +188,8 @@ class RealSenseLive(LiveSource):
         for profile in self._fitting(sensor, "depth"):
             if profile.format() == self._sdk.format.z16:
                 return profile
+        if self._file is not None:
+            raise RuntimeError("no 16-bit depth stream in this file; choose another file")
         width, height = self._size
         raise RuntimeError(
             f"no depth stream of {width}×{height} pixels at {self._rate} Hz; change rate=, or "
@@ -311,8 +313,8 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
     found = serials(sdk)
     if not found:
         raise uri.refusal(
-            "no RealSense camera on this computer; plug one in, or give a file recorded by the "
-            "RealSense viewer"
+            "no RealSense camera on this computer; plug one in, or give a .bag or .db3 file of "
+            "the RealSense viewer"
         )
     if uri.place and uri.place not in found:
         raise uri.refusal(

@@ -193,7 +193,9 @@ class _Session:
             reason = getattr(error, "strerror", None) or str(error)
             with self._changed:
                 self._problem = (
-                    f"{self._path}: recording stopped ({reason}), {self._saved()}; check disk "
+                    f"{error}; nothing was recorded"
+                    if isinstance(error, InputError)
+                    else f"{self._path}: recording stopped ({reason}), {self._saved()}; check disk "
                     "space and permissions, then record again"
                 )
                 self._queue.clear()

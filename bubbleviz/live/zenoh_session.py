@@ -90,10 +90,13 @@ def why_no_session(
 def _absence(error: OSError, host: str, port: int) -> str:
     """Text: why the host does not answer, perhaps temporarily."""
     if isinstance(error, socket.gaierror):
-        return f"the host {host} is not known to this computer; check the name"
+        return f"the host name {host} cannot be resolved; check the name and the network"
     if isinstance(error, ConnectionRefusedError):
-        return f"nothing listens at {host}:{port}; check the port, or start the router or bridge"
-    return f"{host}:{port} does not answer; check address and network"
+        return (
+            f"nothing listens at {host}:{port}; check address and port, or start the router or "
+            "bridge"
+        )
+    return f"{host}:{port} does not answer; check address, network and firewall"
 
 
 def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
@@ -119,8 +122,8 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
     with secure:
         if secure.getpeercert(binary_form=True) in context.get_ca_certs(binary_form=True):
             return (
-                f"the certificate of {host} is the authority's own; use a server certificate that "
-                "it signed"
+                f"the certificate of {host} is the authority's own; give {host} one that the "
+                "authority signed"
             )
         try:
             secure.recv(1)  # a missing client certificate is reported only after the handshake
@@ -134,24 +137,36 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
 def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credentials) -> str:
     if error.verify_code in UNTRUSTED:
         signer = f"ca={given.ca}" if given.ca else "an authority that this computer trusts"
-        return f"the certificate of {host} is not signed by {signer}; give its ca="
+        return (
+            f"the certificate of {host} is not signed by {signer}; give that of its authority as "
+            "ca="
+        )
     what = error.verify_message.rstrip(".")
-    return f"the certificate of {host} is not valid: {what}; check the host name and both clocks"
+    return (
+        f"the certificate of {host} is not valid: {what}; check the host name and both clocks, or "
+        "renew it"
+    )
 
 
 def _other_side(error: OSError, host: str, given: Credentials) -> str:
     reason = str(getattr(error, "reason", "")).replace("_", " ").lower()
     if "alert" not in reason:
-        return f"{host} breaks off encryption; use tcp/ instead of tls/ if it has none"
+        return f"{host} breaks off the TLS handshake; use tcp/ if it does not encrypt"
     if given.cert is None:
-        return f"{host} asks for a certificate of this computer; give cert= and key= ({reason})"
-    return f"{host} does not accept cert={given.cert}; have its authority sign it ({reason})"
+        return (
+            f"{host} refuses the TLS connection ({reason}); if it asks for a certificate of this "
+            "computer, give cert= and key="
+        )
+    return (
+        f"{host} refuses the TLS connection ({reason}); if it does not accept cert={given.cert}, "
+        "have its authority sign it"
+    )
 
 
 def _login(place: str, given: Credentials, encrypted: bool) -> str:
-    text = f"{place} answers but refuses the session"
+    text = f"{place} answers but opens no Zenoh session; check the port"
     if given.login:
-        text += f"; check user and password in login={given.login}"
+        text += f", and user and password in login={given.login}"
     else:
         text += "; if it requires user and password, give login="
     return text if encrypted else f"{text}; if it requires encryption, use tls/"
@@ -249,9 +264,9 @@ def listening_warning(options: SessionOptions) -> str:
     given = options.credentials
     who = "whoever knows the login" if given.login else "anybody"
     if parts[1] == "tls" and given.ca and given.cert:
-        who = "whoever has a certificate of its authority"
+        who = f"whoever has a certificate signed by {given.ca}"
     told = f"{options.listen} is open to other computers: {who} on the network can connect"
-    told += "; give a login to prevent that" if who == "anybody" else ""
+    told += "; give --login to prevent that" if who == "anybody" else ""
     return told + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")
 
 

@@ -34,7 +34,7 @@ def test_dialog_lists_topics_when_the_robot_appears(open_bench):
     bench, port = open_bench(), free_port()
     dialog, place = opened(bench), f"tcp/127.0.0.1:{port}"
     dialog.place.setEditText("tcp/robot.invalid:9")
-    bench.wait(lambda: "the host robot.invalid is not known" in dialog.problem.text())
+    bench.wait(lambda: "robot.invalid cannot be resolved" in dialog.problem.text())
     dialog.place.setEditText(place)
     bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
     with robot(port):
@@ -57,7 +57,7 @@ def test_rejected_certificate_is_reported_in_dialog_and_bar(open_bench, certific
     place, own = f"tls/localhost:{free_port()}", Credentials(cert=cert, key=key)
     source = f"zenoh:{place}?ca={other}"
     why = "refused: the certificate of localhost is not signed by "
-    why += f"ca={other}; give its ca= ({source})"
+    why += f"ca={other}; give that of its authority as ca= ({source})"
     with open_session(SessionOptions("robot", listen=place, credentials=own)):
         for sensor in (sensor_file(bench.folder), AUTO):
             dialog = opened(bench, sensor)
