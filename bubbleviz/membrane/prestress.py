@@ -48,7 +48,7 @@ def disc_map(mesh: MembraneMesh) -> np.ndarray:
     edges = disc[mesh.triangles[:, 1:]] - disc[mesh.triangles[:, :1]]
     if not (np.linalg.det(edges) > 0.0).all():
         raise InputError(
-            "membrane mesh: triangles are too distorted to map it to a disc; remesh it evenly"
+            "membrane mesh: triangles are too distorted to map the mesh to a disc; remesh it evenly"
         )
     return disc
 
@@ -232,7 +232,7 @@ def _virtual_displacements(mesh: MembraneMesh, disc: np.ndarray, degree: int) ->
     if len(ways) < ways.shape[1]:
         raise InputError(
             f"mesh: {len(ways)} nodes inside the rim are too few to determine the rubber's "
-            "stress; use a mesh of 100 nodes or more"
+            "stress; use a mesh of 100 nodes or more (membrane.nodes in the sensor file, --nodes)"
         )
     out = np.zeros((len(mesh.nodes), ways.shape[1]))
     out[mesh.free] = np.linalg.qr(weight * ways)[0] / weight

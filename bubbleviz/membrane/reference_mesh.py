@@ -28,9 +28,8 @@ def build_mesh(
     cap = cap_of(sensor)
     if cap is not None:
         return _meshed(cap, membrane.nodes if nodes is None else nodes)
-    if membrane.mesh_file is not None:
-        return load_membrane(sensor.resolve(membrane.mesh_file))
-    raise InputError(f"{sensor.name}: membrane.mesh_file is missing; add it")
+    assert membrane.mesh_file is not None  # checked by `Membrane`
+    return load_membrane(sensor.resolve(membrane.mesh_file))
 
 
 @lru_cache(maxsize=8)
@@ -40,21 +39,17 @@ def _meshed(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
 
 
 def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
-    """Analytic reference surface of a sensor; None where a mesh file gives it.
-
-    Raises InputError: numbers of the surface are missing.
-    """
+    """Analytic reference surface of a sensor; None where a mesh file gives it."""
     membrane = sensor.membrane
     if membrane.shape == "mesh":
         return None
-    if membrane.height_m is None:
-        raise InputError(f"{sensor.name}: membrane.height_m is missing; add it")
-    if membrane.shape == "spherical_cap" and membrane.rim_radius_m is not None:
-        return spherical_cap(membrane.rim_radius_m, membrane.height_m)
-    if membrane.rim_semi_axes_m is not None:
-        return EllipsoidalCap.of(membrane.rim_semi_axes_m, membrane.height_m)
-    name = "rim_radius_m" if membrane.shape == "spherical_cap" else "rim_semi_axes_m"
-    raise InputError(f"{sensor.name}: membrane.{name} is missing; add it")
+    radius, axes, height = membrane.rim_radius_m, membrane.rim_semi_axes_m, membrane.height_m
+    assert height is not None  # `Membrane` checks that a shape has its numbers
+    if membrane.shape == "spherical_cap":
+        assert radius is not None
+        return spherical_cap(radius, height)
+    assert axes is not None
+    return EllipsoidalCap.of(axes, height)
 
 
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:

@@ -237,8 +237,8 @@ class Inflation:
                 return x
             remaining = step = pressure_pa - now
         raise SolveError(
-            f"membrane: no equilibrium at a gas pressure of {pressure_pa:.4g} Pa above the air's; "
-            "lower it, or correct tension and prestretch in the sensor file"
+            f"membrane: no equilibrium at a gauge pressure of {pressure_pa:.4g} Pa; lower it, or "
+            "correct tension and prestretch in the sensor file"
         )
 
     def motions(self, x: np.ndarray, pressure_pa: float, forces_n: np.ndarray) -> np.ndarray:

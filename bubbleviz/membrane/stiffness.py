@@ -1,4 +1,4 @@
-"""Stiffness of the membrane: K = γ0 × cotangent Laplacian (Eqs. 3 and 4)."""
+"""Tension of the membrane by force balance (Eq. 2), and its stiffness K = γ0 L (Eqs. 3, 4)."""
 
 from __future__ import annotations
 
