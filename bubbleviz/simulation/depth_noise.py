@@ -34,7 +34,8 @@ class DepthNoise:
         bad += [n for n in ("correlation_frames", "holes", "outliers") if getattr(self, n) >= 1.0]
         if self.absolute_m > 0.1:
             raise InputError(
-                f"noise absolute_m = {self.absolute_m}: above 0.1 m; give metres, not millimetres"
+                f"noise absolute_m = {self.absolute_m} (--noise-sigma): above 0.1 m; give metres, "
+                "not millimetres"
             )
         if bad:
             most = "below 1" if bad[0] in ("correlation_frames", "holes", "outliers") else "finite"

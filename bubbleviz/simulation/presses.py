@@ -37,14 +37,13 @@ def press_path(
     """
     if frames < _MIN_FRAMES:
         raise InputError(
-            f"{frames} frames are too few for drag and twist; give at least {_MIN_FRAMES}"
+            f"{frames} frames are too few for drag and twist; give at least {_MIN_FRAMES} "
+            "(--frames)"
         )
     if not abs(drag_m) <= _MAX_DRAG_M:
-        raise InputError(
-            f"drag {1e3 * drag_m:g} mm: give at most {1e3 * _MAX_DRAG_M:g} mm either way"
-        )
+        raise InputError(f"drag {drag_m:g} m: give at most {_MAX_DRAG_M:g} m either way")
     if not abs(twist_rad) <= _MAX_TWIST_RAD:
-        raise InputError(f"twist {np.degrees(twist_rad):g}°: give at most 180° either way")
+        raise InputError(f"twist {twist_rad:g} rad: give at most π rad (180°) either way")
     t = np.arange(frames) / (frames - 1)
     above = max(touching_height(obj, T_B_O, mesh) - T_B_O[2, 3], 0.0) + _CLEARANCE_M
     poses = np.tile(T_B_O, (frames, 1, 1))

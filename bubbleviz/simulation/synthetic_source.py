@@ -197,8 +197,8 @@ class SyntheticSource:
             self._model = RubberForward(rubber, gas)
         elif friction:
             raise InputError(
-                f"friction {friction:g}: the linear membrane has no friction; choose the model "
-                "rubber"
+                f"friction {friction:g}: the linear membrane has no friction; choose the exact one "
+                "(--model rubber)"
             )
         else:
             self._model = ForwardModel(self.mesh, tension, gas)
@@ -234,7 +234,7 @@ class SyntheticSource:
     def contact(self, index: int) -> Contact:
         """Equilibrium of frame `index`."""
         if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} of {len(self)}")
+            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.name}")
         return self._solved(index)
 
     def truth(self, index: int) -> Truth:

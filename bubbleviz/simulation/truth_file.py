@@ -52,11 +52,12 @@ class RecordingWithTruth:
             (np.abs(times - times[0] - recording.times_s) < _TIME_TOLERANCE_S).all()
         )
         if not same or masks.shape[1:] != recording.size[::-1]:
+            own = _described(len(recording), (0, *recording.size[::-1]))
+            other = _described(len(times), masks.shape)
+            how = "other frame times" if other == own else f"{other}, not {own}"
             raise OtherTruthError(
-                f"{truth_file}: belongs to another recording than {recording.path}, of "
-                f"{_described(len(times), masks.shape)} and not "
-                f"{_described(len(recording), (0, *recording.size[::-1]))}; choose the TRUTH.npz "
-                "written with it"
+                f"{truth_file}: belongs to another recording than {recording.path} ({how}); choose "
+                "the TRUTH.npz written with this recording"
             )
 
     def __len__(self) -> int:
