@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.camera import ColourCamera, DepthCamera, readable
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import LAG, MIN_FRAMES, Frame, Recording, placed
+from bubbleviz.recordings import LAG, MIN_FRAMES, NO_COLOUR, Frame, Recording, placed
 from bubbleviz.result import Result
 from bubbleviz.shear.optical_flow import FlowField, FlowPreset, OpticalFlow
 from bubbleviz.shear.traction_estimator import TractionOptions
@@ -76,8 +76,8 @@ def flow_camera(colour: ColourCamera, depth: DepthCamera, name: str) -> DepthCam
     camera = placed(colour, depth)
     if camera is None:
         raise InputError(
-            f"{name}: no camera info for the colour images, so their flow cannot be mapped to the "
-            "membrane; record or publish it with them"
+            f"{name}: no intrinsics for colour images of this size, so their flow cannot be mapped "
+            "to the membrane; record or publish their camera info"
         )
     return camera
 
@@ -202,10 +202,7 @@ def watch_recorded_texture(
     Raises InputError: as of `recorded_texture`, `flow_camera` and `TextureFlow.attach_to`.
     """
     if recording.colour is None:
-        raise InputError(
-            f"{recording.path}: no colour images of a known encoding; record them, or leave out "
-            "--shear"
-        )
+        raise InputError(f"{recording.path}: {NO_COLOUR}; record them, or leave out --shear")
     options = TractionOptions(friction or None)
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
     texture = recorded_texture(

@@ -120,8 +120,7 @@ class TractionReport:
         x = self._positions(estimate)
         vectors = self._membrane.volume_gradient(x)
         force = estimate.nodal_force_n
-        if force is None:
-            raise ValueError("the estimate was not made with the exact membrane")
+        assert force is not None  # as of every estimate with the exact membrane
         return self._of("depth_alone", x, force, vectors, reason=reason)
 
     def solved(
@@ -225,7 +224,7 @@ _MIN_FLOW_SHARE = 0.5
 """Least share of the nodes in contact next to which flow was measured."""
 
 NO_FLOW = "no optical flow: the colour image of the frame or the contact-free one is missing"
-NO_TEXTURE = "no flow where the membrane is touched: no texture, or it could not be matched"
+NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
 NO_CONTACT_SHAPE = "no contact in the depth image"
 NOT_CONVERGED = "no equilibrium with friction was found"
 
@@ -314,7 +313,7 @@ class TractionEstimator:
             return self._without_flow(estimate, NO_FLOW if flow is None else flow.problem), None
         initial, support = self._initial(estimate, depth, start)
         if initial is None or not support.any():
-            return report.failed("not_converged", NO_CONTACT_SHAPE), None
+            return report.failed("not_converged", estimate.reason or NO_CONTACT_SHAPE), None
         measured = self.flow_observer.measure(flow)
         if self.flow_observer.flow_share(measured, support) < _MIN_FLOW_SHARE:
             return self._without_flow(estimate, NO_TEXTURE), None

@@ -52,7 +52,7 @@ def test_a_result_has_traction_and_slip(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--shear"], "no colour images of a known encoding"),
+        (["--shear"], "no colour images of this sensor in a known encoding"),
         (["--friction", "-0.5"], "--friction"),
         (["--colour-delay", "-0.05"], "--colour-delay needs --shear"),
         (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
@@ -140,7 +140,7 @@ def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path)
     command = ["estimate", str(press), "--sensor", str(sensor), "--shear"]
     found = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "r.npz")])
     assert found.exit_code == 2
-    assert f"{press}: no camera info for the colour images" in found.output
+    assert f"{press}: no intrinsics for colour images" in found.output
 
 
 @pytest.mark.long

@@ -110,7 +110,7 @@ def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_p
     panel = driver.window.shear
     for k in range(COLLECTED + 1):
         driver.seek(k)
-    said = "Depth alone: colour camera: no camera info for the colour images"
+    said = "Depth alone: colour camera: no intrinsics for colour images"
     driver.wait(lambda: panel.reference.text().startswith(said))
     assert driver.result.flow is None
     record(tmp_path / "dent.mcap", list(DentSource(rubber))[:6])
