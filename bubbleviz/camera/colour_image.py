@@ -80,9 +80,9 @@ class EncodedImage:
         try:
             image = Image.open(io.BytesIO(self.data), formats=("JPEG", "PNG"))
         except UnidentifiedImageError as error:
-            raise ValueError(f"the data are not {self.encoding}") from error
+            raise ValueError("the data are neither JPEG nor PNG") from error
         if max(image.size) > MAX_SIDE:
-            raise ValueError(f"image size {image.width}×{image.height} is not plausible")
+            raise ValueError(f"{image.width}×{image.height} pixels are more than {MAX_SIDE} a side")
         if image.mode.startswith("I") or image.mode == "F":
             raise ValueError("it has more than 8 bits a channel, as compressed depth has")
         image.draft(mode, image.size)  # a JPEG stores brightness separately
@@ -134,8 +134,8 @@ class ColourImage:
         except (ValueError, OSError, SyntaxError) as error:  # Pillow raises all of them
             why = " ".join(str(error).split())[:160]
             raise InputError(
-                f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record 8-bit, "
-                "JPEG or PNG images"
+                f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record raw, JPEG "
+                "or PNG images of 8 bits a channel"
             ) from error
 
 
