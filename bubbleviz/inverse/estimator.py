@@ -212,7 +212,7 @@ class Estimator:
             nothing = no_estimate(self.mesh, answer.status, STATUS_REASONS[answer.status])
             return nothing, Start(final_state=answer.final_state, measured=measured)
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
-        doubt = doubt or reason_against_gas(answer.step.state.gas, behind)
+        doubt = doubt or reason_against_gas(answer.step.state.gas, behind, measured=False)
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m):
             nothing = no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m)
             return nothing, Start(final_state=answer.step.state, measured=measured)

@@ -36,8 +36,10 @@ as large. Chosen; eight times the noise of the sensor file has a misfit of 0.05.
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
-        "no_data": "too few depth pixels lie on the membrane; check camera and sensor file",
-        "not_converged": "the solver did not converge; show the residual, or try another solver",
+        "no_data": "too few depth pixels lie on the membrane or on the contact; uncover the "
+        "camera, or check the sensor file",
+        "not_converged": "the solver did not converge; look at the residual in the window, or try "
+        "another --solver",
         "implausible": "depths are far from this membrane; check sensor file and unit of depth",
     }
 )
@@ -48,13 +50,19 @@ GAS_CONTRADICTS = (
 )
 
 
-def reason_against_gas(change_pa: float, gas: Gas) -> str:
-    """Why p_v is impossible for this membrane; empty if it is possible."""
+def reason_against_gas(change_pa: float, gas: Gas, *, measured: bool = True) -> str:
+    """Why p_v, measured or by the shape, is impossible for this membrane; empty if possible."""
     if gas.lowest_change_pa <= change_pa <= gas.highest_change_pa:
         return ""
+    change = f"{1e-3 * change_pa:+.1f} kPa"
+    if measured:
+        return (
+            f"the measured gas pressure differs from the sensor file by {change}, more than "
+            "contact can change it; correct the sensor file, or check the pressure sensor"
+        )
     return (
-        f"gas pressure differs from the sensor file by {1e-3 * change_pa:+.1f} kPa, more than "
-        "contact can change it; correct the sensor file, or check the pressure sensor"
+        f"such a shape would change the gas pressure by {change}, more than contact can; check "
+        "sensor file and unit of depth"
     )
 
 

@@ -1,4 +1,4 @@
-"""Resolution of the contact pressure: the width of the estimate's response to a point load."""
+"""Resolution of the contact pressure (width of the response to a point load), and L1 threshold."""
 
 from __future__ import annotations
 
