@@ -24,9 +24,9 @@ def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     bubble = float(np.ptp(mesh.nodes, axis=0).max())
     if size > _LARGEST * bubble:
         raise InputError(
-            f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; "
-            "scale it or, if the file is in millimetres, choose millimetres next to it in the "
-            "window, give pose --unit mm, or end its name in _mm"
+            f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; scale "
+            "the mesh or, if it is in millimetres, choose millimetres next to the object in the "
+            "window, give pose --unit mm, or end the file's name in _mm"
         )
 
 
