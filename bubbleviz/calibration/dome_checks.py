@@ -99,9 +99,9 @@ def _check_no_dent(
         if depth > max(flattened, _MIN_DENT_DEPTH * radius):
             row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
             raise InputError(
-                f"{name}: the membrane is pressed in by {1e3 * depth:.1f} mm around pixel"
-                f" ({column}, {row}) in all frames; remove the object, or choose contact-free "
-                "frames"
+                f"{name}: in the frames taken as contact-free the membrane is pressed in by "
+                f"{1e3 * depth:.1f} mm around pixel ({column}, {row}); record it without an "
+                "object, or choose other frames"
             )
 
 

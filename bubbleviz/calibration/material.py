@@ -54,9 +54,9 @@ class RubberEstimate:
     def gauge_source(self) -> str:
         """Source of the gauge pressure, as text."""
         if self.gauge_from == "vented":
-            return f"the open chamber of {self.vented}"
+            return f"the open-chamber recording {self.vented}"
         if self.gauge_from == "given":
-            return "the sensor file's atmospheric pressure"
+            return "the sensor file"
         return f"{self.shapes_text}; the sensor file"
 
     @property
@@ -180,14 +180,15 @@ def _estimate(
     if vented is not None:
         if gas is None:
             raise InputError(
-                f"{samples.source_name}: no gas pressure, so {vented.source_name} does not "
-                "determine the gauge pressure; leave --vented out, or record the pressure"
+                f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
+                f"{vented.source_name} does not determine the gauge pressure; record it in every "
+                "frame, or leave --vented out"
             )
         sigma = float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
         name, by_chamber = vented.source_name, Quantity.normal(gauge, sigma)
         known = replace(known, gauge=by_chamber, gauge_from="vented", vented=name)
     if not shapes:
-        return replace(known, why_not="no inflation level was recorded")
+        return replace(known, why_not="neither levels nor a held press were used")
     relative = tension.of_shape.sigma / tension.of_shape.value
     given = found.model, samples, shapes, found.surfaces.other_mesh, gauge, relative
     try:

@@ -40,7 +40,7 @@ def output_files(
     """
     path = Path(out_toml)
     if path.suffix != ".toml":
-        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
+        raise InputError(f"{path}: the name of a sensor file ends in .toml; give such a name")
     paths = [path, path.with_suffix(".ply"), path.with_suffix(".npz"), *filter(None, [report])]
     for each in paths:
         refuse_existing(each, overwrite=overwrite)

@@ -55,7 +55,7 @@ def collect(
     if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
         raise InputError(
             f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are outside its"
-            f" {count_of(len(source), 'frame')}; choose from 0 to {len(source) - 1}"
+            f" {count_of(len(source), 'frame')}; choose within 0:{len(source)}"
         )
     if len(chosen) < MIN_FRAMES:
         raise InputError(

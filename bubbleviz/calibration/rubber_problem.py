@@ -312,8 +312,8 @@ class RubberProblem:
         if vector is not None:
             return self._with_covariance(vector, np.inf, 1.0)
         raise InputError(
-            f"{self._rest.source_name}: no rubber of this shape explains what"
-            f" {', '.join(shape.samples.source_name for shape in self._shapes)} shows; check the"
+            f"{self._rest.source_name}: no rubber of this shape explains the shapes in"
+            f" {', '.join(shape.samples.source_name for shape in self._shapes)}; check the"
             " recorded gas pressures, and the atmospheric pressure in the sensor file"
         )
 
@@ -532,7 +532,7 @@ def _check_rise(shape: _MeasuredShape, gauge_pa: float, *, pressed: bool) -> Non
     if abs(rise) < _MIN_RISE * gauge_pa:
         raise InputError(
             f"{name}: its gas pressure differs by only {rise:.0f} Pa from that at rest;"
-            + (" press deeper" if pressed else " record levels 15 % above and below it")
+            + (" press deeper" if pressed else " record levels 15 % of the gauge pressure apart")
         )
 
 
@@ -542,6 +542,6 @@ def _mean_pressure(samples: FrameSamples) -> tuple[float, float]:
     if gas is None:
         raise InputError(
             f"{samples.source_name}: some frames lack the gas pressure, which λ needs; record it "
-            "in all frames of levels and press"
+            "in all frames at rest, of levels and of the press"
         )
     return float(np.mean(gas)), error_of_mean(gas)

@@ -131,8 +131,8 @@ def check_sensor(
     turned = [depth[::-1, ::-1] for depth in depths]
     if not rest.explained and _RestComparison(model, turned).explained:
         reason = (
-            "another camera: its images are turned by 180°; turn it back, or identify the sensor "
-            "again"
+            "another camera: the images are turned by 180°; turn the camera back, or identify the "
+            "sensor again"
         )
         return replace(found, verdict="another", reason=reason)
     pipeline = Pipeline(model)
@@ -175,8 +175,8 @@ class _RestComparison:
         self._by_offset, self._by_scale = by_offset[self._visible], by_scale[self._visible]
         if 2 * self._visible.sum() < len(self._visible):
             raise InputError(
-                "more than half of the membrane has no valid depth in some frame; uncover the "
-                "camera"
+                "less than half of the membrane has a valid depth in every frame; uncover the "
+                "camera, or choose other frames"
             )
         # (F, B), residuals of the blocks, m
         self.frames_m = residuals[:, self._visible]
@@ -355,9 +355,9 @@ def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _RestComparison
 def _another_camera(model: SensorModel, row: CheckRow) -> str:
     in_file, recorded = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
     return (
-        f"another camera: fx {recorded.fx:.1f}, fy {recorded.fy:.1f} in the recording's camera "
-        f"info, {in_file.fx:.1f} and {in_file.fy:.1f} pixels in the sensor file: {row.todo}, or "
-        "identify the sensor again"
+        f"another camera: its intrinsics (fx {recorded.fx:.1f}, fy {recorded.fy:.1f} pixels) "
+        f"change the ranges by {1e3 * row.value:.2g} mm rms from those of the sensor file (fx "
+        f"{in_file.fx:.1f}, fy {in_file.fy:.1f}): {row.todo}, or identify the sensor again"
     )
 
 

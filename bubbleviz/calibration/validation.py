@@ -71,7 +71,10 @@ class Validation:
     def _findings(self) -> tuple[tuple[str, bool], ...]:
         """Texts, and whether each speaks against the calibration."""
         overlap = self.patch_overlap
-        patches = f"predicted and estimated patch overlap by {100 * overlap:.0f} %"
+        patches = (
+            f"predicted and estimated patch overlap by {100 * overlap:.0f} % (at least "
+            f"{100 * LEAST_OVERLAP:.0f} % expected)"
+        )
         if np.isnan(overlap):
             patches = "neither prediction nor estimate has a patch"
         return (
@@ -80,10 +83,7 @@ class Validation:
                 f"without the press {1e3 * self.untouched_rms_m:.2f} mm rms",
                 self.rms_m > LARGEST_SHARE * self.untouched_rms_m,
             ),
-            (
-                f"{patches} (at least {100 * LEAST_OVERLAP:.0f} % expected)",
-                not overlap >= LEAST_OVERLAP,
-            ),
+            (patches, not overlap >= LEAST_OVERLAP),
         )
 
 
@@ -139,7 +139,8 @@ def validate(
     untouched = _distance(view, measured, np.zeros(len(mesh.nodes)))
     if not np.isfinite(distance).any():
         raise InputError(
-            "validation: no valid pixel sees the membrane; choose the sensor file of this camera"
+            "validation: no pixel has a valid depth on the membrane; choose other pressed frames, "
+            "or the sensor file of this camera"
         )
     touching = (contact.contact_pressure_pa > 0.0).astype(float)
     predicted = view.above(contact.displacement_m, touching, 0.5)

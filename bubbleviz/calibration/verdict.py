@@ -18,7 +18,7 @@ _MIN_VISIBLE = 0.8  # share of the dome's area; chosen
 _MIN_FRAMES = 30  # one second of most depth cameras
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
-    " their gas pressures (--level), or press it and hold"
+    " their gas pressures (--level), or press it and hold still"
 )
 
 
@@ -33,7 +33,7 @@ class Parameter:
 
     def __str__(self) -> str:
         """As a sentence or two."""
-        return f"{self.name}: {self.value} ({self.told_by}). To narrow it: {self.narrower}."
+        return f"{self.name}: {self.value} ({self.told_by}). To improve it: {self.narrower}."
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,10 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
 
 def _surface(found: Identification) -> str:
     surfaces = found.surfaces
-    sphere, cap, free = (f"{1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in SURFACE_NAMES)
-    if surfaces.chosen == "sphere":
-        return (
-            f"The dome is spherical: no other shape predicts it better than the sphere (misfit "
-            f"{sphere} rms)."
-        )
-    if surfaces.chosen == "ellipsoid":
-        return f"The dome is not spherical: the ellipsoid is used (misfit {cap}; sphere {sphere})."
+    misfits = (f"{name} {1e3 * surfaces.left_out_rms_m[name]:.2g} mm" for name in SURFACE_NAMES)
     return (
-        f"The dome is not spherical: the free-form surface is used (misfit {free}; sphere "
-        f"{sphere}, ellipsoid {cap})."
+        f"Shape used: {surfaces.chosen} (rms misfit on parts left out of the fit: "
+        f"{', '.join(misfits)})."
     )
 
 
@@ -92,10 +85,10 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     out = []
     if found.samples.gas_pressure_pa is None:
         out.append(
-            "The recording has no gas pressure, so γ0 is computed from the sensor file's gauge "
-            f"pressure, and an error there of {pressure(100.0)} changes γ0 by"
+            "Not every contact-free frame has a gas pressure, so γ0 is computed from the sensor "
+            f"file's gauge pressure, and an error there of {pressure(100.0)} changes γ0 by"
             f" {100 * tension.per_pascal:.2f} N/m. Record the gas pressure, or measure the gauge"
-            " pressure and enter it."
+            " pressure and enter it in the sensor file."
         )
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
     change = tension.gauge_pressure_pa / given - 1.0
@@ -107,23 +100,25 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
                 "file; one of them is wrong. Record the open chamber for ten seconds (--vented)."
             )
     elif abs(change) > _USABLE:
+        weather = "; after a change of weather or altitude record the open chamber (--vented)"
+        known = rubber is not None and rubber.gauge_from == "vented"
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: make sure that nothing touches the sensor, and inflate it as"
-            " before; after a change of weather or altitude record the open chamber (--vented)."
+            f" before{'' if known else weather}."
         )
     if surfaces.visible_share < _MIN_VISIBLE:
         out.append(
             f"The camera does not see {_percent(1.0 - surfaces.visible_share)} of the dome: there "
             "the surface is extrapolated from the fitted cap, and contact is only inferred."
-            " Uncover it, or check the camera's pose in the sensor file."
+            " Uncover the camera, or check its pose in the sensor file."
         )
     height = tension.dimensions["height_m"].value
     rim = surfaces.rim_height_m
     if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
-            f"The edge of the cloud lies {1e3 * rim:+.1f} mm from the drawing's rim"
-            " plane: uncover the rim, or correct the camera's position in the sensor file."
+            f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the drawing at 0:"
+            " uncover the rim, or correct the camera's position in the sensor file."
         )
     value, least = tension.tension.value, tension.least_squares_n_per_m
     apart = abs(least - value)
@@ -147,6 +142,9 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     tension, rubber, gauge = found.tension, found.rubber, found.tension.gauge
     vented = rubber is not None and rubber.gauge_from == "vented"
     chamber = "record the open chamber for ten seconds (--vented)"
+    if found.samples.gas_pressure_pa is None:
+        chamber = "record the gas pressure, and the open chamber (--vented)"
+    chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
     gauge_text = f"{pressure(tension.gauge_pressure_pa)}, error unknown"
     if gauge is not None:
         interval = f"{pressure(gauge.low)} to {pressure(gauge.high)}"
@@ -156,21 +154,20 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         "pixels": "record more frames or levels (largest error: noise and pattern of the pixels)",
         "frames": "let gas and camera settle (largest error: drift between frames)",
         "gas_pressure": "record longer (largest error: noise of the gas pressure)",
-        "facets": "use more nodes (largest error: flat facets of the mesh)",
-        "gauge_pressure": "measure the gauge pressure more accurately",
+        "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
+        "gauge_pressure": f"{chamber_text} (largest error: gauge pressure)",
         "statics": "not possible: shape and pressure of a sensor with an oval rim do not determine "
         "the mean tension",
         "surface": "uncover the rim (largest error: shape that is hidden or too fine for the fit)",
     }[part]
     if rubber is None:
-        source, narrower = "neither levels nor a press were recorded", _LEVELS
+        source, narrower = "neither levels nor a held press were used", _LEVELS
     elif rubber.prestretch is None:
         source, narrower = rubber.why_not, _LEVELS
     else:
         source = rubber.prestretch_source
         narrower = "record levels farther apart" if vented else chamber
     stretch = None if rubber is None else rubber.prestretch
-    chamber_text = "record it for longer" if vented else chamber
     return (
         Parameter("γ0", _range(tension.tension, 2, " N/m"), "shape and gauge pressure", of_tension),
         Parameter("gauge pressure", gauge_text, found.gauge_source, chamber_text),
