@@ -313,7 +313,7 @@ class Workbenches:
         if work.collected is not None:
             return work.collected
         if self._bench is None:
-            raise AssertionError("nothing was done with the source")
+            raise AssertionError("internal error: the work has no open source")
         return self._bench.source
 
     def close(self) -> None:

@@ -51,8 +51,9 @@ class ScorePlot(QWidget):
         super().__init__()
         self.setFixedHeight(HEIGHT)
         self.setToolTip(
-            "Change since rest, in standard deviations: gas pressure, and the 1 % of pixels that "
-            f"changed most. Above the dashed line ({SIGNIFICANT:g} σ): contact"
+            "Change from rest, in standard deviations, of the gas pressure and of the 1 % of the "
+            f"depth image that changed most. Above the dashed line ({SIGNIFICANT:g} σ) for several "
+            "frames: contact"
         )
         self._scores: dict[str, np.ndarray] = {}
         self._axis = TimeAxis(np.zeros(0))
@@ -101,7 +102,7 @@ class ScorePlot(QWidget):
 ENDED_BY = {
     "depth": "the depth image changes after them",
     "pressure": "the gas pressure changes after them",
-    "recording": "no change until the end: make sure that nothing touches the sensor",
+    "recording": "no change until the end: make sure that nothing touched the sensor",
 }
 
 NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."
@@ -117,7 +118,7 @@ class FramesPage(Page):
 
     name = "Frames"
     title = "Contact-free frames"
-    task = "Find the frames in which nothing touches the membrane; correct them on the timeline."
+    task = "Find the frames in which nothing touches the membrane; drag the ranges to correct them."
     sets = ("ranges",)
     next_title = "Find contact-free frames"
 
@@ -131,12 +132,12 @@ class FramesPage(Page):
         self.remove = QPushButton("Remove")
         self.replace = QPushButton("Replace")
         self.find_again = QPushButton("Find again")
-        self.first.setToolTip("First frame of a range to add, to remove or to use alone")
-        self.last.setToolTip("Last frame of a range to add, to remove or to use alone")
+        self.first.setToolTip("First frame of the range for Add, Remove and Replace")
+        self.last.setToolTip("Last frame of the range for Add, Remove and Replace")
         self.add.setToolTip("Add these frames to the contact-free ones")
         self.remove.setToolTip("Remove these frames from the contact-free ones")
-        self.replace.setToolTip("Use these frames instead of the contact-free ones")
-        self.find_again.setToolTip("Search the recording for contact-free frames again")
+        self.replace.setToolTip("Use only these frames as the contact-free ones")
+        self.find_again.setToolTip("Discard the ranges and search contact-free frames again")
         self.collect = CollectBox(calibration, units)
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
@@ -220,12 +221,12 @@ class CollectBox(QGroupBox):
         self.count, self.target = QSpinBox(), QDoubleSpinBox()
         self.contact_free = QCheckBox("Skip frames with contact")
         self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
-        self.count.setToolTip("Frames of the untouched membrane to collect")
+        self.count.setToolTip("Largest number of frames to collect")
         self.button.setToolTip(
             "Collect frames of the live source; they replace those collected before"
         )
         self.stop.setToolTip("Stop collecting and calibrate with the frames collected so far")
-        self.cancel.setToolTip("Stop collecting and keep the frames used before")
+        self.cancel.setToolTip("Stop collecting and discard these frames")
         self.message = QLabel(wordWrap=True)
         self._lay_out()
         self.button.clicked.connect(self._start)
@@ -250,10 +251,14 @@ class CollectBox(QGroupBox):
         self.target.setSuffix(" %")
         self.target.setSpecialValueText("never")
         self.target.setToolTip(
-            "Stop when half of the 95 % interval of γ0 is below this value; 0: never"
+            "Stop earlier when half of the 95 % interval of γ0, without the error of the gauge "
+            "pressure, is below this share of γ0; lowest value: never"
         )
         self.contact_free.setChecked(True)
-        self.contact_free.setToolTip("Contact is detected with the sensor file in use")
+        self.contact_free.setToolTip(
+            "Contact is detected with the sensor file in use; unticked, contact-free frames are "
+            "searched among those collected"
+        )
         self.stop.setText("Stop and use these frames")
         self.cancel.setText("Cancel")
         row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)

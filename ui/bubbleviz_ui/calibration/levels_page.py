@@ -30,7 +30,7 @@ class RectificationPage(Page):
         self.levels = QLabel(wordWrap=True)
         self.add, self.drop = QPushButton("Add a level…"), QPushButton("Remove the last")
         self.add.setToolTip("Recording of the untouched sensor at another inflation level")
-        self.drop.setToolTip("Remove the recording added last")
+        self.drop.setToolTip("Remove the level added last")
         self.vented = QPushButton("Open chamber…")
         self.vented.setToolTip(
             "Recording with the chamber open to the air, to measure the atmospheric pressure"
@@ -82,11 +82,12 @@ class RectificationPage(Page):
         self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
         line = answer.draft.pixels.line if answer.draft.pixels is not None else None
         if line is None or answer.draft.found is None:
-            self.numbers.set("line", "offset only")
+            self.numbers.set("line", None if answer.draft.found is None else "offset only")
             self.numbers.set("valid over", None)
             return
         slope, spread, span = line.typical(answer.draft.found.pixels.mask)
-        self.numbers.set("line", f"slope {slope:.4f}, spread {spread:.4f}, {line.levels} levels")
+        text = f"slope of true over measured range {slope:.4f}, its spread {spread:.4f}"
+        self.numbers.set("line", f"{text}, {line.levels} levels")
         text = f"{self.units.length.text(span)}; outside, the nearest level's offset"
         self.numbers.set("valid over", text)
 
@@ -94,8 +95,14 @@ class RectificationPage(Page):
         """Show λ and gauge pressure, or why they are not determined."""
         found, pressure = answer.draft.found, self.units.gas_pressure
         rubber = found.rubber if found is not None else None
-        if rubber is None:
-            stretch = "not determined: add levels, or a press held still"
+        stretch: str | None
+        if found is None:
+            stretch = None
+        elif rubber is None:
+            stretch = (
+                "not determined: add levels, or record a press held still after the untouched "
+                "frames; both with gas pressure"
+            )
         elif rubber.prestretch is None:
             stretch = f"not determined: {rubber.why_not}"
         else:

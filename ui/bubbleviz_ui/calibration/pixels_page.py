@@ -45,7 +45,9 @@ class PixelsPage(Page):
         self.view = ImageView()
         self.validity = Threshold(units.share, 1.0, "automatic")
         self.deviations = Threshold(Unit("σ", 1.0, 1), MOST_DEVIATIONS)
-        self.validity.tip("Share of the frames in which a pixel must have a return")
+        self.validity.tip(
+            "Share of the frames in which a used pixel must have a return; lowest value: automatic"
+        )
         self.deviations.tip(
             "Pixels with noise or offset beyond this many robust standard deviations are excluded"
         )

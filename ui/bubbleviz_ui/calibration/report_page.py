@@ -54,7 +54,7 @@ class ReportPage(Page):
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["", "in use", "new"])
         self.view = ImageView("around zero")
-        self.use_sensor = QPushButton("Use it")
+        self.use_sensor = QPushButton("Use now")
         self.save_as = QPushButton("Save sensor as…")
         self.save_as.setObjectName("main")
         self._lay_out()
@@ -172,7 +172,9 @@ class ValidationPage(Page):
             "Compare the shape predicted by the forward model (Eq. 16) with the measured one"
         )
         self.remove.setToolTip("Remove the validation by this press")
-        self.paint.setToolTip("Measured minus predicted range at the points of the membrane")
+        self.paint.setToolTip(
+            "Distance of each point from the predicted membrane, positive outside"
+        )
         self.numbers = NumberForm()
         self.summary = QLabel(wordWrap=True)
         self._lay_out()
@@ -201,7 +203,7 @@ class ValidationPage(Page):
         self.numbers.setVisible(found is not None)
         image = found.distance_m if found is not None else None
         limit = 3.0 * found.rms_m if found is not None else 1e-3
-        title = "Distance of the points from the predicted membrane"
+        title = "Distance of the points from the predicted membrane, positive outside"
         self.view.show_image(title, image, units.fine_length, -limit, limit)
         self._show_numbers(found)
 
@@ -247,4 +249,4 @@ class ValidationPage(Page):
         self.column.addLayout(form)
         buttons = fill(QHBoxLayout(), self.predict, self.remove)
         fill(self.column, buttons, self.summary, self.numbers, self.paint, 1)
-        self.pose.setToolTip("T_B_O: x y z qx qy qz qw in m; origin in the middle of the rim plane")
+        self.pose.setToolTip("T_B_O: x y z in m, qx qy qz qw; origin: middle of the rim plane")
