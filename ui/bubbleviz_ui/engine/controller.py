@@ -256,7 +256,7 @@ class Controller(QObject):
         settings, sensor = self.state.settings, self.sensor
         estimator = names & {"solver", "compared"} and self.opening.options != settings.options
         if estimator and sensor is not None:
-            self.opening.reopen(f"solver: {solver_title(settings.solver)}", lambda: sensor)
+            self.opening.reopen(f"again, solver: {solver_title(settings.solver)}", lambda: sensor)
         elif (
             "cloud_points" in names
             or ("pose_track" in names and settings.pose_track)  # its poses may be outdated
@@ -345,7 +345,7 @@ class Controller(QObject):
         client = self.client
         opened, facts, result = client.opened, client.facts, client.result
         if opened is None or facts is None or result is None:
-            raise RuntimeError("nothing is open yet")
+            raise RuntimeError("internal error: nothing is open")
         self.opening.current = opened
         self.analysis.stop()
         self.player.reset_to(result.frame.index)

@@ -225,7 +225,7 @@ class Solver:
     @property
     def _open(self) -> OpenSource:
         if self.current is None:
-            raise RuntimeError("nothing is open yet")
+            raise RuntimeError("internal error: nothing is open")
         return self.current
 
     def close(self) -> None:
@@ -294,7 +294,7 @@ class Solver:
         """Patch of a result at another κ, without solving."""
         current, estimate = self._open, result.estimate
         if estimate is None:
-            raise ValueError("no estimate to threshold")
+            raise ValueError("internal error: the result has no estimate")
         masked = "pixel_mask" in demand.products
         patch = current.pipeline.patch(estimate, demand.options, pixel_mask=masked)
         result = current.diagnose(replace(result, patch=patch), demand)
@@ -494,5 +494,9 @@ def _sensor_file_remark(current: OpenSource) -> str:
         return ""
     if found.verdict == "drifted" and model.pixels is None:
         off = f"{1e3 * found.bias_m:+.2f} mm"
-        return f"the sensor file was never calibrated, and depth is {off} off: identify the sensor"
-    return "" if found.verdict == "fits" else f"compared with the sensor file: {found.reason}"
+        return (
+            f"the sensor file was never calibrated, and the depth without contact is {off} off; "
+            "identify the sensor in the Calibration panel"
+        )
+    contradicts = "frames without contact contradict the sensor file"
+    return "" if found.verdict == "fits" else f"{contradicts}; {found.reason}"

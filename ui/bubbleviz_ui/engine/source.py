@@ -85,8 +85,8 @@ def sensor_for(path: Path, *known: Sensor) -> Sensor:
             return fitting_sensor(opened, None)[1]
         except UnknownCameraError as error:
             raise UnknownCameraError(
-                f"{opened.name}: images are {size[0]}×{size[1]} pixels; choose the sensor file of "
-                "this camera",
+                f"{opened.name}: images of {size[0]}×{size[1]} pixels do not tell the sensor; "
+                "choose the sensor file of this camera",
                 size,
             ) from error
 
