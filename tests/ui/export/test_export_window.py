@@ -227,7 +227,7 @@ def test_unreadable_frame_ends_the_video_with_a_message(drive, monkeypatch, tmp_
 
 def test_live_source_must_be_recorded_before_export(open_bench, monkeypatch):
     bench = Bench(connected_bench(open_bench), monkeypatch)
-    assert "record it (Ctrl+R)" in bench.dialog.about.text()
+    assert "record them (Ctrl+R)" in bench.dialog.about.text()
     assert not bench.dialog.export.isEnabled()
 
 
@@ -259,5 +259,5 @@ def test_success_removes_the_error_of_an_earlier_export(bench, tmp_path):
     assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
     bench.key(Qt.Key.Key_W, CTRL)
     bench.wait(lambda: bench.state.facts.is_empty)
-    assert "Nothing is open" in dialog.about.text() and not dialog.export.isEnabled()
+    assert "No recording is open" in dialog.about.text() and not dialog.export.isEnabled()
     assert dialog.frames.currentText() == "all 0 frames"

@@ -75,7 +75,7 @@ class ExportDialog(QDialog):
         self.message = QLabel(wordWrap=True)
         self.progress = QProgressBar(minimum=0, maximum=100)
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
-        self.export.setToolTip("Choose a file name and start")
+        self.export.setToolTip("Choose the name of the file or folder, and start")
         self.cancel.setToolTip("Stop and remove the unfinished files")
         self._lay_out()
         self._connect()
@@ -165,8 +165,9 @@ class ExportDialog(QDialog):
         width, height = self._state.settings.picture_size
         fps = self._exporting.fps(self.step.value())
         return (
-            f"{kind.tip}. {count_of(count, 'picture')} of {width}×{height} (3-D tools, Picture), "
-            f"{fps:.3g} per second, as in playback at {self._state.settings.speed:g}×."
+            f"{kind.tip}. {count_of(count, 'picture')} of {width}×{height} pixels (set in 3-D "
+            f"tools, Picture), {fps:.3g} per second, by the playback speed of "
+            f"{self._state.settings.speed:g}×."
         )
 
     def _choose_name(self) -> None:

@@ -60,8 +60,8 @@ class Kind:
 
 
 KINDS = (
-    Kind("Table", "Numbers of each frame, units in the columns' names; with poses where they "
-         "were found", {"CSV": ".csv", "Parquet": ".parquet"}),
+    Kind("Table", "Numbers of each frame, units in the columns' names; with the poses computed "
+         "so far", {"CSV": ".csv", "Parquet": ".parquet"}),
     Kind("Plots", "Force, gas pressure, patch, residual and run time over time, for print",
          {"PNG": ".png", "SVG": ".svg", "PDF": ".pdf"}),
     Kind("ParaView series", "Membrane with displacement and pressure, one VTK file per frame", {},
@@ -69,9 +69,9 @@ KINDS = (
     Kind("Membrane series", "Deformed membrane, one PLY file per frame", {}, "ply"),
     Kind("Patch clouds", "Points of the contact patch with pressure, one PLY file per frame", {},
          "patch"),
-    Kind("Depth pictures", "Depth image, one PNG file per frame", {}, "depth"),
-    Kind("Pressure pictures", "Contact pressure in the camera image, one PNG file per frame", {},
-         "pressure"),
+    Kind("Depth pictures", "Depth image in colours, one PNG file per frame", {}, "depth"),
+    Kind("Pressure pictures", "Contact pressure at each pixel in colours, one PNG file per frame",
+         {}, "pressure"),
     Kind("Video of the view", "The 3-D view as it is now, frame by frame", {"MP4": ".mp4"}),
 )  # fmt: skip
 """In the order of the dialog."""
@@ -222,12 +222,10 @@ class Exporting(QObject):
     def why_not(self) -> str:
         """Why nothing can be exported now; empty if export is possible."""
         facts = self._state.facts
-        if facts is None or self._controller.sensor is None:
-            return "Nothing is open yet."
-        if facts.is_empty:
-            return "Nothing is open: open a recording (Ctrl+O) to export its frames."
+        if facts is None or facts.is_empty or self._controller.sensor is None:
+            return "No recording is open; open one (Ctrl+O) to export its frames."
         if facts.grows:
-            return "A live source is exported from its recording: record it (Ctrl+R), then open it."
+            return "Live frames cannot be exported; record them (Ctrl+R) and open the recording."
         return ""
 
     def frames(self, *, all_frames: bool, step: int = 1) -> range:
