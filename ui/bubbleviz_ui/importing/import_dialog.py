@@ -83,7 +83,7 @@ UNITS = {
 }
 """Metres per unit of a pixel value; None: by its data type."""
 BY_FOLDER, RATE, TABLE = (
-    "times.csv in the folder, else the file names",
+    "times.csv in the folder, else times in the file names",
     "a fixed rate",
     "a table (CSV)",
 )
@@ -110,12 +110,16 @@ class ImageFields:
         self.timing.setToolTip("Where the times of the images come from")
         self.rate = QDoubleSpinBox(minimum=0.01, maximum=1e4, value=30.0, suffix=" Hz")
         self.rate.setToolTip("Images per second")
-        self.times = FileField("A time in s for each image", TABLES)
+        self.times = FileField("CSV with the time of each image in s", TABLES)
         self.gas_pressure = FileField(
-            "Gas pressure: time in s, absolute pressure in Pa", TABLES, "not measured"
+            "Gas pressure, CSV with columns time in s, absolute pressure in Pa",
+            TABLES,
+            "not measured",
         )
         self.wrench = FileField(
-            "Wrench: time in s, forces x y z in N, torques in N·m", TABLES, "not measured"
+            "Wrench, CSV with columns time in s, forces x y z in N, torques x y z in N·m",
+            TABLES,
+            "not measured",
         )
         self._form, self._shown = form, False
         self._rows: dict[str, FileField | QComboBox | QDoubleSpinBox] = {
@@ -202,7 +206,7 @@ class ImportDialog(QDialog):
         self.problem, self.made = QLabel(wordWrap=True), QLabel(wordWrap=True)
         self.problem.setObjectName("doubt")
         self.progress = QProgressBar(minimum=0, maximum=100)
-        self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open it")
+        self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open")
         self.begin = QPushButton("Import")
         self.cancel.setToolTip("Stop and remove the unfinished file")
         self.open_made.setToolTip("Open the new recording in the window")
