@@ -132,7 +132,7 @@ def test_dropped_frame_gives_a_message_and_a_frozen_one_is_kept(open_bench, monk
     live = connected_bench(open_bench)
     live.wait_for_frames(5)
     live.state.seek(0)
-    live.wait_for_message("record to keep all")
+    live.wait_for_message("to keep all frames")
     live.state.freeze(False)
     live.wait_for_frames(2)
     live.window.message.hide()

@@ -125,7 +125,7 @@ PLACES = {
     SYNTHETIC: "Object pressed into the membrane; empty: the built-in press",
     PAIR: "A session preset or file with two sensors",
 }
-AUTOMATIC = "automatic: the preset with images of that size"
+AUTOMATIC = "automatic: the preset for images of the source's size"
 TYPING_MS = 400
 """Delay after typing before the search starts."""
 NAME = Qt.ItemDataRole.UserRole
@@ -153,7 +153,7 @@ class ConnectDialog(QDialog):
         self.folder.setAutoDefault(False)
         self.folder.setToolTip("Choose the folder of a rosbag2 recording")
         self.topics = QListWidget()
-        self.topics.setToolTip("Published depth images and point clouds")
+        self.topics.setToolTip("Topics with depth images or point clouds")
         self.kind.setToolTip("Type of live source")
         self.sensor = QComboBox()
         self.sensor.setToolTip("Sensor file of this camera and membrane")

@@ -1,4 +1,4 @@
-"""Live bar: status of the live source, recording, publishing. Hidden without a live source."""
+"""Live bar (source status, recording, publishing), and the latency of the display."""
 
 from __future__ import annotations
 
@@ -173,9 +173,9 @@ class LiveBar(QFrame):
         self.publish = self._button("Publish", "")
         self.publish.setCheckable(True)
         self.publish.setToolTip(
-            "Publish patch, force, pose and diagnostics over Zenoh to this computer"
+            "Publish patch, force, pose and diagnostics over Zenoh (address: Live → Publish at)"
         )
-        self.leave = self._button("Disconnect", "Disconnect from the source (Ctrl+Shift+L)")
+        self.leave = self._button("Disconnect", "Disconnect, or stop connecting (Ctrl+Shift+L)")
         self.counts = Elided(Qt.TextElideMode.ElideRight)
         self.counts.setObjectName("dim")
         self._lay_out()
@@ -294,7 +294,7 @@ class LiveBar(QFrame):
     def _zero_text(self) -> str:
         sensor = self._live.sensor
         if sensor is None or (sensor.zero.waiting and sensor.zero.offset_pa is None):
-            return "gas pressure not zeroed yet"
+            return "no gas zero: no gas pressure without contact yet"
         offset = self._units.gas_pressure.text(sensor.zero.offset_pa, signed=True)
         return f"gas zero {offset}" + (
             ", waiting for contact-free frames" if sensor.zero.waiting else ""

@@ -75,8 +75,8 @@ class LiveFrames:
             if index >= oldest:
                 return self._kept[index - oldest]
         raise InputError(
-            f"{self.name}: frame {index} is no longer in memory, which holds the last "
-            f"{FRAMES_KEPT_S:g} s of a live source; record to keep all"
+            f"{self.name}: frame {index} is no longer in memory, which holds at most the last "
+            f"{FRAMES_KEPT_S:g} s of a live source; record (Ctrl+R) to keep all frames"
         )
 
     def close(self) -> None:

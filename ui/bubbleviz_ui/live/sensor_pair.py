@@ -196,7 +196,7 @@ class SensorPair(QObject):
 
     def _T_W_B(self, number: int) -> np.ndarray:
         if self._run is None:
-            raise RuntimeError("nothing is connected")
+            raise RuntimeError("internal error: no sensor is connected")
         return self._run.preset.sensors[number].T_W_B
 
     def _T_selected_other(self) -> np.ndarray:
