@@ -29,13 +29,14 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
     {
         "membrane": LayerKind(
             "Membrane",
-            "Deformed membrane, coloured by contact pressure p_c;\n"
+            "Deformed membrane, coloured by contact pressure p_c; violet: not trusted;\n"
             "hatched: pressure without evidence of contact, not in the force",
             ESTIMATE,
         ),
         "texture": LayerKind(
             "Texture",
-            "Colour image on the deformed membrane; pressure shows where something touches",
+            "Colour image on the deformed membrane;\n"
+            "with the layer Membrane, pressure covers it where something touches",
             ESTIMATE | {"texture"},
             by_default=False,
         ),
@@ -53,7 +54,9 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
             by_default=False,
         ),
         "compared": LayerKind(
-            "Compared outlines", "Patch of settings A and B, while the Compare panel is open"
+            "Compared outlines",
+            "Edges of the patches by settings A and B;\n"
+            "only while the Compare panel is in front, on the frame that it has measured",
         ),
         "cloud": LayerKind(
             "Measured points",
@@ -84,13 +87,20 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "traction": LayerKind(
             "Traction",
-            "Contact traction at each node: normal orange, tangential blue",
+            "Contact traction at the nodes in contact:\n"
+            "normal orange, tangential blue (only with colour images)",
             ESTIMATE | {"traction"},
             by_default=False,
         ),
-        "object": LayerKind("Object", "The tracked object at its pose"),
+        "object": LayerKind(
+            "Object",
+            "Object of the Pose panel at its pose or initial pose;\n"
+            "amber: some directions not determined, red: not found in this frame",
+        ),
         "fit": LayerKind(
-            "Fit", "Contact points by distance from the object, and undetermined directions"
+            "Fit",
+            "Contact points by distance from the object, −1 mm (inside) blue to 1 mm red;\n"
+            "arrows: directions not determined",
         ),
         "axes": LayerKind(
             "Axes and scale",

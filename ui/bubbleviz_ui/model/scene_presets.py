@@ -52,7 +52,9 @@ class Viewpoint(_Strict):
     @classmethod
     def _not_along_up(cls, direction: tuple[float, float, float]) -> tuple[float, float, float]:
         if abs(direction[0]) + abs(direction[1]) == 0.0:
-            raise ValueError("parallel to z, the up direction; tilt it slightly, [0.01, 0, 1]")
+            raise ValueError(
+                "x and y are both 0, but z is up in the view; tilt it slightly, [0.01, 0, 1]"
+            )
         return direction
 
 

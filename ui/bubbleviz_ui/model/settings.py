@@ -97,7 +97,10 @@ def _own_titles(*names: str) -> dict[str, str]:
     return {name: name for name in names}
 
 
-KAPPA = "κ: threshold as a multiple of the mean contact pressure (section V-C of the paper)"
+KAPPA = (
+    "κ: threshold as a multiple of the mean contact pressure over the membrane (section V-C of the "
+    "paper)"
+)
 TIMES, PIXELS, SECONDS = Unit("×", 1.0, 2), Unit("px", 1.0, 0), Unit("s", 1.0, 1)
 DEFAULT_OPTIONS = EstimatorOptions()
 
@@ -109,7 +112,7 @@ class ComparedSetting(_SettingsBase):
     solver: str | None = _setting(
         None,
         "Solver",
-        "Solver of the inverse problem; rubber: exact membrane",
+        "Solver of the inverse problem; rubber: exact membrane, linear: constant tension",
         titles={name: solver_title(name) for name in (None, *ESTIMATORS)},
     )
     pressure_scale: float | None = _setting(
@@ -128,7 +131,7 @@ class ComparedSetting(_SettingsBase):
     nodes: int | None = _setting(
         None,
         "Nodes",
-        "Number of mesh nodes; ignored if the sensor has a mesh file",
+        f"Number of mesh nodes, at least {FEWEST_NODES}; ignored if the sensor has a mesh file",
         low=0, high=min(5_000, MAX_NODES), step=100, lowest="sensor's",
     )  # fmt: skip
     block: int | None = _setting(
@@ -160,14 +163,14 @@ class Settings(_SettingsBase):
     least_area_m2: float = _setting(
         0.0,
         "Remove parts below",
-        "Parts of the patch smaller than this are not contact",
+        "Smaller parts are removed from the patch; the force stays that of all parts",
         groups="patch", high=0.01, step=5e-6, unit="area", lowest="nothing",
     )  # fmt: skip
     # Solver of the inverse problem, or A or B for a setting of Compare; None: default solver
     solver: str | None = _setting(
         None,
         "Solver",
-        "Solver of the inverse problem (Eq. 23); a change solves the frame again",
+        "Solver of the inverse problem (Eq. 23); a change discards the results of all frames",
         titles={name: solver_title(name) for name in (None, *SOLVER_NAMES, *COMPARED_NAMES)},
     )
     speed: float = _setting(
@@ -202,7 +205,7 @@ class Settings(_SettingsBase):
     plots: frozenset[str] = _setting(
         frozenset({"force", "gas", "area"}),
         "Plots",
-        "Quantities to plot; others are not computed",
+        "Quantities to plot; what nothing shows is not computed",
         titles={name: plot.title for name, plot in PLOTS.items()},
     )
     images: frozenset[ImageName] = _setting(
@@ -314,7 +317,12 @@ class Settings(_SettingsBase):
         (ComparedSetting(), ComparedSetting(solver="linear")), "compared settings"
     )
     # Width and height of screenshots of the 3-D view, pixels
-    picture_size: tuple[int, int] = _setting((1920, 1080), "Picture", "Pixels", low=16, high=8192)
+    picture_size: tuple[int, int] = _setting(
+        (1920, 1080),
+        "Picture",
+        "Width × height of pictures and videos of the 3-D view, pixels",
+        low=16, high=8192,
+    )  # fmt: skip
     # Limit of 60 s: 1.1 GB of memory for 16-bit 640×480 at 30 Hz
     pre_roll_s: float = _setting(
         2.0,
