@@ -159,7 +159,7 @@ def test_playback_keys_and_button_and_about_dialog(drive):
     driver.key(Qt.Key.Key_Space)
     assert not driver.state.playing
     label = driver.window.status.labels["frame"]  # intermediate frames may come first
-    driver.wait(lambda: f"frame {driver.state.frame} of {last}" in label.text())
+    driver.wait(lambda: f"frame {driver.state.frame} of 0–{last}" in label.text())
     box = driver.window.layers.boxes["wireframe"]
     box.setFocus()  # as by Tab
     driver.bot.keyClick(box, Qt.Key.Key_Space)

@@ -1,4 +1,4 @@
-"""Controls of settings, created from their `SettingInfo` and bound to `Settings`."""
+"""Controls bound to `Settings`, and which keys and wheel events the controls of a panel get."""
 
 from __future__ import annotations
 

@@ -161,9 +161,11 @@ class OtherRecording(QWidget):
         self.start.setToolTip("Solve all frames of both with the settings of the window")
         self.remove.setToolTip("Forget the other recording and sensor file")
         self.recording.setToolTip("Recording to compare with the one that is open")
-        self.sensor_file.setToolTip("Sensor file of that recording, or of the open one")
+        self.sensor_file.setToolTip(
+            "Sensor file of the other recording; without one, to compare with the sensor in use"
+        )
         self.drawn.setToolTip(
-            "Draw its membrane next to that of the open recording, at the same time"
+            "Draw the other membrane next to that of the open recording, at the same time"
         )
         self.result.setObjectName("value")
         choices = fill(QHBoxLayout(), (self.recording, 1), (self.sensor_file, 1))
@@ -270,7 +272,7 @@ class OtherRecording(QWidget):
         found, units, k = self._aligned.found, self._state.units, self._state.frame
         facts = self._aligned.facts
         shift = units.time.text(-found.shift_s, signed=True)
-        lines = [f"{found.other}: dashed in Plots, drawn at its time {shift}"]
+        lines = [f"{found.other}: dashed in Plots, its times shifted by {shift}"]
         for title, unit, name, here in (
             ("|ΔF|", units.force, "force_difference_n", found.force_difference_n[k]),
             ("|Δarea|", units.area, "area_difference_m2", abs(found.area_difference_m2[k])),
@@ -278,7 +280,8 @@ class OtherRecording(QWidget):
             sizes = [
                 f"{unit.text(facts[f'{key}_{name}'])} {word}" for key, word in STATISTICS.items()
             ]
-            lines.append(f"{title} in this frame {unit.text(here)}; in contact {', '.join(sizes)}")
+            of_all = f"over frames with contact {', '.join(sizes)}"
+            lines.append(f"{title} in this frame {unit.text(here)}; {of_all}")
         self.result.setText("\n".join(lines))
 
 

@@ -50,9 +50,9 @@ class KappaPanel(QWidget):
         self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
-            "Part under contact pressure, its edge by the gas pressure and the camera's "
-            "resolution.\nUntick to draw the patch where the contact pressure p_c exceeds κ times "
-            "its mean (section V-C of the paper)"
+            "The patch is the part under contact pressure, its edge by the gas pressure and the "
+            "camera's resolution.\nUnticked: where the contact pressure p_c exceeds κ times its "
+            "mean over the membrane (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
         info = Settings.info("kappa")
@@ -68,8 +68,8 @@ class KappaPanel(QWidget):
         self.solver = control(state, "solver")
         self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
         self.area.setToolTip(
-            "Area on the membrane. In brackets the areas inside the two thin lines: the smallest"
-            " and the largest patch that noise allows"
+            "Area on the membrane at rest; in brackets the areas inside the two thin lines, the "
+            "smallest and the largest patch that noise allows"
         )
         self.by_object.setToolTip("Patch from the object at its pose (green outline)")
         self.doubt = QLabel(wordWrap=True)
@@ -239,7 +239,7 @@ class KappaPlot(KappaAxisPlot):
             best = int(np.argmax(curve.iou))
             text += (
                 f' · <span style="color:{ORANGE}">IoU ≤ {curve.iou[best]:.2f}'
-                f" at {curve.kappa[best]:.1f}</span>"
+                f" at κ {curve.kappa[best]:.1f}</span>"
             )
         self.frame.write(text)
 

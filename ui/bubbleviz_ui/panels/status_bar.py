@@ -34,20 +34,21 @@ from bubbleviz_ui.view3d.render_view import View
 
 TIPS = {
     "sensor": "Sensor",
-    "frame": "Frame shown and its time in the recording",
+    "frame": "Frame shown, numbers of the first and last frame, and its time since the start",
     "force": "Force F: resultant of contact pressure p_c (Eq. 23) and friction on the membrane,"
     " ± half of its 95 % interval due to noise, friction, γ0, gauge pressure and λ",
-    "area": "Area of the contact patch on the membrane (section V-C of the paper); the Contact "
-    "patch panel shows the threshold",
-    "gas": "Gas pressure change p_v against the reference: measured, else from the gas law (Eq. "
-    "6) and the estimated shape; result files have the rubber model's estimate from both",
+    "area": "Area of the contact patch on the membrane at rest (section V-C of the paper); the "
+    "Contact patch panel shows the threshold",
+    "gas": "Gas pressure change p_v from rest: measured, else from the gas law (Eq. 6) and the "
+    "estimated shape; result files have an estimate that combines both",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
     "camera": "Mean frame rate of the depth camera",
     "solve": "Time per frame, depth image in to results out, and frames processed in the last "
     "second; click for more",
-    "latency": "From the time stamp of a live frame to its display: median and 95th percentile",
+    "latency": "From the time stamp of a live frame (its arrival if the clocks differ) to its "
+    "display: median and 95th percentile",
     "render": "Pictures of the 3-D view drawn in the last second",
-    "dropped": "Frames skipped because a newer one had arrived",
+    "dropped": "Frames skipped because another one was due or requested",
 }
 
 
@@ -130,7 +131,7 @@ class StatusBar(QStatusBar):
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
-        of_all = "" if facts.grows else f" of {facts.frames - 1}"
+        of_all = "" if facts.grows else f" of 0–{facts.frames - 1}"
         place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
             "frame": f"frame {DASH}" if facts.is_empty else place,
@@ -142,7 +143,9 @@ class StatusBar(QStatusBar):
         }
         for name, text in texts.items():
             self.labels[name].setText(text)
-        tangential = f"its tangential part, from depth alone: {tangential_text(result, units)}"
+        part = tangential_text(result, units)
+        known = f"{part} (friction was not estimated)" if part == DASH else part
+        tangential = f"tangential part of F, estimated without colour images: {known}"
         self.labels["force"].setToolTip(untrusted_text(result) or f"{TIPS['force']};\n{tangential}")
         self._solve_ms = result.times_ms.get("total")
 
@@ -279,8 +282,8 @@ class PerformancePopup(QFrame):
         each = 1e3 * view.busy_s / view.render_count if view.render_count else None
         self.drawing.setText(
             f"Drawing: {duration.text(each)} a picture, {count_of(view.render_count, 'picture')},"
-            f" {count_of(self._controller.dropped, 'frame')} skipped because a newer one had "
-            "arrived"
+            f" {count_of(self._controller.dropped, 'frame')} skipped because another one was due "
+            "or requested"
         )
 
     def _texts(self, line: StageTime) -> tuple[str, ...]:
