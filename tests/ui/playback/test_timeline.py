@@ -77,7 +77,7 @@ def test_contact_shading_seeking_and_range_by_clicks_and_drags(drive, monkeypatc
     drag(driver, 7, 2, BELOW)
     assert driver.state.frame == 2
     driver.wait_until_shown()
-    assert driver.window.playback.readout.text().startswith(f"frame 2 of {FRAMES - 1}")
+    assert driver.window.playback.readout.text().startswith(f"frame 2 of 0–{FRAMES - 1}")
     # a dragged range is looped
     driver.seek(0)
     drag(driver, 3, 6, ABOVE)
@@ -128,7 +128,7 @@ def test_gaps_and_markers_are_drawn(drive):
     assert driver.state.frame == 9
     driver.key(Qt.Key.Key_M)
     assert driver.state.markers == (3,)
-    assert "3 missing after it" in timeline.tip(5) and "marked" in timeline.tip(3)
+    assert "3 frames missing after it" in timeline.tip(5) and "marked" in timeline.tip(3)
     # the width of an outage is its duration
     times = driver.state.facts.times_s
     places = np.array([timeline.x_at(k) for k in range(FRAMES)])

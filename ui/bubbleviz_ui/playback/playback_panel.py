@@ -224,7 +224,7 @@ class PlaybackPanel(QWidget):
         if facts.is_empty:
             return f"frame {DASH}"
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
-        of_all = "" if facts.grows else f" of {facts.frames - 1}"
+        of_all = "" if facts.grows else f" of 0–{facts.frames - 1}"
         return f"frame {frame}{of_all}   {time_text}"
 
 

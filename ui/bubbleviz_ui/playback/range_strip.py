@@ -60,8 +60,9 @@ class RangeStrip(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setMouseTracking(True)
         self.setToolTip(
-            "Contact-free frames. Drag an end to move it, drag elsewhere to add a range. Keys: "
-            "Space next end, ← → move it (↑ ↓ by 10), Delete removes the range"
+            "Contact-free frames. Drag an end to move it, drag elsewhere to add a range. Keys, "
+            "after a click on an end: ← → move it (↑ ↓ by 10), Space next end, Delete removes the "
+            "range"
         )
         self._axis = TimeAxis(np.zeros(0))
         self.ranges: Ranges = ()

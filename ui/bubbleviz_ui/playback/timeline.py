@@ -19,6 +19,7 @@ from PySide6.QtGui import (
 from PySide6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from bubbleviz.recordings import Gap, TimeAxis
+from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, UNTRUSTED
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -132,11 +133,15 @@ class Timeline(QWidget):
             f"frame {frame} · {time_text}",
             CONTACT_TEXTS[int(self._state.history.contact[frame])],
         ]
-        parts += [f"{g.missing} missing after it" for g in facts.gaps if g.after_frame == frame]
+        parts += [
+            f"{count_of(g.missing, 'frame')} missing after it"
+            for g in facts.gaps
+            if g.after_frame == frame
+        ]
         if frame in self._state.markers:
             notes = [text for at, text in facts.marks if at == frame]
             parts.append(": ".join(["marked", *filter(None, ["; ".join(notes)])]))
-        help_text = "Click or drag: seek. Drag above (or with Shift): range to play"
+        help_text = "Click or drag: seek. Drag in the upper band (or with Shift): range to play"
         return f"{' · '.join(parts)}\n{help_text}; double-click there: play all"
 
     # -- painting -----------------------------------------------------------------------------
