@@ -220,7 +220,7 @@ def test_tracking_export_and_undo_of_reset(bench, tmp_path, monkeypatch):
     bench.wait(lambda: bench.panel.csv.isEnabled())
     for button, name in ((bench.panel.csv, "p.csv"), (bench.panel.tum, "p.tum")):
         out = str(tmp_path / name)
-        monkeypatch.setattr(pose_panel, "file_to_save", lambda *_, out=out, **__: Path(out))
+        monkeypatch.setattr(pose_panel, "new_file", lambda *_, out=out, **__: (Path(out), ""))
         bench.click(button)
     with (tmp_path / "p.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -35,7 +35,7 @@ from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plot
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import file_to_open, file_to_save
+from bubbleviz_ui.shell.file_dialogs import file_to_open, new_file
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 if TYPE_CHECKING:
@@ -245,8 +245,12 @@ class PosePanel(QWidget):
         self.copy = QPushButton("Copy")
         self.copy.setToolTip("T_B_O as text: position in m, quaternion x y z w, 4×4 matrix")
         self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
-        self.csv.setToolTip("Poses found so far, T_B_O in m, as POSES.csv")
-        self.tum.setToolTip("Poses found so far as a TUM trajectory file, m")
+        self.csv.setToolTip(
+            "Every processed frame with status and T_B_O in m; a lost frame has the last good pose"
+        )
+        self.tum.setToolTip(
+            "TUM trajectory of the frames in which the object was found: time in s, T_B_O in m"
+        )
         self.values = {name: QLabel() for name in NUMBERS}
         self._fill()
         self._lay_out()
@@ -281,7 +285,9 @@ class PosePanel(QWidget):
 
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
-        self.object.setToolTip("Object to track: a preset, or a mesh file dropped here")
+        self.object.setToolTip(
+            "Object to register: a preset or a mesh file, which can be dropped here"
+        )
         self.object.addItem(NONE, None)
         for path in sorted(presets_folder("objects").glob("*.*")):
             self.object.addItem(path.stem.replace("_", " "), path.stem)
@@ -290,9 +296,9 @@ class PosePanel(QWidget):
         self.search.setToolTip("Search all orientations instead of starting from an initial pose")
         self.move_in_view.setCheckable(True)
         self.move_in_view.setToolTip(
-            "Drag the box around the object: handles rotate it, the middle moves it"
+            "Drag the box in the view: its sides rotate the object, the ball in the middle moves it"
         )
-        self.from_here.setToolTip("Use the displayed pose as the initial pose")
+        self.from_here.setToolTip("Use the pose below as the initial pose")
         self.track.setCheckable(True)
         self.track.setToolTip(Settings.info("pose_track").tip)
         self.reset.setToolTip("Discard all poses and stop tracking (Ctrl+Shift+F)")
@@ -384,7 +390,7 @@ class PosePanel(QWidget):
             self.start.show_pose(start)  # else keep the angles as typed
 
     def _export(self, form: str) -> None:
-        path = file_to_save(self, "Export poses", f"poses.{form}", of="export")
+        path, _ = new_file(self, "Export poses", f"poses.{form}", of="export")
         if path is None:
             return
         try:
@@ -392,7 +398,7 @@ class PosePanel(QWidget):
         except InputError as error:
             self.notified.emit(UserMessage("error", str(error), topic="export of poses"))
         else:
-            text = f"Exported {count_of(count, 'pose')} to {path}"
+            text = f"Exported {count_of(count, 'frame')} to {path}"
             self.notified.emit(UserMessage("notice", text, file=path, topic="export of poses"))
 
     def _on_settings(self, names: frozenset[str]) -> None:

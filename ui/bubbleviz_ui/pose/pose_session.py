@@ -36,7 +36,7 @@ STATES = {
     "ok": "found",
     "lost": "lost; the last good pose is kept",
     "no_contact": "no contact",
-    "few_points": "the patch has too few points for a pose; press deeper",
+    "few_points": "the patch has too few points for a pose; press deeper, or choose another frame",
     "no_data": "no trusted estimate of the membrane",
 }
 
