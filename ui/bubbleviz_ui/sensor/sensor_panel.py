@@ -337,7 +337,7 @@ class SensorPanel(QWidget):
             self._show()
 
     def _on_difference(self, difference: str) -> None:
-        self.difference.setText(difference and "The sensor file on disk has changed")
+        self.difference.setText(difference and "The sensor's files were changed or removed")
         self.difference.setToolTip(difference)
         self.difference.setVisible(bool(difference))
         if difference:
