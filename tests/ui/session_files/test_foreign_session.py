@@ -61,5 +61,5 @@ def test_session_file_connects_to_other_computers_only_after_a_question(
 def test_an_invalid_viewpoint_is_refused(tmp_path, up):
     camera = {"position": [0, 0, 1], "focal_point": [0, 0, 0], "up": up, "view_angle": 30}
     (tmp_path / "a.json").write_text(json.dumps({"camera": camera}))
-    with pytest.raises(bv.InputError, match=r"a\.json: not a bubbleviz session"):
+    with pytest.raises(bv.InputError, match=r"a\.json: no session that this version"):
         read_session(tmp_path / "a.json")

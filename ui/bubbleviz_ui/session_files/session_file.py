@@ -81,9 +81,9 @@ class SavedCamera(BaseModel):
     def _is_a_view(self) -> SavedCamera:
         place, centre, up = (np.array(p) for p in (self.position, self.focal_point, self.up))
         if max(np.abs(p).max() for p in (place, centre, up)) > MAX_DISTANCE_M:
-            raise ValueError("the viewpoint is not in metres")
+            raise ValueError("a coordinate of the viewpoint is beyond 1 km; they are in metres")
         if not np.linalg.norm(np.cross(centre - place, up)) > 0.0:
-            raise ValueError("the viewpoint lacks a direction or an up vector")
+            raise ValueError("the viewpoint has no direction, or one parallel to its up vector")
         return self
 
 
@@ -264,7 +264,8 @@ def _read(path: Path, kind: type[Any]) -> Any:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"]) or "file"
         raise InputError(
-            f"{path}: not a bubbleviz session ({where}: {problem['msg']}); choose another file"
+            f"{path}: no session that this version can read ({where}: {problem['msg']}); choose "
+            "another file"
         ) from error
 
 
@@ -332,4 +333,7 @@ def _read_sensor(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         reason = error.strerror or error
-        raise InputError(f"{path}: cannot be read ({reason}); save the sensor again") from error
+        raise InputError(
+            f"{path}: cannot be read ({reason}); restore this file of the sensor in use, or open "
+            "another sensor"
+        ) from error

@@ -108,7 +108,8 @@ class SessionSaver(QObject):
         self._file.parent.mkdir(parents=True, exist_ok=True)
         user = UserFile(session=self.snapshot(self._file), recent=self.recent, hinted=self.hinted)
         if user != self._written:
-            write_atomically(self._file, user)
+            remedy = "make room for it or allow writing it, then restart"
+            write_atomically(self._file, user, remedy)
             self._written = user
 
     def close(self) -> None:
@@ -411,7 +412,7 @@ class SessionSaver(QObject):
             self.recent_changed.emit()
 
 
-def write_atomically(path: Path, what: BaseModel) -> None:
+def write_atomically(path: Path, what: BaseModel, remedy: str = "choose another place") -> None:
     """Write or replace a file atomically.
 
     Raises InputError: It cannot be written.
@@ -420,7 +421,7 @@ def write_atomically(path: Path, what: BaseModel) -> None:
     text = what.model_dump_json(indent=1).encode()
     opened = file.open(QSaveFile.OpenModeFlag.WriteOnly)
     if not (opened and file.write(text) == len(text) and file.commit()):
-        raise InputError(f"{path}: cannot be written ({file.errorString()}); choose another place")
+        raise InputError(f"{path}: cannot be written ({file.errorString()}); {remedy}")
 
 
 def _camera(view: View) -> SavedCamera:
