@@ -84,9 +84,9 @@ TIPS = {
     "normal": "Component along the mean normal of the contact, into the sensor",
     "tangential": "Component across the mean normal of the contact",
     "direction": "Angle of the tangential force about z, from x towards y of the bubble frame",
-    "torque": "About the mean normal through the contact's centre",
+    "torque": "Torque about the mean normal through the contact's centre",
     "displacement": "Largest displacement along the membrane within the contact",
-    "slip": "Share of the patch that slipped relative to the rest since contact; none if too "
+    "slip": "Share of the patch that slipped relative to the rest since contact; a dash if too "
     "little of the patch sticks",
 }
 UNVERIFIED = "not verified on real sensors"
@@ -148,7 +148,7 @@ class ShearPanel(QWidget):
         self.reference.setToolTip("Contact-free colour images from which motion is measured")
         self.search_reference = QPushButton("Collect again")
         self.search_reference.setToolTip(
-            "Find the contact-free colour images again; do not touch the sensor meanwhile"
+            "Find the contact-free colour images again; do not touch a live sensor meanwhile"
         )
         self.flow = control(state, "flow_preset")
         info = Settings.info("friction")
@@ -217,7 +217,8 @@ class ShearPanel(QWidget):
             return
         result = self._controller.result
         words = shear_texts(result, self._state.units)
-        self.reference.setText(self._controller.inspection.reference or SEARCHING)
+        searching = DASH if result is None or result.estimate is None else SEARCHING
+        self.reference.setText(self._controller.inspection.reference or searching)
         self.state.setText(words["state"])
         for name, label in self.values.items():
             label.setText(words[name])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 MAX_SEARCHED = 3000
 """Longer recordings are not searched, as that would take minutes."""
 SHEAR: frozenset[Product] = frozenset({"flow", "traction", "slip"})
-NEEDS_RUBBER = "Shear needs the exact membrane: choose the solver rubber"
+NEEDS_RUBBER = "Shear needs the exact membrane; choose the solver rubber in the Contact patch panel"
 
 
 class ShearReference:
