@@ -26,7 +26,7 @@ def test_shortcuts_are_listed_changed_rejected_and_reset(drive):
     dialog.keys.setFocus()
     driver.bot.keyClick(dialog.keys, Qt.Key.Key_L)
     driver.click(dialog.set)
-    assert "used by" in dialog.problem.text() and LOOP in dialog.problem.text()
+    assert "conflicts" in dialog.problem.text() and LOOP in dialog.problem.text()
     assert shortcuts.keys(PLAY) == "Space"
     dialog.keys.setKeySequence(QKeySequence())
     driver.bot.keyClick(dialog.keys, Qt.Key.Key_J)

@@ -24,8 +24,8 @@ def has_display(environment: Mapping[str, str] = os.environ) -> bool:
     wayland = environment.get("WAYLAND_DISPLAY", "")
     if wayland and _listens(str(Path(environment.get("XDG_RUNTIME_DIR", "/")) / wayland)):
         raise InputError(
-            "this Wayland session has no XWayland, which the window needs; install it (apt "
-            "install xwayland) and log in again"
+            "no X server answers in this Wayland session, but the window needs one; install "
+            "XWayland (apt install xwayland) and log in again, or correct DISPLAY"
         )
     return False
 

@@ -29,9 +29,8 @@ from bubbleviz_ui.shell.shortcuts import DYNAMIC
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
 
-NO_CONTACT = (
-    "No further contact in the frames computed so far; run Analyse all frames to find the others"
-)
+SO_FAR_NONE = "{} in the frames computed so far"
+ANALYSE = "; run Analyse all frames to search the others"
 SO_FAR = (
     "Largest force of the frames computed so far; {} not yet computed. Run Analyse all frames to "
     "include them"
@@ -300,19 +299,26 @@ class Menus:
 
     def _seek_contact(self, direction: int) -> None:
         state = self._window.state
-        self._seek_found(state.history.next_contact(state.frame, direction))
+        found = state.history.next_contact(state.frame, direction)
+        self._seek_found(found, "No further contact")
 
     def _seek_largest_force(self) -> None:
-        history, facts = self._window.state.history, self._window.state.facts
-        frame, missing = history.largest_force(), len(history.missing(PATCH))
-        self._seek_found(frame)
-        if frame is not None and missing and facts is not None and not facts.grows:
+        frame, missing = self._window.state.history.largest_force(), self._frames_to_analyse
+        self._seek_found(frame, "No contact")
+        if frame is not None and missing:
             text = SO_FAR.format(count_of(missing, "frame"))
             self._window.messages.add(UserMessage("notice", text))
 
-    def _seek_found(self, frame: int | None) -> None:
+    @property
+    def _frames_to_analyse(self) -> int:
+        """Frames of a recording not computed yet."""
+        history, facts = self._window.state.history, self._window.state.facts
+        return 0 if facts is None or facts.grows else len(history.missing(PATCH))
+
+    def _seek_found(self, frame: int | None, nothing: str) -> None:
         if frame is None:
-            self._window.messages.add(UserMessage("notice", NO_CONTACT))
+            text = SO_FAR_NONE.format(nothing) + (ANALYSE if self._frames_to_analyse else "")
+            self._window.messages.add(UserMessage("notice", text))
         else:
             self._window.state.seek(frame)
 
@@ -321,8 +327,8 @@ class Menus:
         endpoint, chosen = QInputDialog.getText(
             self._bar,
             "Publish results",
-            "Address, tcp/HOST:PORT (HOST 127.0.0.1: only for this computer; its network address: "
-            "for others, too)",
+            "Address, tcp/HOST:PORT, from the next start of publishing (HOST 127.0.0.1: only for "
+            "this computer; its network address: for others, too)",
             text=state.settings.publish_at,
         )
         if chosen:

@@ -139,7 +139,7 @@ class Shortcuts(QObject):
         other = self.used_by(keys, name) if not keys.isEmpty() else None
         if other is not None:
             native = keys.toString(QKeySequence.SequenceFormat.NativeText)
-            return f"{native} is used by “{other}”; choose other keys or remove them there."
+            return f"{native} conflicts with the keys of “{other}”; choose others, or remove those."
         self.actions[name].setShortcuts([] if keys.isEmpty() else [keys])
         self.edited.emit()
         return ""
@@ -150,7 +150,7 @@ class Shortcuts(QObject):
             other = self.used_by(keys, name)
             if other is not None:
                 native = keys.toString(QKeySequence.SequenceFormat.NativeText)
-                return f"{native} is used by “{other}” now; reset that first."
+                return f"{native} conflicts with the keys of “{other}”; reset those first."
         self.actions[name].setShortcuts(self._defaults[name])
         self.edited.emit()
         return ""

@@ -73,7 +73,7 @@ class InformationDialog(TextDialog):
     """Output of `bubbleviz info` for the open recording, or a description of a live source."""
 
     def __init__(self, parent: QWidget, controller: Controller, worker: Worker) -> None:
-        super().__init__(parent, "Information", "All lines, as bubbleviz info prints them")
+        super().__init__(parent, "Information", "All lines shown here")
         self.text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self.text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
         sensor, facts = controller.sensor, controller.state.facts
