@@ -39,7 +39,7 @@ VIEWS: dict[Viewpoint, str] = {
 }  # fmt: skip
 TOOLS = {
     "rotate": ("Rotate", "Drag to rotate the scene, wheel to zoom"),
-    "probe": ("Probe", "Click on the membrane or a point to show its numbers until Esc"),
+    "probe": ("Probe", "Click on the membrane or a measured point to show its numbers until Esc"),
     "distance": ("Distance", "Click on two points; a third starts again"),
 }
 HINTS = {
