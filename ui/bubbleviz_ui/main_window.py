@@ -526,7 +526,9 @@ class MainWindow(QMainWindow):
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, ""
         if failed.key == "open":
-            message, topic = f"{message.rstrip('.')}. The current source stays open.", OPENING
+            facts = self.state.facts
+            stays = "" if facts is None or facts.is_empty else " The current source stays open."
+            message, topic = f"{message.rstrip('.')}.{stays}", OPENING
         elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
             self.state.set_playing(False)
         kind: MessageKind = "warning" if failed.warning else "error"

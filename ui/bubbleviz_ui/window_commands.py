@@ -9,7 +9,9 @@ import click
 from bubbleviz.cli.shared_options import colour_delay_option, overwrite_option
 from bubbleviz.files import SESSION_SUFFIX, SYNTHETIC_SENSOR, preset_names
 
-_fresh = click.option("--fresh", is_flag=True, help="Do not restore the last session.")
+_fresh = click.option(
+    "--fresh", is_flag=True, help="Neither restore the last session nor save this one."
+)
 
 
 @click.command(hidden=True)
@@ -36,8 +38,12 @@ def window(fresh: bool) -> int:
     help="TRUTH.npz of a simulated REC; by default the one next to it with the same name.",
 )
 @colour_delay_option
-@click.option("--frame", type=click.IntRange(0), help="Show this frame and do not play.")
-@click.option("--screenshot", type=click.Path(path_type=Path), help="Write OUT.png and exit.")
+@click.option("--frame", type=click.IntRange(0), help="Show this frame, from 0, and do not play.")
+@click.option(
+    "--screenshot",
+    type=click.Path(path_type=Path),
+    help="Write a PNG picture of the window and exit.",
+)
 @overwrite_option
 @_fresh
 def open_recording(
@@ -123,7 +129,7 @@ def _open_live(
     from bubbleviz_ui.model.scene_presets import load_scene
 
     if session is not None and sensor is not None:
-        raise click.UsageError("the sensors are named in the session file; leave --sensor out")
+        raise click.UsageError("--session names the sensor files; leave --sensor out")
     if session is not None and colour_delay_s is not None:
         raise click.UsageError(
             "the session file has colour_delay_s of each sensor; set it there, not by "

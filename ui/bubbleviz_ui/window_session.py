@@ -164,7 +164,8 @@ class WindowSession:
             self.raise_if_interrupted()
             if time.monotonic() > end:
                 raise InputError(
-                    f"{what} took more than {TIMEOUT_S:.0f} s and was stopped; close other programs"
+                    f"{what} took more than {TIMEOUT_S:.0f} s and was stopped; close other "
+                    "programs and try again"
                 )
             self.application.processEvents()
             time.sleep(0.002)
