@@ -87,26 +87,23 @@ def coverage(quick: bool, parts: Path | None) -> list[Study]:
 
 @_command
 def shear(quick: bool, seed: int) -> list[Study]:
-    """Force with friction over drag, twist and flow noise; slip; presets of the optical flow."""
-    from benchmarks.flow_presets import flow_study
+    """Force with friction over drag, twist and flow noise; slip."""
     from benchmarks.shear import ShearGrid, quick_shear_grid, shear_study
     from benchmarks.slip import slip_study
 
     grid = replace(quick_shear_grid() if quick else ShearGrid(), seed=seed)
-    return [flow_study(grid), slip_study(grid), shear_study(grid)]
+    return [slip_study(grid), shear_study(grid)]
 
 
 @_command
 def pose(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
-    """Pose against Open3D, small_gicp and the whole cloud; a nut that turns by 60°."""
+    """Pose against Open3D, small_gicp and the whole cloud."""
     from benchmarks.pose_rivals import PoseGrid, rivals_study
-    from benchmarks.screws import SEEDS, screw_study
 
     grid = PoseGrid(seed=seed)
     if quick:
         grid = replace(grid, poses=4, noises_relative=(0.0, 0.01), truth_nodes=8_000)
-    turned = screw_study(sensor, SEEDS[:1], 8_000) if quick else screw_study(sensor)
-    return [rivals_study(sensor, grid), turned]
+    return [rivals_study(sensor, grid)]
 
 
 @_command
@@ -118,15 +115,6 @@ def poses(sensor: Sensor, quick: bool, seed: int, parts: Path | None) -> list[St
     if quick:
         grid = replace(grid, objects=("torus",), frames=6, paths=1, seeds=3)
     return [coverage_study(sensor, grid, parts)]
-
-
-@_command
-def stages(sensor: Sensor, quick: bool) -> list[Study]:
-    """Every stage of a frame, from decoding to export: time, floor and growth."""
-    from benchmarks.stages import StageSizes, stages_study
-
-    quick_sizes = StageSizes((38_400, 19_200), (300, 600), 2)
-    return [stages_study(sensor, quick_sizes if quick else StageSizes())]
 
 
 @_command

@@ -1,18 +1,16 @@
-"""Pose against other registration methods, and a turning hexagonal nut."""
+"""Pose against other registration methods."""
 
 import os
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
 from benchmarks.pose_rivals import BOTH, WHOLE_CLOUD, PoseGrid, rivals_study
-from benchmarks.screws import report_of, run_screw, screw_path, screw_source
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pose import moved
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation import study_object, with_nodes
+from bubbleviz.simulation import study_object
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""
@@ -56,30 +54,3 @@ def test_every_method_has_the_same_initial_pose(sensor):
     names = [target.name for target in study.targets]
     assert "cross, 1 %: better than whole cloud" in names
     assert "both stages" in study.to_text() and "cross" in study.to_text()
-
-
-@pytest.fixture(scope="module")
-def screw(sensor):
-    """The first frames of the nut that is turned."""
-    if not LONG:
-        sensor = with_nodes(sensor, 400)
-    source = screw_source(sensor, nodes=2_000 if LONG else 800)
-    source.poses = source.poses[:4]
-    (found,) = run_screw(sensor, source, 3, blanked=False)
-    return found
-
-
-@pytest.mark.long
-def test_error_of_the_nut_modulo_sixty_degrees(screw):
-    poses = screw_path(0.05, 0.013, 120)
-    turned = Rotation.from_matrix(poses[-1][:3, :3] @ poses[0][:3, :3].T)
-    assert np.degrees(turned.magnitude()) == pytest.approx(60.0)
-    assert (screw.ok, screw.frames) == (4, 4)
-    assert np.isnan(screw.recovered_after)
-    assert screw.rotation_error_rad_end < np.radians(6.0)
-
-
-@pytest.mark.long
-def test_report_on_the_nut(screw):
-    names = [target.name for target in report_of([screw]).targets]
-    assert "largest rotation error in °, worst run" in names

@@ -69,9 +69,7 @@ def test_quick_study(tmp_path):
     out = tmp_path / "study"
     found = CliRunner().invoke(benchmarks, ["shear", "--quick", "--out", str(out)])
     assert found.exit_code == 0, found.output
-    numbers, slips, presets = (
-        json.loads((out / f"{name}.json").read_text()) for name in ("shear", "slip", "flow_presets")
-    )
+    numbers, slips = (json.loads((out / f"{name}.json").read_text()) for name in ("shear", "slip"))
     met = {target["name"]: target["met"] for target in numbers["targets"] + slips["targets"]}
     del met["traction, ms of processor"]  # of the machine
     assert all(met.values())
@@ -84,11 +82,5 @@ def test_quick_study(tmp_path):
     assert all(float(row["friction"]) == 1.0 for row in sliding)
     assert [each["flow"] for each in slips["slips"]] == ["0.03 px", "fast", "balanced"]
     assert all(each["judged"] == 7 and each["points"] >= 4 for each in slips["slips"])
-    presets = presets["flow_presets"]
-    assert [preset["preset"] for preset in presets] == ["fast", "balanced", "fine"]
-    errors = [preset["flow_rms_px"] for preset in presets]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[0] < 0.2  # of motions of several pixels
-    assert all(p["solved"] == 1.0 and p["force_error"] < 0.03 for p in presets)
     dragged = rows[2]
     assert float(dragged["force_error"]) < 0.2 * float(dragged["depth_force_error"])
