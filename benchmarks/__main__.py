@@ -48,7 +48,7 @@ def _command(make: Callable[..., list[Study]]) -> None:
 
 @_command
 def edge(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
-    """Edge of the patch over noise; limit of the mesh, Cramér–Rao bound and threshold methods."""
+    """Edge of the patch over noise; Cramér–Rao bound and thresholds on depth."""
     from benchmarks.edge import EdgeGrid, edge_study, quick_grid
 
     return [edge_study(sensor, replace(quick_grid() if quick else EdgeGrid(), seed=seed))]

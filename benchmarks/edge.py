@@ -1,7 +1,7 @@
 """Error of the patch edge over noise, on shipped objects and on objects made for this benchmark.
 
-Compared with the optimal threshold on depth change for each object (by an oracle), with the true
-edge as represented by the mesh, and with the Cramér–Rao bound.
+Compared with the optimal threshold on depth change for each object (by an oracle), and with the
+Cramér–Rao bound.
 """
 
 from __future__ import annotations
@@ -13,12 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from benchmarks.edge_bound import PLACE, SHAPE, edge_bound
-from bubbleviz.inverse import touching_share
-from bubbleviz.membrane import level_line
-from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Patch
 from bubbleviz.sensor import Sensor
@@ -32,7 +28,7 @@ from bubbleviz.simulation import (
     presses,
 )
 from bubbleviz.study import accuracy
-from bubbleviz.study.accuracy import Errors, at_nodes, errors_of
+from bubbleviz.study.accuracy import Errors, errors_of
 from bubbleviz.study.harness import (
     Averages,
     Case,
@@ -80,8 +76,7 @@ def quick_grid() -> EdgeGrid:
 class EdgeRow(Errors):
     """One press at one noise with one setup; errors of its second frame, NaN without an estimate.
 
-    `iou_best_level` is for the pressure threshold that is optimal for this frame (by an oracle),
-    `edge_in_band` the share of the true edge inside the uncertainty band of the estimated one.
+    `edge_in_band` is the share of the true edge inside the uncertainty band of the estimated one.
     `edge_sigma_bound_m` and `iou_bound_shape` are the bounds of `edge_bound` if position and shape
     of the patch are unknown, `iou_bound_place` that if its shape is known.
     """
@@ -93,11 +88,9 @@ class EdgeRow(Errors):
     setup: str
     failed: int
     iou_threshold: float
-    iou_on_mesh: float
     edge_sigma_bound_m: float
     iou_bound_place: float
     iou_bound_shape: float
-    iou_best_level: float = np.nan
     edge_in_band: float = np.nan
 
 
@@ -145,7 +138,6 @@ def _row(
         setup="",
         failed=1,
         iou_threshold=threshold,
-        iou_on_mesh=iou_on_mesh(pipeline, sighting),
         edge_sigma_bound_m=shape.sigma_m,
         iou_bound_place=place.iou,
         iou_bound_shape=shape.iou,
@@ -157,20 +149,8 @@ def _row(
         row,
         **vars(errors_of(pipeline, result, sighting)),
         failed=0,
-        iou_best_level=iou_at_best_level(pipeline, estimate, seen),
         edge_in_band=edge_in_band(pipeline, estimate, patch, seen),
     )
-
-
-def iou_on_mesh(pipeline: Pipeline, sighting: SimulatedPress) -> float:
-    """IoU of the true edge interpolated from its signed distance at the nodes: the mesh's limit."""
-    own, mesh, truth = pipeline.mesh, sighting.mesh, sighting.truth
-    share = touching_share(mesh, truth.contact_pressure_pa) - 0.5
-    edge = level_line(mesh.nodes, mesh.corners, share)
-    away = cKDTree(np.concatenate([edge[:, 0], edge.mean(axis=1)])).query(own.nodes)[0]
-    level = np.where(at_nodes(own, mesh, share) > 0.0, away, -away)
-    motion = at_nodes(own, mesh, truth.displacement_3d_m)
-    return iou(pipeline.model.view.above(motion, level, 0.0), truth.patch_mask)
 
 
 def edge_in_band(pipeline: Pipeline, estimate: Estimate, patch: Patch, seen: np.ndarray) -> float:
@@ -181,17 +161,6 @@ def edge_in_band(pipeline: Pipeline, estimate: Estimate, patch: Patch, seen: np.
         return np.nan
     inner, outer = (view.patch_pixels(estimate, patch, level) for level in (band, -band))
     return float(np.count_nonzero(edge & outer & ~inner) / np.count_nonzero(edge))
-
-
-def iou_at_best_level(pipeline: Pipeline, estimate: Estimate, seen: np.ndarray) -> float:
-    """Largest IoU over all thresholds of the contact pressure."""
-    hits = pipeline.model.view.hits(estimate.motion_m)
-    pressure = estimate.contact_pressure_pa[pipeline.mesh.triangles[hits.triangle]]
-    values = np.einsum("ij,ij->i", hits.barycentric, pressure)
-    order = np.argsort(-values)
-    right = np.cumsum(seen.ravel()[hits.ray[order]])
-    wrong = np.arange(1, len(order) + 1) - right
-    return float(np.max(right / (np.count_nonzero(seen) + wrong), initial=0.0))
 
 
 def best_thresholds(bank: TruthBank, own: list[SimulatedPress], noise: DepthNoise) -> np.ndarray:
@@ -222,8 +191,8 @@ def iou_by_threshold(
 
 
 _OTHERS = (
-    *("iou_threshold", "iou_on_mesh", "edge_sigma_bound_m", "iou_bound_place"),
-    *("iou_bound_shape", "iou_best_level", "edge_in_band"),
+    *("iou_threshold", "edge_sigma_bound_m", "iou_bound_place", "iou_bound_shape"),
+    "edge_in_band",
 )
 _MEANS: Averages = {name: (name, np.mean) for name in (*(f.name for f in fields(Errors)), *_OTHERS)}
 _MEANS |= {"iou_worst": ("iou", np.min), "failed": ("failed", np.sum)}
@@ -256,11 +225,9 @@ _COLUMNS = (
     Column("failed", "failed", ".0f"),
     Column("IoU", "iou", ".3f"),
     Column("worst", "iou_worst", ".2f"),
-    Column("at best level", "iou_best_level", ".3f"),
     Column("area err %", "area_error_relative", "+.0f", 100),
     Column("edge in band %", "edge_in_band", ".0f", 100),
     Column("depth threshold", "iou_threshold", ".3f"),
-    Column("mesh allows", "iou_on_mesh", ".3f"),
     Column("bound: place", "iou_bound_place", ".3f"),
     Column("and shape", "iou_bound_shape", ".3f"),
     Column("edge σ ≥ mm", "edge_sigma_bound_m", ".2f", 1e3),

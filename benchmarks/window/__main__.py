@@ -98,33 +98,9 @@ def bench_monkey(
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=60.0, help="Frames a second.")
 @click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
-@click.option("--window", is_flag=True, help="With the window open, on a screen nobody sees.")
-@click.option(
-    "--size",
-    nargs=2,
-    type=click.IntRange(16, 4096),
-    metavar="WIDTH HEIGHT",
-    help="Of the images in the window, pixels; by default the sensor's.",
-)
 @_json
-def bench_live(
-    minutes: float,
-    rate: float,
-    sensor: str,
-    out: Path | None,
-    window: bool,
-    size: tuple[int, int] | None,
-    as_json: bool,
-) -> int:
+def bench_live(minutes: float, rate: float, sensor: str, out: Path | None, as_json: bool) -> int:
     """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
-    if size is not None and not window:
-        raise click.UsageError("--size goes with --window")
-    if window:
-        from benchmarks.window.window_soak import window_soak
-
-        whole = window_soak(sensor, 60.0 * minutes, rate, out, size)
-        report(whole, as_json=as_json)
-        return whole.soak.exit_code
     from benchmarks.window.live_soak import soak
 
     soaked = soak(sensor, 60.0 * minutes, rate, out)

@@ -12,7 +12,6 @@ from benchmarks.edge import (
     edge_in_band,
     edge_study,
     edges,
-    iou_at_best_level,
     iou_by_threshold,
     quick_grid,
     report_of,
@@ -44,7 +43,6 @@ def test_ground_truth_lies_within_its_band(sensor, bank):
     estimate = Estimate(
         "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
     )
-    assert iou_at_best_level(pipeline, estimate, truth.patch_mask) > 0.85
     patch = pipeline.patch(estimate)
     assert edge_in_band(pipeline, estimate, patch, truth.patch_mask) > 0.75
 
@@ -69,13 +67,12 @@ def test_unknown_parameters_widen_the_edge_band(sensor):
     for row in found.rows:
         assert 0.5 < row.iou_bound_shape < row.iou_bound_place < 1.0
         assert 0.0 < row.edge_sigma_bound_m < 2e-3
-        assert row.iou_on_mesh > 0.9
 
 
 def row(overlap, **changed):
     known = EdgeRow(
         objects="others", object_name="sphere", depth_m=0.015, noise="1 %", setup="rubber",
-        failed=0, iou_threshold=0.5, iou_on_mesh=0.9, edge_sigma_bound_m=1e-3, iou_bound_place=0.9,
+        failed=0, iou_threshold=0.5, edge_sigma_bound_m=1e-3, iou_bound_place=0.9,
         iou_bound_shape=0.8, iou=overlap, area_error_relative=0.0, edge_in_band=1.0,
     )  # fmt: skip
     return replace(known, **changed)
