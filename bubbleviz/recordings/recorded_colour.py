@@ -13,7 +13,7 @@ from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.colour_topics import find_camera
 from bubbleviz.recordings.depth_topics import has_data
 from bubbleviz.recordings.frame import usual_step
-from bubbleviz.recordings.time_series import Laps, Moment, Series, recorded_series
+from bubbleviz.recordings.time_series import Moment, Series, recorded_series
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,6 @@ class RecordedColour:
         reading: Callable[[Callable[[], EncodedImage]], EncodedImage],
         *,
         by_log: bool = False,  # whether frames are timed by their log times
-        laps: Laps | None = None,  # those of the depth images, where there is more than one
     ) -> None:
         messages = bag.messages(topic)
 
@@ -55,7 +54,7 @@ class RecordedColour:
             return ColourImage(read, messages.stamp_ns(k), camera=self.camera)
 
         self.topic, self.camera = topic, find_camera(bag, topic, depth)
-        self.images = recorded_series(messages, image, by_log=by_log, laps=laps)
+        self.images = recorded_series(messages, image, by_log=by_log)
         first = EncodedImage.of(messages.first(has_data))
         # size: width and height, pixels
         self.encoding, self.size = first.encoding, first.size

@@ -44,9 +44,9 @@ from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour
 from bubbleviz.recordings.time_series import (
     NEAREST_NS,
     VALUES,
-    Laps,
     Moment,
     Series,
+    begins_again,
     plausible_times,
     recorded_series,
     values_at,
@@ -60,8 +60,7 @@ class Recording:
     """Frames of a rosbag2 (folder, `.mcap`, `.db3`), a ROS 1 `.bag` or one of a RealSense.
 
     Frames are ordered by the header stamps of the depth images, or by the log times if any stamp is
-    unset. Where stamps restart, as in a looped replay, one lap follows the other. Thread-safe; one
-    thread reads at a time.
+    unset or stamps begin again, as in a looped replay. Thread-safe; one thread reads at a time.
 
     Parameters
     ----------
@@ -86,8 +85,6 @@ class Recording:
     ) -> None:
         self._lock = threading.Lock()
         self.bag = Bag(path)  # the recording by topics
-        # text: what the user should know about the recording; may be empty
-        self.remark = self.bag.note
         self.path = self.bag.path
         self.name = self.path.name or str(self.path)  # file name
         try:
@@ -98,6 +95,8 @@ class Recording:
             self.intrinsics: Intrinsics | None = intrinsics
             self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
             self.colour = self._colour(colour_topic)  # the colour images of the same sensor
+            # text: what the user should know about the recording; may be empty
+            self.remark = self.bag.note
         except BaseException:
             self.bag.close()
             raise
@@ -182,8 +181,7 @@ class Recording:
             )
 
     def _moment(self, index: int) -> Moment:
-        """Moment of a frame, by its key; with one lap the key is the stamp."""
-        return Moment(int(self._keys[index]), int(self._log_ns[index]))
+        return Moment(int(self.stamps_ns[index]), int(self._log_ns[index]))
 
     def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
         """Colour image nearest to a time after that of a frame."""
@@ -206,9 +204,7 @@ class Recording:
                 return read()
 
         with as_input_error(self.path, f"the colour images on {topic.name}"):
-            return RecordedColour(
-                self.bag, topic, self.depth_topic, reading, by_log=self._by_log, laps=self._laps
-            )
+            return RecordedColour(self.bag, topic, self.depth_topic, reading, by_log=self._by_log)
 
     def _decoded(self, message: Any) -> np.ndarray:
         if self.depth_topic.type == POINT_CLOUD:
@@ -258,15 +254,17 @@ class Recording:
         stamps, log_ns = plausible_times(headers, self._images.log_ns)
         arrived = np.argsort(log_ns, kind="stable")
         stamps, log_ns = stamps[arrived], log_ns[arrived]
-        self._by_log = not stamps.all()
+        looped = bool(stamps.all()) and begins_again(stamps)
+        if looped:
+            what = (
+                "its stamps begin again, as of a looped replay: frames and other data are matched"
+            )
+            self.bag.note = "; ".join(filter(None, (self.bag.note, f"{what} by log times")))
+        self._by_log = looped or not stamps.all()
         if self._by_log:
             stamps = log_ns
-        laps = Laps(stamps, log_ns)
-        self._laps = laps if len(laps) > 1 and not self._by_log else None
-        times = stamps if self._laps is None else laps.times_ns(stamps)
-        order = np.argsort(times, kind="stable")
+        order = np.argsort(stamps, kind="stable")
         self._order, self._log_ns = arrived[order], log_ns[order]
-        self._keys = laps.keys(stamps, laps.number)[order]
         raw = self.depth_topic.type == IMAGE
         least = self.size[0] * self.size[1] * _PIXEL_BYTES.get(self.encoding, 0) if raw else 0
         bad = (headers == UNREADABLE) | (sizes < least)
@@ -276,7 +274,7 @@ class Recording:
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
         self._nothing = np.full(self.size[::-1], np.nan, np.float32)
         self._nothing.flags.writeable = False
-        self.stamps_ns = times[order]  # (F,) int64, the stamps they come from, ns
+        self.stamps_ns = stamps[order]  # (F,) int64, the stamps they come from, ns
         # (F,), time of each frame since the first, s
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
@@ -287,9 +285,8 @@ class Recording:
             topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
             messages = None if topic is None else self.bag.messages(topic)
             if messages:  # an index may list none
-                found[kind] = recorded_series(
-                    messages, partial(_values, messages, kind), by_log=self._by_log, laps=self._laps
-                )
+                values = partial(_values, messages, kind)
+                found[kind] = recorded_series(messages, values, by_log=self._by_log)
         return found
 
 

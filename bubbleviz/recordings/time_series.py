@@ -2,7 +2,7 @@
 
 The rules are the same in a recording and live. A live `GrowingSeries` is filled as messages arrive;
 a `recorded_series` reads on demand. Invalid stamps are distinguished from a clock that was set by
-comparison with the previous stamps (live: `StampClock`) or with all (recorded: `Laps`,
+comparison with the previous stamps (live: `StampClock`) or with all (recorded: `begins_again`,
 `plausible_times`).
 """
 
@@ -62,17 +62,13 @@ class Series(Generic[T]):
 
     def __init__(
         self,
-        # increasing in each lap; elsewhere the neighbours that bisection finds are used
-        times_ns: Times,
+        times_ns: Times,  # increasing; elsewhere the neighbours that bisection finds are used
         # content of message k; of values an array, ValueError if they are not finite
         item: Callable[[int], T],
         *,
         by_arrival: bool = False,  # whether the times are arrivals, as of a topic without stamps
-        # (n,) int, lap of each message in a replay that began again
-        laps: np.ndarray | None = None,
     ) -> None:
-        self.item, self.by_arrival = item, by_arrival
-        self._times, self._laps = times_ns, laps
+        self.item, self.by_arrival, self._times = item, by_arrival, times_ns
 
     def __len__(self) -> int:
         return len(self._times)
@@ -87,10 +83,10 @@ class Series(Generic[T]):
     def at(self: Series[np.ndarray], moment: Moment) -> np.ndarray | None:
         """Values at a moment, interpolated linearly.
 
-        Outside the messages of a lap the nearest within 0.1 s, else None.
+        Outside the messages the nearest within 0.1 s, else None.
         """
         k, t = self._place(moment)
-        if not 0 < k < len(self) or (self._laps is not None and self._laps[k - 1] != self._laps[k]):
+        if not 0 < k < len(self):
             found = self.nearest(moment, NEAREST_NS)
             return None if found is None else _finite(self.item(found[0]))
         ta, tb = int(self._times[k - 1]), int(self._times[k])
@@ -237,75 +233,12 @@ class GrowingSeries(Series[T]):
 # -- recorded -------------------------------------------------------------------------------------
 
 
-class Laps:
-    """Laps of a replay that restarted while it was recorded, so that its stamps repeat.
-
-    Within a lap, messages are matched by stamps, since they arrive in bursts and with delays that
-    differ among topics. The log times only place a lap in the recording.
-
-    Parameters
-    ----------
-    stamps_ns, log_ns : (n,) int64 array
-        Header stamps and log times of the depth images, in the order of their arrival.
-    """
-
-    def __init__(self, stamps_ns: np.ndarray, log_ns: np.ndarray) -> None:
-        # (n,) int, lap of each image; all 0 if no replay restarted
-        self.number = _lap_numbers(stamps_ns)
-        self._starts_ns = _start_of_laps(stamps_ns, log_ns, self.number)
-        self._apart_ns = int(np.ptp(stamps_ns)) + SILENT_NS
-
-    def __len__(self) -> int:
-        return len(self._starts_ns)
-
-    def times_ns(self, stamps_ns: np.ndarray) -> np.ndarray:
-        """Times of the images in the recording, one lap after the other, (n,)."""
-        steps = np.diff(np.unique(stamps_ns))
-        step = int(np.median(steps)) if len(steps) else 1
-        times, end = stamps_ns.copy(), -np.inf
-        for lap, start in enumerate(self._starts_ns):
-            here = self.number == lap
-            first = int(stamps_ns[here].min()) + start
-            times[here] += start + int(max(end + step - first, 0))
-            end = int(times[here].max())
-        return times
-
-    def keys(self, stamps_ns: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """Stamps (k,), shifted per lap so that laps do not overlap."""
-        return stamps_ns + number * self._apart_ns
-
-    def number_of(self, stamps_ns: np.ndarray, log_ns: np.ndarray) -> np.ndarray | None:
-        """Lap of each message of another topic, (k,); None if its stamps do not repeat."""
-        own = _lap_numbers(stamps_ns)
-        starts = _start_of_laps(stamps_ns, log_ns, own)
-        if len(starts) == 1:  # of another clock
-            return None
-        if len(starts) == len(self):
-            return own
-        nearest = np.abs(starts[:, None] - self._starts_ns).argmin(axis=1)
-        return nearest[own]
-
-
-def _lap_numbers(stamps_ns: np.ndarray) -> np.ndarray:
-    """Lap of each message: a new one begins where stamps go back far, or to an earlier stamp."""
-    numbers = np.zeros(len(stamps_ns), np.int64)
-    if (np.diff(stamps_ns) >= 0).all():
-        return numbers
-    highest, seen, lap = int(stamps_ns[0]), set[int](), 0
-    for k, stamp in enumerate(stamps_ns.tolist()):
-        if highest - stamp > REORDERED_NS or (stamp < highest and stamp in seen):
-            highest, seen, lap = stamp, set(), lap + 1
-        highest = max(highest, stamp)
-        seen.add(stamp)
-        numbers[k] = lap
-    return numbers
-
-
-def _start_of_laps(stamps_ns: np.ndarray, log_ns: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """Log time of the stamp 0 of each lap, by its least delayed message, (laps,), ns."""
-    starts = np.full(number[-1] + 1, np.iinfo(np.int64).max)
-    np.minimum.at(starts, number, log_ns - stamps_ns)
-    return starts
+def begins_again(stamps_ns: np.ndarray) -> bool:
+    """Whether stamps (n,) in order of arrival go back far, or to earlier ones, as in a loop."""
+    behind = np.maximum.accumulate(stamps_ns) - stamps_ns
+    repeated = np.ones(len(stamps_ns), bool)
+    repeated[np.unique(stamps_ns, return_index=True)[1]] = False
+    return bool(((behind > REORDERED_NS) | (repeated & (behind > 0))).any())
 
 
 def plausible_times(stamps_ns: np.ndarray, log_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -334,17 +267,11 @@ def recorded_series(
     *,
     # whether frames are timed by their log times; topics without stamps are in any case
     by_log: bool = False,
-    # those of the depth images, where there is more than one: moments then have their keys
-    laps: Laps | None = None,
 ) -> Series[T]:
     """Series of a topic of a recording, not empty, read on demand."""
     item = lru_cache(_VALUES_KEPT)(item)
     if not by_log and messages.stamp_ns(0) != 0:
-        if laps is None:
-            return Series(_Stamps(messages), item)
-        stamps = np.array([messages.stamp_ns(k) for k in range(len(messages))])
-        if (number := laps.number_of(stamps, messages.log_ns)) is not None:
-            return Series(laps.keys(stamps, number), item, laps=number)
+        return Series(_Stamps(messages), item)
     return Series(messages.log_ns, item, by_arrival=True)
 
 
