@@ -363,10 +363,7 @@ def test_wrong_usage_of_the_benchmark(windows, words, message):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["bench", "window", "x.mcap"], "in a checkout: python -m benchmarks.window"),
         (["study"], "Missing command; see bubbleviz study --help"),
-        (["study", "shear", "--quick"], "in a checkout: python -m benchmarks shear"),
-        (["study", "accuracy", "--edge"], "in a checkout: python -m benchmarks edge"),
         (["open", "x.mcap", "--frame", "-1"], "--frame"),
     ],
 )

@@ -23,8 +23,6 @@ from bubbleviz.wording import encodable, how_to_install
 WINDOW_GROUP = "bubbleviz.commands"
 """Entry points of the window's commands."""
 WINDOW_COMMANDS = ("open", "window")
-MOVED = {"bench": "python -m benchmarks.window"}
-"""Commands of version 0.2 that are now only in a checkout, and their replacements there."""
 ALIASES = {"track": "pose"}
 """Names of Python functions as aliases of commands."""
 WINDOW_LIBRARIES = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
@@ -126,14 +124,11 @@ class AllCommands(OneLineErrors):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Load a command; None if it does not exist.
 
-        Raises InputError: it is a command of the window, which is not installed, or one that was
-        moved to a checkout.
+        Raises InputError: it is a command of the window, which is not installed.
         """
         name = ALIASES.get(name, name)
         if name in self.commands:
             return self.commands[name]
-        if name in MOVED:
-            raise InputError(f"{name} is no longer installed; run in a checkout: {MOVED[name]}")
         for entry in entry_points(group=WINDOW_GROUP, name=name):
             command: click.Command = entry.load()
             return command

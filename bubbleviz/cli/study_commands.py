@@ -6,48 +6,18 @@ import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
-from bubbleviz.errors import InputError
 from bubbleviz.files import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:
     from bubbleviz.simulation import Model
     from bubbleviz.study.harness import Study
 
-MOVED = {"identification": "coverage", "shear": "shear", "--edge": "edge", "--stages": "stages"}
-"""Studies of version 0.2 that are now only in a checkout, by name in `python -m benchmarks`."""
 
-
-class Studies(click.Group):
-    def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        """Command of a name.
-
-        Raises InputError: it was moved to a checkout.
-        """
-        if name in MOVED:
-            _moved(name)
-        return super().get_command(context, name)
-
-
-def _moved(name: str) -> NoReturn:
-    command = f"python -m benchmarks {MOVED[name]}"
-    raise InputError(f"study {name} is no longer installed; run in a checkout: {command}")
-
-
-def _moved_option(option: str) -> Callable[..., Any]:
-    """Hidden option for a study that was moved to `benchmarks`."""
-
-    def fail(_context: click.Context, _option: click.Parameter, given: bool) -> None:
-        if given:
-            _moved(option)
-
-    return click.option(option, is_flag=True, hidden=True, expose_value=False, callback=fail)
-
-
-@click.group(cls=Studies)
+@click.group()
 def study() -> None:
     """Measure errors, speed and numerical stability."""
 
@@ -87,7 +57,6 @@ def run(study: Study, out: Path | None, as_json: bool) -> None:
     show_default=True,
     help="Membrane of the ground truth: exact, or the paper's linear one.",
 )
-@_moved_option("--edge")
 def accuracy(
     out: Path | None,
     as_json: bool,
@@ -120,7 +89,6 @@ def accuracy(
     type=click.Path(exists=True, path_type=Path),
     help="Recording of a real press, on which both membrane models are timed, too.",
 )
-@_moved_option("--stages")
 def speed(
     out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
 ) -> None:

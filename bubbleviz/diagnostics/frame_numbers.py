@@ -200,46 +200,28 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
 
 @dataclass
 class ShearSummary:
-    """Shear over many frames: frames of each status, and values at the largest |force|.
-
-    Values are None without a frame of status ok.
-    """
+    """Shear over many frames."""
 
     status: dict[str, int] = field(default_factory=dict)  # number of frames by status
     reference: str = ""  # reference frame of the optical flow, or why there is none
-    # max_force_n, max_force_sigma_n: |force| with friction, and its standard deviation, N
-    max_force_n: float | None = None
-    max_force_sigma_n: float | None = None
-    # torque_nm, torque_sigma_nm: about the mean normal through the contact's centre, N·m
-    torque_nm: float | None = None
-    torque_sigma_nm: float | None = None
-    # slip_share, slip_share_sigma: 0 to 1
-    slip_share: float | None = None
-    slip_share_sigma: float | None = None
+    highest: ShearNumbers | None = None  # where |force| was largest, of the frames with status ok
 
     def add(self, result: Result) -> None:
         traction = result.traction
         if traction is None:
             return
         self.status[traction.status] = self.status.get(traction.status, 0) + 1
-        if traction.status != "ok":
-            return
-        found = ShearNumbers.of(traction, result.slip)
-        if self.max_force_n is None or found.force_n[0] > self.max_force_n:
-            self.max_force_n, self.max_force_sigma_n = _known(found.force_n)
-            self.torque_nm, self.torque_sigma_nm = _known(found.torque_nm)
-            self.slip_share, self.slip_share_sigma = _known(found.slip_share)
+        if traction.status == "ok":
+            found = ShearNumbers.of(traction, result.slip)
+            if self.highest is None or found.force_n[0] > self.highest.force_n[0]:
+                self.highest = found
 
     def to_text(self) -> str:
         """Lines for the terminal; ± is half of the 95 % interval."""
         status = ", ".join(f"{count} {name}" for name, count in self.status.items())
         lines = [f"shear    {status or 'no frame'}"]
-        if self.max_force_n is not None:
-            numbers = _words(
-                _measure(self.max_force_n, self.max_force_sigma_n),
-                _measure(self.torque_nm, self.torque_sigma_nm),
-                _measure(self.slip_share, self.slip_share_sigma),
-            )
+        if self.highest is not None:
+            numbers = _words(self.highest)
             lines += [f"         {numbers}, where the force was highest; ±: 95 % interval"]
             lines += ["         force direction not verified on real sensors"]
         return "\n".join([*lines, *(f"         {line}" for line in filter(None, [self.reference]))])
@@ -253,11 +235,11 @@ def shear_line(result: Result) -> str:
     if traction.status != "ok":
         status = traction.status.replace("_", " ")
         return f"{status}: {traction.reason}" if traction.reason else status
-    numbers = ShearNumbers.of(traction, result.slip)
-    return _words(numbers.force_n, numbers.torque_nm, numbers.slip_share)
+    return _words(ShearNumbers.of(traction, result.slip))
 
 
-def _words(force_n: Measure, torque_nm: Measure, slip_share: Measure) -> str:
+def _words(numbers: ShearNumbers) -> str:
+    force_n, torque_nm, slip_share = numbers.force_n, numbers.torque_nm, numbers.slip_share
     parts = [
         f"force {force_n[0]:.2f} ± {force_n[1]:.2g} N with friction",
         f"torque {1e3 * torque_nm[0]:.3g} ± {1e3 * torque_nm[1]:.2g} N·mm",
@@ -265,13 +247,3 @@ def _words(force_n: Measure, torque_nm: Measure, slip_share: Measure) -> str:
     if math.isfinite(slip_share[0]):
         parts.append(f"slip {1e2 * slip_share[0]:.0f} ± {1e2 * slip_share[1]:.2g} %")
     return ", ".join(parts)
-
-
-def _measure(value: float | None, sigma: float | None) -> Measure:
-    return math.nan if value is None else value, HALF_95 * (math.nan if sigma is None else sigma)
-
-
-def _known(measure: Measure) -> tuple[float | None, float | None]:
-    """Value and standard deviation; None if unknown, as JSON has no NaN."""
-    value, sigma = measure[0], measure[1] / HALF_95
-    return value if math.isfinite(value) else None, sigma if math.isfinite(sigma) else None
