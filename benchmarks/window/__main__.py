@@ -126,20 +126,6 @@ def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
     return measured.exit_code
 
 
-@bench.command("restarts")
-@click.option("--times", type=click.IntRange(1, 1000), default=20, help="How often.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the moments.")
-@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
-@_json
-def bench_restarts(times: int, seed: int, sensor: str, as_json: bool) -> int:
-    """Kill and restart a publisher under a recording window; exit code 1 after a loss."""
-    from benchmarks.window.live_restarts import restart_bench
-
-    seen = restart_bench(sensor, times, seed)
-    report(seen, as_json=as_json)
-    return int(not seen.passed)
-
-
 def _sensor_for(recording: Path | None, sensor: str | None) -> Sensor:
     """The named sensor, else the preset that fits the recording or is simulated."""
     from bubbleviz.recordings import checked_sensor

@@ -56,7 +56,6 @@ def readout_opacity(bench):
 
 
 def test_killed_robot_is_detected_and_reconnects(open_bench):
-    """Once or three times; `python -m benchmarks.window restarts` does it twenty times."""
     bench = open_bench()
     port, name = free_port(), sensor_file(bench.folder)
     with robot(port):
