@@ -140,9 +140,7 @@ class _Bench:
         mesh = simulation_mesh(self._pipeline.model, grid.truth_nodes)
         random = np.random.default_rng([grid.seed, k, *name.encode()])
         held = np.repeat(press.pose(mesh, grid.seed)[None], _FRAMES, axis=0)
-        source = SyntheticSource(
-            sensor, self.obj, held, seed=grid.seed, nodes=grid.truth_nodes, sharp=True
-        )
+        source = SyntheticSource(sensor, self.obj, held, seed=grid.seed, nodes=grid.truth_nodes)
         trials = list[PoseTrial]()
         for noise in grid.noises_relative:
             source.noise = DepthNoise(relative=noise)

@@ -54,7 +54,6 @@ from .synthetic_source import (
     default_path as default_path,
     default_press as default_press,
     dome_size as dome_size,
-    refined_at_edges as refined_at_edges,
     simulation_mesh as simulation_mesh,
     truth_of as truth_of,
 )

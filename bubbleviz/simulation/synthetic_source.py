@@ -16,7 +16,6 @@ from bubbleviz.inverse import area_above, touching_share
 from bubbleviz.membrane import (
     Contact,
     ForwardModel,
-    GapFinder,
     Gas,
     MembraneMesh,
     RubberForward,
@@ -138,9 +137,6 @@ Model = Literal["rubber", "linear"]  # the exact membrane, or the paper's linear
 
 NODE_RATIO = 4  # nodes of the simulation's mesh per node of the estimator's
 
-_LEVELS, _MAX_POSES = 3, 40
-"""Refinements of that mesh under edges, and the largest number of poses considered for them."""
-
 
 class SyntheticSource:
     """Frames of a rigid object moved against the membrane, computed on access.
@@ -167,7 +163,6 @@ class SyntheticSource:
         *,
         times_s: np.ndarray | None = None,  # (F,), instead of `rate_hz`
         nodes: int | None = None,  # target number of nodes of the simulation's mesh
-        sharp: bool = False,  # refine that mesh under edges of the object; see `refined_at_edges`
         # membrane model; None: the exact one if the sensor has a pre-stretch, as in estimation
         model: Model | None = None,
         # Coulomb's μ between object and exact membrane; frames then depend on earlier ones
@@ -183,8 +178,7 @@ class SyntheticSource:
         self.name = f"{obj.name} on {sensor.name}"
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
         own = SensorModel.of(sensor)
-        mesh = simulation_mesh(own, nodes)
-        self.mesh = refined_at_edges(mesh, obj, self.poses) if sharp else mesh
+        self.mesh = simulation_mesh(own, nodes)
         self.camera = own.camera
         # γ0 of the sensor's mesh: a refined polyhedron has all curvature in the old edges.
         tension = own.tension_n_per_m
@@ -293,24 +287,6 @@ def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMes
     if membrane.shape == "mesh":
         return refine(model.mesh)
     return build_mesh(model.sensor, NODE_RATIO * membrane.nodes if nodes is None else nodes)
-
-
-def refined_at_edges(mesh: MembraneMesh, obj: RigidObject, poses: np.ndarray) -> MembraneMesh:
-    """The mesh, refined where edges of an object press at some of the poses (F, 4, 4).
-
-    On a coarse mesh the outline of a flat face catches on nodes as it turns, with errors of some
-    degrees. Refinement makes shape and poses more accurate. It does not improve patches, as the
-    surface at rest still has its curvature in the coarse edges: for those use a uniform mesh.
-    """
-    some = poses[:: max(1, len(poses) // _MAX_POSES)]
-    for _ in range(_LEVELS):
-        finder, edge = GapFinder(mesh), mesh.edge_length
-        cut = np.zeros(len(mesh.triangles), bool)
-        for pose in some:
-            gaps = np.minimum(finder.gaps(obj, pose), 1e3)[mesh.triangles]
-            cut |= (gaps.min(axis=1) < edge) & (np.ptp(gaps, axis=1) > edge)
-        mesh = refine(mesh, cut)
-    return mesh
 
 
 def default_press(

@@ -165,7 +165,7 @@ def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):
     """A camera that shows changes of range too large on one side and too small on the other."""
     truth = np.eye(4)
     truth[:3, 3] = [0.003, -0.004, 0.038]
-    source = SyntheticSource(sensor, study_object("cross"), truth[None], sharp=True)
+    source = SyntheticSource(sensor, study_object("cross"), truth[None])
     true, camera = source[0], source.camera
     mesh = build_mesh(sensor)
     rest = MembraneView(camera, mesh).range_image(np.zeros(len(mesh.nodes)))

@@ -8,13 +8,10 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
-from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import (
     DepthNoise,
     SyntheticSource,
     default_press,
-    refined_at_edges,
-    simulation_mesh,
 )
 
 FLAT = np.full((120, 160), 0.15)
@@ -150,15 +147,3 @@ def test_object_on_the_rim_is_refused(sensor):
     pose[0, :3, 3] = 0.075, 0.0, -0.005
     with pytest.raises(InputError, match="rim"):
         SyntheticSource(sensor, load_object("sphere"), pose)[0]
-
-
-def test_the_mesh_is_finer_only_where_edges_press(sensor):
-    mesh, T = simulation_mesh(SensorModel.of(sensor)), poses(0.012)
-    sharp = refined_at_edges(mesh, load_object("cylinder"), T)
-    assert len(mesh.nodes) < len(sharp.nodes) < 3 * len(mesh.nodes)
-    small = sharp.facet_areas < 0.1 * mesh.facet_areas.min()
-    places = sharp.nodes[sharp.triangles[small]].mean(axis=1)
-    reach = np.abs(load_object("cylinder").vertices[:, :2]).max() + 2.0 * mesh.edge_length
-    assert np.abs(places[:, :2] - T[0, :2, 3]).max() < reach
-    far = refined_at_edges(mesh, load_object("cylinder"), poses(-0.02))
-    assert len(far.nodes) == len(mesh.nodes)
