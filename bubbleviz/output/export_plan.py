@@ -33,7 +33,7 @@ _FILES: dict[str, tuple[str, Callable[..., Any]]] = {
 _SINGLE_FILE = {"table": ".csv", "parquet": ".parquet", "plots": ".png"}
 """Default suffix of single-file exports, by kind."""
 
-_SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".series", ".ply")
+_SERIES_SUFFIXES = (".pvd", ".vtp", ".vtk", ".ply")
 _FILES_IN_A_FOLDER: dict[str, Callable[..., Exporter]] = {"lerobot": LeRobotDataset, **SERIES}
 KINDS = (*_SINGLE_FILE, *_FILES_IN_A_FOLDER)
 _GROUPS = {"png": ("depth", "pressure")}

@@ -19,7 +19,7 @@ from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor_model import SensorModel
 
-# VTK XML poly data (.vtp) and the two index files of a series, written without VTK: VTK is only
+# VTK XML poly data (.vtp) and the index file of a series, written without VTK: VTK is only
 # installed with the window, whose thread owns its objects; meshio and trimesh do not write .vtp.
 
 
@@ -65,13 +65,6 @@ def write_pvd(path: Path, names: Sequence[str], times_s: Sequence[float]) -> Non
     )
 
 
-def write_series(path: Path, names: Sequence[str], times_s: Sequence[float]) -> None:
-    """JSON index of a series (.vtp.series), for programs that do not read .pvd."""
-    files = [{"name": name, "time": time} for name, time in zip(names, times_s, strict=True)]
-    text = json.dumps({"file-series-version": "1.0", "files": files}, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
-
-
 def _array(name: str, values: np.ndarray, count: str = "") -> str:
     """A DataArray element, with the size and bytes of the values in base64."""
     values = np.ascontiguousarray(values)
@@ -106,7 +99,7 @@ class Series(Exporter):
 
 
 class VtkSeries(Series):
-    """The membrane as .vtp, and the index files NAME.pvd and NAME.vtp.series.
+    """The membrane as .vtp, and the index file NAME.pvd.
 
     Nodal fields: `displacement_m`, `displacement_vector_m` (from the reference surface),
     `contact_pressure_pa`, and `patch`, 1 inside.
@@ -135,7 +128,6 @@ class VtkSeries(Series):
 
     def finish(self) -> None:
         write_pvd(self.folder / f"{self.name}.pvd", self._names, self._times)
-        write_series(self.folder / f"{self.name}.vtp.series", self._names, self._times)
 
 
 class MembranePly(Series):
