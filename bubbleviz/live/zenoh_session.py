@@ -301,7 +301,6 @@ Layout = Literal["rmw", "dds"]
 _DDS_SLASH = "§"
 _TOPIC = re.compile(r"(/[^/*$#?@\s]+){1,32}")
 _ATTACHMENT = struct.Struct("<qqB16s")
-_NAMED = (b"sequence_number", b"source_gid")
 
 
 class Announced(NamedTuple):
@@ -402,14 +401,10 @@ def pack_attachment(attachment: Attachment) -> bytes:
 
 
 def unpack_attachment(data: bytes | None) -> Attachment | None:
-    """Attachment in the current or the old format (with field names); None in any other."""
+    """Attachment in the format of rmw_zenoh 0.2.4 and later; None in any other."""
     if data is None:
         return None
     if len(data) == _ATTACHMENT.size:
         sequence, stamp, length, publisher = _ATTACHMENT.unpack(data)
         return Attachment(sequence, stamp, publisher) if length == 16 else None
-    if len(data) == 77 and all(name in data for name in _NAMED):
-        (sequence,) = struct.unpack_from("<q", data, 16)
-        (stamp,) = struct.unpack_from("<q", data, 41)
-        return Attachment(sequence, stamp, data[61:])
     return None

@@ -430,18 +430,9 @@ def test_key_expressions_match_those_of_rmw_zenoh():
             assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
 
 
-def test_attachments_of_old_and_new_robots():
+def test_attachments_of_robots():
     found = zenoh_keys.unpack_attachment(attachment(77))
     assert (found.sequence, found.publisher) == (77, bytes(range(16)))
     assert zenoh_keys.pack_attachment(found._replace(stamp_ns=1))[16:] == attachment(77)[16:]
-    old = (
-        b"\x0fsequence_number"
-        + (5).to_bytes(8, "little")
-        + b"\x10source_timestamp"
-        + (9).to_bytes(8, "little")
-        + b"\x0asource_gid\x10"
-        + bytes(range(16))
-    )
-    assert zenoh_keys.unpack_attachment(old) == (5, 9, bytes(range(16)))
     for junk in (None, b"", b"x" * 33, b"x" * 77, b"x" * 5):
         assert zenoh_keys.unpack_attachment(junk) is None
