@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
@@ -21,6 +20,7 @@ from bubbleviz.files import (
     named_file,
     presets_folder,
     read_toml,
+    transform,
     whole_file,
 )
 
@@ -125,10 +125,7 @@ class Camera(_Section):
     @property
     def T_B_C(self) -> np.ndarray:
         """Pose of the camera in the bubble frame, 4×4."""
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_quat(self.quaternion_xyzw).as_matrix()
-        T[:3, 3] = self.position_m
-        return T
+        return transform(self.position_m, self.quaternion_xyzw)
 
 
 class Calibration(_Section):

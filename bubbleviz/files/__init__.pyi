@@ -24,6 +24,7 @@ from .poses import (
     pose_of_angles as pose_of_angles,
     read_path as read_path,
     read_rows as read_rows,
+    transform as transform,
 )
 from .preset_files import (
     MAX_COLOUR_DELAY_S as MAX_COLOUR_DELAY_S,

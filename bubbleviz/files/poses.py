@@ -41,9 +41,16 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
         raise InputError("a coordinate is beyond ±2 m; give x y z in metres, not millimetres")
     if not is_unit(quaternion):
         raise InputError("the quaternion is not of unit length; normalise qx qy qz qw")
+    return transform(position, quaternion)
+
+
+def transform(
+    position_m: Sequence[float] | np.ndarray, quaternion_xyzw: Sequence[float] | np.ndarray
+) -> np.ndarray:
+    """4×4 transform of a position and a quaternion."""
     T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-    T[:3, 3] = position
+    T[:3, :3] = Rotation.from_quat(quaternion_xyzw).as_matrix()
+    T[:3, 3] = position_m
     return T
 
 

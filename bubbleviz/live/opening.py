@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import DepthCamera
 from bubbleviz.files import (
@@ -21,6 +20,7 @@ from bubbleviz.files import (
     named_file,
     presets_folder,
     read_toml,
+    transform,
 )
 from bubbleviz.live.assembler import FrameAssembler
 from bubbleviz.live.live_source import LiveSource, SourceUri, SyntheticOptions, parse_uri
@@ -191,10 +191,7 @@ class SensorPlace(_Strict):
     @property
     def T_W_B(self) -> np.ndarray:
         """Pose of the bubble in the world, (4, 4)."""
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_quat(self.quaternion_xyzw).as_matrix()
-        T[:3, 3] = self.position_m
-        return T
+        return transform(self.position_m, self.quaternion_xyzw)
 
 
 class SessionPreset(_Strict):

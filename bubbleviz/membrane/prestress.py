@@ -20,7 +20,7 @@ from scipy.special import eval_jacobi
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
-from bubbleviz.membrane.rubber import FAR_STRETCHED, RubberMembrane
+from bubbleviz.membrane.rubber import FAR_STRETCHED, RubberMembrane, edges_of
 from bubbleviz.membrane.stiffness import cotangent_laplacian, mean_curvature
 
 # The harmonic map of a membrane to the unit disc, and orthogonal polynomials there.
@@ -128,7 +128,7 @@ class Prestress:
         moved = _virtual_displacements(mesh, disc, degree)[mesh.triangles]  # (m, 3, q)
         load = curvature * np.einsum("tx,tcq->xq", mesh.facet_vectors / 3.0, moved)
         pull = mesh.facet_areas[:, None, None] * np.einsum(
-            "tax,ktab,bc->ktcx", _edges(mesh), unit, _FROM_EDGES
+            "tax,ktab,bc->ktcx", edges_of(mesh), unit, _FROM_EDGES
         )
         work = np.stack(
             [
@@ -174,7 +174,7 @@ def prestressed(
     """Rubber membrane whose stress at rest follows from its shape and pressure."""
     field = Prestress.of(mesh, gauge_pressure_pa) if field is None else field
     tau = field.on(mesh) if isinstance(field, Prestress) else field
-    edges = _edges(mesh)
+    edges = edges_of(mesh)
     metric = edges @ edges.swapaxes(1, 2)
     least = np.sqrt(np.maximum(np.linalg.det(metric @ tau), 0.0) / (1.0 - FAR_STRETCHED**-3))
     mu_h = np.maximum(mu_h_n_per_m, least)
@@ -201,15 +201,9 @@ def stress_free_metric(
     return stress_free
 
 
-def _edges(mesh: MembraneMesh) -> np.ndarray:
-    """Edges of the triangles from corner 0, (m, 2, 3), m."""
-    corners = mesh.nodes[mesh.triangles]
-    return corners[:, 1:] - corners[:, :1]
-
-
 def _fields(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
     """τ of S = I, of its difference and of its shear, (3, m, 2, 2), 1/m²."""
-    edges, on_disc = _edges(mesh), disc[mesh.triangles]
+    edges, on_disc = edges_of(mesh), disc[mesh.triangles]
     back = np.linalg.inv((on_disc[:, 1:] - on_disc[:, :1]).swapaxes(1, 2))
     metric = back.swapaxes(1, 2) @ (edges @ edges.swapaxes(1, 2)) @ back
     values, vectors = np.linalg.eigh(metric)

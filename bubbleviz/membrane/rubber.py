@@ -163,7 +163,7 @@ class RubberMembrane:
         parent: np.ndarray,  # (k,) int, triangle that each of the mesh's lies in
     ) -> RubberMembrane:
         """The same rubber on parts of its triangles, clamped at the border of their mesh."""
-        own, finer = _edges(self.mesh)[parent], _edges(mesh)
+        own, finer = edges_of(self.mesh)[parent], edges_of(mesh)
         metric = own @ own.swapaxes(1, 2)
         back = np.linalg.inv(np.linalg.solve(metric, own @ finer.swapaxes(1, 2)))
         stress_free = back @ self.inverse[parent] @ back.swapaxes(1, 2)
@@ -373,11 +373,11 @@ def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
 
 def inverse_metric(mesh: MembraneMesh) -> np.ndarray:
     """Inverse metric of the mesh's own triangles, (m, 2, 2), 1/m²; see `RubberMembrane`."""
-    edges = _edges(mesh)
+    edges = edges_of(mesh)
     return np.linalg.inv(edges @ edges.swapaxes(1, 2))
 
 
-def _edges(mesh: MembraneMesh) -> np.ndarray:
+def edges_of(mesh: MembraneMesh) -> np.ndarray:
     """Edges of the triangles from corner 0 to 1 and to 2, (m, 2, 3), m."""
     corners = mesh.nodes[mesh.triangles]
     edges: np.ndarray = corners[:, 1:] - corners[:, :1]

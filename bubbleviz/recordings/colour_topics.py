@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import ColourCamera, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
+from bubbleviz.files import transform
 from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.depth_topics import (
     COMPRESSED_IMAGE,
@@ -78,13 +78,10 @@ class StaticPoses:
         return found
 
 
-def pose_of(transform: Any) -> np.ndarray:
+def pose_of(message: Any) -> np.ndarray:
     """A `geometry_msgs/Transform` as a matrix (4, 4)."""
-    q, t = transform.rotation, transform.translation
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    pose[:3, 3] = t.x, t.y, t.z
-    return pose
+    q, t = message.rotation, message.translation
+    return transform([t.x, t.y, t.z], [q.x, q.y, q.z, q.w])
 
 
 def _bare(frame_id: str) -> str:

@@ -32,7 +32,7 @@ from bubbleviz.simulation import (
     study_object,
     touching_height,
 )
-from bubbleviz.study import harness, stability as shapes, stability as stability_cases
+from bubbleviz.study import harness
 from bubbleviz.study.harness import Band, Report, Study, forward_faults, inverse_faults
 
 # A stability case makes a sensor and frames, estimates, and checks the result.
@@ -205,7 +205,7 @@ def attempt(case: Case) -> tuple[Verdict, str]:
 def attempt_named(name: str) -> list[CaseResult]:
     """Run the shipped case of that name (in a worker process)."""
     start = time.perf_counter()
-    verdict, detail = attempt(next(c for c in stability_cases.all_cases() if c.name == name))
+    verdict, detail = attempt(next(c for c in all_cases() if c.name == name))
     return [CaseResult(name, verdict, detail, 1e3 * (time.perf_counter() - start))]
 
 
@@ -214,7 +214,7 @@ def stability_study(pattern: str = "", *, quick: bool = False) -> Study:
 
     Raises InputError: there is none.
     """
-    chosen = [c for c in stability_cases.all_cases() if pattern in c.name and c.quick >= quick]
+    chosen = [c for c in all_cases() if pattern in c.name and c.quick >= quick]
     if not chosen:
         raise InputError(
             f"--case {pattern}: no name of a {'quick ' if quick else ''}case contains this; give "
@@ -309,7 +309,7 @@ def _mesh_trial(degrees: float | None) -> Callable[[], str]:
     def run() -> str:
         mesh, gas = mesh_cap(spherical_cap(0.075, 0.050), 800), {}
         if degrees is not None:
-            mesh, gas = shapes.with_slivers(mesh, np.deg2rad(degrees)), {"tension_n_per_m": 105.0}
+            mesh, gas = with_slivers(mesh, np.deg2rad(degrees)), {"tension_n_per_m": 105.0}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "slivers.ply"
             write_ply(path, mesh.nodes, {}, mesh.triangles)
@@ -320,11 +320,11 @@ def _mesh_trial(degrees: float | None) -> Callable[[], str]:
 
 
 def _contacts() -> Iterator[Case]:
-    yield Case("needle on one node", Trial(object_name=shapes.needle, depth_m=0.010), quick=True)
-    yield Case("blade", Trial(object_name=shapes.blade, depth_m=0.010))
-    yield Case("plate over everything", Trial(object_name=shapes.plate, depth_m=0.015), quick=True)
-    yield Case("plate, 40 mm of 50", Trial(object_name=shapes.plate, depth_m=0.040))
-    inside = Trial(object_name=shapes.pellet, depth_m=0.035)
+    yield Case("needle on one node", Trial(object_name=needle, depth_m=0.010), quick=True)
+    yield Case("blade", Trial(object_name=blade, depth_m=0.010))
+    yield Case("plate over everything", Trial(object_name=plate, depth_m=0.015), quick=True)
+    yield Case("plate, 40 mm of 50", Trial(object_name=plate, depth_m=0.040))
+    inside = Trial(object_name=pellet, depth_m=0.035)
     yield Case("object wholly inside", inside, quick=True)
     yield Case("object wholly inside, off the axis", replace(inside, offset_m=(0.02, 0.0)))
     for depth in (1e-6, 1e-4, 1e-3):
@@ -332,12 +332,12 @@ def _contacts() -> Iterator[Case]:
     deep = Trial(object_name="sphere", depth_m=0.045)
     yield Case("press to 90 % of the height", deep, quick=True)
     yield Case("press to 60 % of the height", replace(deep, depth_m=0.030))
-    far = Trial(object_name=shapes.two_far_balls, depth_m=0.010)
+    far = Trial(object_name=two_far_balls, depth_m=0.010)
     yield Case("two far contacts", far, "solve", quick=True)
     yield Case("hovering object", Trial(depth_m=-0.005), "solve", quick=True)
     yield Case("contact by the rim", Trial(object_name="sphere", offset_m=(0.055, 0.0)))
     yield Case("object on the rim", Trial(object_name="sphere", offset_m=(0.075, 0.0)), "either")
-    yield Case("large ball", Trial(object_name=shapes.large_ball, depth_m=0.02), "solve")
+    yield Case("large ball", Trial(object_name=large_ball, depth_m=0.02), "solve")
 
 
 def _gas() -> Iterator[Case]:
@@ -371,10 +371,10 @@ def _noise() -> Iterator[Case]:
 def _pixels() -> Iterator[Case]:
     for count in (0, 1, 2, 10):
         must: Must = "refuse" if count == 0 else "either"
-        trial = Trial(alter=shapes.only_pixels(count))
+        trial = Trial(alter=only_pixels(count))
         yield Case(f"{count} valid pixels", trial, must, quick=count < 3)
-    yield Case("every tenth pixel", Trial(alter=shapes.every(10)))
-    yield Case("left half of the image", Trial(alter=shapes.left_half))
+    yield Case("every tenth pixel", Trial(alter=every(10)))
+    yield Case("left half of the image", Trial(alter=left_half))
     for share in (0.5, 0.9):
         # Holes come with correlated noise, which the sensor file does not describe: at the file's
         # σ the images may be refused, at a fifth of it they must be solved.
@@ -388,9 +388,9 @@ def _pixels() -> Iterator[Case]:
         wrong = DepthNoise(relative=0.01, outliers=share)
         trial = Trial(noise=wrong)
         yield Case(f"{100 * share:g} % outliers of 20 mm", trial, quick=share == 0.3)
-    one_sided = Trial(alter=shapes.outliers(0.3, 0.05))
+    one_sided = Trial(alter=outliers(0.3, 0.05))
     yield Case("30 % outliers 50 mm too far", one_sided, quick=True)
-    yield Case("one pixel at 60 m", Trial(alter=shapes.outliers(1e-4, 60.0)), "either")
+    yield Case("one pixel at 60 m", Trial(alter=outliers(1e-4, 60.0)), "either")
 
 
 def _nonsense() -> Iterator[Case]:
@@ -516,8 +516,8 @@ def _rubber() -> Iterator[Case]:
         yield Case(f"rubber, {nodes} nodes", trial, limit_s=300.0, quick=nodes == 30)
     for depth in (1e-4, 0.020, 0.030, 0.045):
         yield Case(f"rubber, press of {1e3 * depth:g} mm", _rubber_trial(depth_m=depth))
-    yield Case("rubber, two far contacts", _rubber_trial(object_name=shapes.two_far_balls), "solve")
-    yield Case("rubber, plate", _rubber_trial(object_name=shapes.plate, depth_m=0.015))
+    yield Case("rubber, two far contacts", _rubber_trial(object_name=two_far_balls), "solve")
+    yield Case("rubber, plate", _rubber_trial(object_name=plate, depth_m=0.015))
     by_turns = _rubber_trial(depths_m=(0.012, -0.01) * 3)
     yield Case("rubber, contact and no contact alternating", by_turns, "solve")
     sudden = _rubber_trial(depths_m=(-0.01, 0.020, 0.002, 0.020))
@@ -526,7 +526,7 @@ def _rubber() -> Iterator[Case]:
 
 def _rubber_views() -> Iterator[Case]:
     for side, x in (("visible half", -0.03), ("hidden half", 0.03), ("border", 0.0)):
-        trial = _rubber_trial(alter=shapes.left_half, offset_m=(x, 0.0))
+        trial = _rubber_trial(alter=left_half, offset_m=(x, 0.0))
         yield Case(
             f"rubber, half of the membrane hidden, press on the {side}",
             trial,
@@ -544,7 +544,7 @@ def _rubber_views() -> Iterator[Case]:
     yield Case("rubber, depth millimetres for metres", nonsense, "refuse")
     turned = _rubber_trial(alter=lambda d: np.roll(d[::-1], 60, axis=1), known=False)
     yield Case("rubber, depth image upside down and shifted by 60 pixels", turned, "refuse")
-    yield Case("rubber, 2 valid pixels", _rubber_trial(alter=shapes.only_pixels(2)))
+    yield Case("rubber, 2 valid pixels", _rubber_trial(alter=only_pixels(2)))
     outliers = DepthNoise(relative=0.01, outliers=0.3)
     yield Case("rubber, 30 % outliers of 20 mm", _rubber_trial(noise=outliers))
 
