@@ -86,8 +86,8 @@ def bench_monkey(
     with_memory = seconds >= REST_EVERY_S
     seen = monkey_run(_sensor_for(recording, sensor), recording, seconds, seed, memory=with_memory)
     _print_measured(seen.measured, as_json)
-    if seen.blocked:
-        click.echo(f"blocked longest by {seen.longest}, in:\n{seen.blocked}", err=True)
+    if seen.longest:
+        click.echo(f"blocked longest by {seen.longest}", err=True)
     for problem in seen.problems:
         click.echo(problem, err=True)
     return int(not seen.passed)

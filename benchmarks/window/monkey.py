@@ -29,7 +29,6 @@ from PySide6.QtWidgets import (
 )
 
 from benchmarks.window.bench_window import bench_window
-from benchmarks.window.block_watch import BlockWatch
 from benchmarks.window.memory_at_rest import Rest
 from benchmarks.window.process_usage import resident_mib
 from benchmarks.window.replay_rate import beats
@@ -58,7 +57,6 @@ class Report:
     most_mib: float = 0.0  # highest after an action
     longest_ms: float = 0.0  # longest time without events in the window's thread
     longest: str = ""  # the action at that time
-    blocked: str = ""  # innermost calls of that thread in the longest block of over 100 ms
     problems: list[str] = field(default_factory=list)  # tracebacks and messages
 
     @property
@@ -108,7 +106,7 @@ class Monkey:
 
     def __init__(self, session: WindowSession, dice: random.Random, report: Report) -> None:
         self._session, self._dice, self._report = session, dice, report
-        self._rest, self._watch = Rest(session), BlockWatch()
+        self._rest = Rest(session)
         self._things: tuple[tuple[float, Callable[[], None]], ...] = (
             (5.0, self._click),
             (3.0, self._key),
@@ -144,7 +142,7 @@ class Monkey:
     def _go_on(self, seconds: float) -> None:
         report, start = self._report, time.monotonic()
         weights = [weight for weight, _ in self._things]
-        with beats() as gaps_ms, self._watch.watching():
+        with beats() as gaps_ms:
             while time.monotonic() - start < seconds:
                 [(_, thing)] = self._dice.choices(self._things, weights)
                 gaps_ms.clear()
@@ -160,7 +158,6 @@ class Monkey:
                 report.actions += 1
                 report.most_mib = max(report.most_mib, resident_mib())
         report.seconds += time.monotonic() - start
-        report.blocked = self._watch.stack
 
     _at = ""
 

@@ -19,7 +19,6 @@ from .results import (
     surface_arrays as surface_arrays,
 )
 from .scene import ARROW as ARROW, scene_of as scene_of
-from .series import VtkSeries as VtkSeries
 from .settings_comparison import (
     ComparedResult as ComparedResult,
     SettingsComparison as SettingsComparison,

@@ -5,7 +5,6 @@ from .optical_flow import (
     FlowField as FlowField,
     FlowPreset as FlowPreset,
     OpticalFlow as OpticalFlow,
-    opencv as opencv,
 )
 from .slip import (
     SlipFinder as SlipFinder,

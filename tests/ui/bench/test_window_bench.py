@@ -12,12 +12,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
-from PySide6.QtCore import QTimer
 from small_press import HEIGHTS, write_press
-from window_driver import PATIENCE_MS, run_python
+from window_driver import run_python
 
 from benchmarks.window.__main__ import bench as main
-from benchmarks.window.block_watch import BLOCKED_S, BlockWatch
 from benchmarks.window.process_usage import thread_seconds
 from bubbleviz.recordings import recording_writer
 from bubbleviz.sensor import load_sensor, sensor_to_toml
@@ -56,21 +54,6 @@ def test_monkey_finds_an_exception_in_a_slot():
     )
     _, problems = monkey(2.0, seed=1, before=broken)
     assert any("ZeroDivisionError" in problem for problem in problems)
-
-
-def test_stack_of_a_blocked_thread_is_reported(qtbot):
-    watch, timer = BlockWatch(), QTimer()
-
-    def keep_the_window_waiting():
-        # a busy machine may block it earlier and longer
-        threading.Event().wait(max(5.0 * BLOCKED_S, 1.5 * watch.longest_s))
-
-    timer.timeout.connect(keep_the_window_waiting)
-    with watch.watching():
-        timer.start(int(5e3 * BLOCKED_S))
-        qtbot.waitUntil(lambda: "keep_the_window_waiting" in watch.stack, timeout=PATIENCE_MS)
-        timer.stop()
-    assert watch.longest_s > 2.0 * BLOCKED_S
 
 
 def test_computing_threads_are_reported_by_name():
