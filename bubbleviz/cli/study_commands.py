@@ -49,7 +49,6 @@ def run(study: Study, out: Path | None, as_json: bool) -> None:
 @report_options
 @sensor_option
 @seed_option
-@click.option("--shipped-only", is_flag=True, help="Only the default estimator, not the others.")
 @click.option(
     "--model",
     type=click.Choice(("rubber", "linear")),
@@ -63,7 +62,6 @@ def accuracy(
     quick: bool,
     sensor: str,
     seed: int,
-    shipped_only: bool,
     model: Model,
 ) -> None:
     """Measure the error of force, patch and shape.
@@ -75,8 +73,6 @@ def accuracy(
     from bubbleviz.study.accuracy import accuracy_study, full_grid, quick_grid
 
     grid = replace(quick_grid(model) if quick else full_grid(model), seed=seed)
-    if shipped_only:
-        grid = replace(grid, setups=grid.setups[:1])
     parts = None if out is None else out / "accuracy_parts"
     run(accuracy_study(load_sensor(sensor), grid, parts), out, as_json)
 
@@ -84,23 +80,13 @@ def accuracy(
 @study.command()
 @report_options
 @sensor_option
-@click.option(
-    "--recording",
-    type=click.Path(exists=True, path_type=Path),
-    help="Recording of a real press, on which both membrane models are timed, too.",
-)
-def speed(
-    out: Path | None, as_json: bool, quick: bool, sensor: str, recording: Path | None
-) -> None:
+def speed(out: Path | None, as_json: bool, quick: bool, sensor: str) -> None:
     """Measure time by stage, growth with size, and memory."""
-    from bubbleviz.recordings import checked_sensor
     from bubbleviz.sensor import load_sensor
     from bubbleviz.study.speed import contact_runs, full_runs, quick_runs, speed_study
 
-    if recording is not None:
-        checked_sensor(recording, None)
     runs = quick_runs() if quick else full_runs()
-    runs += contact_runs(recording, frames=6 if quick else 40)
+    runs += contact_runs(frames=6 if quick else 40)
     run(speed_study(load_sensor(sensor), runs), out, as_json)
 
 

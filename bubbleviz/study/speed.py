@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.output import iou
 from bubbleviz.processes import PeakMemory
-from bubbleviz.recordings import Frame, Recording, fitting_sensor
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
@@ -47,8 +46,7 @@ SOURCE_NODES = 1_000  # the simulation has four times as many, independent of th
 FRAMES = 150  # of the moving press
 STAGES = ("estimate", "solve", "patch", "other")
 """`estimate` without its solves, and `patch` with its pixels."""
-CONTACT_MS = {"contact": 60.0, "recording": 40.0}
-"""Median time in contact for playback at the camera's rate, simulated and real, ms."""
+CONTACT_MS = 60.0  # median time in contact for playback at the camera's rate
 SMALLEST_FITTED = {"nodes": 800, "pixels": 20_000}
 
 
@@ -56,8 +54,7 @@ SMALLEST_FITTED = {"nodes": 800, "pixels": 20_000}
 class Run:
     """One measurement on a moving press.
 
-    The sweep is "stream", "nodes", "pixels", "contact" (a ball on the exact membrane) or
-    "recording" (frames with contact of a file).
+    The sweep is "stream", "nodes", "pixels" or "contact" (a ball on the exact membrane).
     """
 
     sweep: str
@@ -65,7 +62,6 @@ class Run:
     pixels: int | None = None  # of a scaled camera; None: the sensor's
     frames: int = 10  # a small number is taken at the largest depth
     limit_s: float = 120.0
-    recording: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -125,13 +121,10 @@ def quick_runs() -> list[Run]:
     ]
 
 
-def contact_runs(recording: Path | None, frames: int) -> list[Run]:
-    """Exact and linear membrane in contact, simulated and in a recording, if given."""
-    setups = [Setup(RUBBER), Setup(LINEAR)]
-    runs = [Run("contact", setup, frames=frames, limit_s=300.0) for setup in setups]
-    if recording is not None:
-        runs += [Run("recording", s, limit_s=300.0, recording=recording) for s in setups]
-    return runs
+def contact_runs(frames: int) -> list[Run]:
+    """Exact and linear membrane in contact."""
+    setups = Setup(RUBBER), Setup(LINEAR)
+    return [Run("contact", setup, frames=frames, limit_s=300.0) for setup in setups]
 
 
 def speed_study(sensor: Sensor, runs: list[Run]) -> Study:
@@ -150,12 +143,6 @@ def speed_study(sensor: Sensor, runs: list[Run]) -> Study:
 
 def measure(sensor: Sensor, run: Run) -> list[Row]:
     """Stream a press through one pipeline."""
-    if run.recording is not None:
-        with Recording(run.recording) as recording:
-            _, sensor = fitting_sensor(recording, None)
-            frames = [recording[k] for k in range(len(recording))]
-            model = SensorModel.of(rubber_sensor(sensor), recording.intrinsics)
-            return [_measured(run, model, frames, None, [])]
     scaled = with_pixels(sensor, run.pixels)
     if run.sweep == "contact":  # a ball along the path of the moving press
         scaled = rubber_sensor(scaled)
@@ -180,7 +167,7 @@ def _measured(
     run: Run,
     model: SensorModel,
     frames: list[Frame],
-    source: SyntheticSource | None,
+    source: SyntheticSource,
     order: list[int],
 ) -> Row:
     results, times = [], []
@@ -192,19 +179,16 @@ def _measured(
             results.append(pipeline.process(frame, PRODUCTS))
             times.append(_stages(results[-1]))
     warm = times[1:] or times
-    if source is None:
-        touching = [r.estimate is not None and r.estimate.status == "ok" for r in results]
-        warm = [each for each, ok in zip(times, touching, strict=True) if ok] or warm
     stages: dict[str, Any] = {k: float(np.median([each[k] for each in warm])) for k in warm[0]}
     return Row(
         **stages,
-        **(_quality(results, source, order) if source is not None else {}),
+        **_quality(results, source, order),
         sweep=run.sweep,
         setup=run.setup.label,
         solver=pipeline.estimator.solver_name,
         nodes=len(pipeline.mesh.nodes),
         pixels=model.sensor.camera.width * model.sensor.camera.height,
-        frames=len(warm) if source is None else len(frames),
+        frames=len(frames),
         build_ms=built,
         cold_ms=times[0]["total_ms"],
         total_p95_ms=float(np.percentile([each["total_ms"] for each in warm], 95)),
@@ -273,9 +257,8 @@ def targets(rows: list[Row]) -> list[Target]:
         if (row.sweep, row.setup) == ("stream", "default"):
             found.append(at_most("stream, median ms", row.total_ms, 8.0))
             found.append(at_most("stream, p95 ms", row.total_p95_ms, 16.0))
-        if row.sweep in CONTACT_MS and row.solver == RUBBER:
-            name = f"{row.sweep}, exact membrane, median ms"
-            found.append(at_most(name, row.total_ms, CONTACT_MS[row.sweep]))
+        if row.sweep == "contact" and row.solver == RUBBER:
+            found.append(at_most("contact, exact membrane, median ms", row.total_ms, CONTACT_MS))
     for growth in growths(rows):
         if growth["sweep"] == "nodes":
             name = f"{growth['setup']}, exponent in nodes"
