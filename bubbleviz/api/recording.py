@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
@@ -194,7 +194,6 @@ def publish(
     listen: str | None = None,
     connect: str | None = None,
     sensor: str | Path | Sensor = AUTO,
-    layout: Literal["rmw", "dds"] = "rmw",
     domain: int = 0,
     duration_s: float | None = None,
     wait: bool = False,
@@ -211,8 +210,6 @@ def publish(
     listen, connect : str, optional
         Endpoint that subscribers connect to, `tcp/127.0.0.1:7447` by default, or router to publish
         through.
-    layout : {"rmw", "dds"}
-        Names of Zenoh keys, as in `rmw_zenoh` or the DDS bridge.
     domain : int
         ROS_DOMAIN_ID.
     wait : bool
@@ -240,7 +237,7 @@ def publish(
         )
     with (
         stopped_by_signals() as stop,
-        ZenohPublisher(place, layout=layout, domain=domain, wait=True) as publisher,
+        ZenohPublisher(place, domain=domain, wait=True) as publisher,
     ):
 
         def send(message: Message) -> None:

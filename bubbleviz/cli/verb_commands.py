@@ -437,12 +437,6 @@ def watch(as_json: bool, **options: Any) -> None:
 @click.command()
 @source_option
 @publish_options
-@option(
-    "--layout",
-    type=click.Choice(["rmw", "dds"]),
-    default="rmw",
-    help="Names of Zenoh keys: as rmw_zenoh (default) or the DDS bridge.",
-)
 @option("--domain", type=click.IntRange(0, 232), default=0, help="ROS_DOMAIN_ID.")
 @duration_option
 @option("--wait", is_flag=True, help="Start when a subscriber connects.")

@@ -11,7 +11,6 @@ from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publish
 
 from bubbleviz.live.zenoh_session import (
     Attachment,
-    Layout,
     SessionOptions,
     announcement,
     open_session,
@@ -26,19 +25,18 @@ _NUMBERED = MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
 
 
 class ZenohPublisher:
-    """Publishes serialised messages, each topic announced with its first one."""
+    """Publishes serialised messages as `rmw_zenoh` does; announces topics with their first one."""
 
     def __init__(
         self,
         options: SessionOptions,  # where to listen, or the router to publish through
         *,
-        layout: Layout = "rmw",  # as `rmw_zenoh` publishes, or as the ROS 2 DDS bridge does
         domain: int = 0,  # ROS_DOMAIN_ID
         # wait for slow subscribers, so that no message is lost; else drop messages
         wait: bool = False,
     ) -> None:
         self._session = open_session(options)
-        self._layout, self._domain, self._wait = layout, domain, wait
+        self._domain, self._wait = domain, wait
         self._publishers: dict[tuple[str, str], Any] = {}
         self._tokens: list[Any] = []
         self._sent: dict[tuple[str, str], int] = {}
@@ -55,7 +53,7 @@ class ZenohPublisher:
             return
         type_hash = ros2_types().hash_rihs01(kind)
         control = zenoh.CongestionControl.BLOCK if self._wait else zenoh.CongestionControl.DROP
-        key = publication(topic, kind, type_hash, self._layout, self._domain)
+        key = publication(topic, kind, type_hash, self._domain)
         if are_static_poses(topic, kind):  # later subscribers receive them too
             self._publishers[topic, kind] = declare_advanced_publisher(
                 self._session,
@@ -71,7 +69,7 @@ class ZenohPublisher:
             )
         number = len(self._publishers)
         session = str(self._session.zid())
-        token = announcement(topic, kind, type_hash, self._layout, self._domain, session, number)
+        token = announcement(topic, kind, type_hash, self._domain, session, number)
         self._tokens.append(self._session.liveliness().declare_token(token))
 
     def put(self, message: Message) -> None:

@@ -376,19 +376,15 @@ def dds_type(kind: str) -> str:
     return f"{package}::{space}::dds_::{name}_"
 
 
-def publication(topic: str, kind: str, type_hash: str, layout: Layout, domain: int) -> str:
-    """Key that messages of a topic are published under."""
-    name = topic.strip("/")
-    return f"{domain}/{name}/{dds_type(kind)}/{type_hash}" if layout == "rmw" else name
+def publication(topic: str, kind: str, type_hash: str, domain: int) -> str:
+    """Key that messages of a topic are published under, in rmw_zenoh's layout."""
+    return f"{domain}/{topic.strip('/')}/{dds_type(kind)}/{type_hash}"
 
 
 def announcement(
-    topic: str, kind: str, type_hash: str, layout: Layout, domain: int, session: str, number: int
+    topic: str, kind: str, type_hash: str, domain: int, session: str, number: int
 ) -> str:
     """Liveliness token of a publisher; the default quality of service."""
-    if layout == "dds":
-        key, slashed = topic.strip("/"), kind.replace("/", _DDS_SLASH)
-        return f"@/{session}/@ros2_lv/MP/{key.replace('/', _DDS_SLASH)}/{slashed}/:::"
     mangled = topic.replace("/", "%")
     node = f"@ros2_lv/{domain}/{session}/0/{number}/MP/%/%/bubbleviz"
     return f"{node}/{mangled}/{dds_type(kind)}/{type_hash}/::,10:,:,:,,"

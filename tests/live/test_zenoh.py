@@ -420,13 +420,14 @@ def test_key_expressions_match_those_of_rmw_zenoh():
                 kinds[announced.topic] = announced.type
         assert sorted(kinds) == ["/cam/camera_info", "/cam/depth", "/gas"]
         for topic, kind in kinds.items():
-            type_hash = KEYS["rmw"]["/gas"].split("/")[-1]
-            published = zenoh_keys.publication(topic, kind, type_hash, layout, 0)
-            assert published == KEYS[layout][topic]
             subscribed = zenoh_keys.subscription(topic, layout, 0)
-            assert zenoh.KeyExpr(subscribed).includes(published)
-            token = zenoh_keys.announcement(topic, kind, type_hash, layout, 0, "b3f7", 1)
-            assert zenoh_keys.parse_token(token, 0) == (topic, kind, layout)
+            assert zenoh.KeyExpr(subscribed).includes(KEYS[layout][topic])
+            if layout == "dds":
+                continue
+            type_hash = KEYS["rmw"]["/gas"].split("/")[-1]
+            assert zenoh_keys.publication(topic, kind, type_hash, 0) == KEYS["rmw"][topic]
+            token = zenoh_keys.announcement(topic, kind, type_hash, 0, "b3f7", 1)
+            assert zenoh_keys.parse_token(token, 0) == (topic, kind, "rmw")
             assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
 
 
