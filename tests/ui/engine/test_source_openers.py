@@ -1,6 +1,7 @@
 """Simulated recordings and their ground truth in the window."""
 
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from window_driver import run_bubbleviz
 
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.cli.command_line import main
+from bubbleviz.errors import UnknownCameraError
 from bubbleviz.live import Recorder
 from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
@@ -151,15 +153,38 @@ def test_command_line_option_for_ground_truth(qtbot, sensor, files):
     assert refused.exit_code == 2 and "--truth" in refused.stderr
 
 
+def own_camera(sensor, folder):
+    """A sensor of another image size, and its file and recording."""
+    camera = sensor.camera.model_copy(update={"width": 60, "height": 44, "cx": 29.5, "cy": 21.5})
+    own = sensor.model_copy(update={"camera": camera, "name": "own dome"})
+    save_sensor(own, folder / "own.toml")
+    source = DentSource(own)
+    return folder / "own.toml", record(folder / "own.mcap", (source[k] for k in range(4)))
+
+
+def test_the_solver_thread_hands_a_sensor_of_another_camera_back(drive, sensor, tmp_path):
+    """It counts once its answer was delivered, whatever the solver thread does meanwhile."""
+    file, recording = own_camera(sensor, tmp_path)
+    opening = drive(DentSource).window.controller.opening
+    requests = []
+    opening.about_to_open.connect(requests.append)
+    opening.open_sensor_file(file)
+    with ThreadPoolExecutor(1) as thread:
+        error = thread.submit(requests[-1].open_sensor).exception()
+    opening.open_recording(recording)  # before the answer
+    with pytest.raises(UnknownCameraError):
+        requests[-1].open_sensor()
+    opening.finish(requests[0], error)
+    opening.open_recording(recording)
+    assert requests[-1].open_sensor().name == "own dome"
+    opening.cancel()
+
+
 def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
     drive, sensor, tmp_path, monkeypatch
 ):
     """Sensor first, recording first, and again after a restart."""
-    camera = sensor.camera.model_copy(update={"width": 60, "height": 44, "cx": 29.5, "cy": 21.5})
-    own = sensor.model_copy(update={"camera": camera, "name": "own dome"})
-    save_sensor(own, tmp_path / "own.toml")
-    source = DentSource(own)
-    record(tmp_path / "own.mcap", (source[k] for k in range(4)))
+    file, recording = own_camera(sensor, tmp_path)
     asked = []
 
     def choose(parent, title, kinds, *, of, proposed):
@@ -169,14 +194,14 @@ def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
     monkeypatch.setattr(main_window, "file_to_open", choose)
     driver = drive(DentSource)
     name = lambda: driver.window.controller.sensor.name  # noqa: E731
-    driver.drop(tmp_path / "own.toml")
+    driver.drop(file)
     driver.wait_for_message("own.toml", "60×44", "is used when a recording of that camera")
     assert name() == sensor.name
-    driver.drop(tmp_path / "own.mcap")
+    driver.drop(recording)
     driver.wait(lambda: name() == "own dome")
     assert not asked
     # another window, which knows neither
     driver = drive(DentSource)
-    driver.drop(tmp_path / "own.mcap")
+    driver.drop(recording)
     driver.wait(lambda: name() == "own dome")
-    assert asked == [("Sensor file for images of 60×44 pixels", tmp_path / "own.toml")]
+    assert asked == [("Sensor file for images of 60×44 pixels", file)]

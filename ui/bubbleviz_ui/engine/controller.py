@@ -310,7 +310,7 @@ class Controller(QObject):
             signal.connect(slot) if on else signal.disconnect(slot)
 
     def _on_failed(self, failed: Failed) -> None:
-        self.opening.finish(failed.request)
+        self.opening.finish(failed.request, failed.error)
         if failed.key == "analyse":
             self.analysis.stop()
         self.failed.emit(failed)

@@ -24,6 +24,14 @@ if TYPE_CHECKING:
     OpenSensor = Callable[[], Sensor]
 
 
+class OtherCameraError(InputError):
+    """A sensor file that is for images of another size than the open source has."""
+
+    def __init__(self, message: str, sensor: Sensor) -> None:
+        super().__init__(message)
+        self.sensor = sensor
+
+
 class Opening(QObject):
     """Opens sources in the solver thread; the current one stays open until that succeeds.
 
@@ -38,9 +46,7 @@ class Opening(QObject):
         super().__init__()
         self._state, self._ask = state, ask
         self.current: Opened | None = None
-        self._other_camera: Sensor | None = (
-            None  # the last sensor given that does not fit the source
-        )
+        self._other_camera: Sensor | None = None  # the last one given that did not fit the source
         self._waiting: OpenRequest | None = None
 
     @property
@@ -130,10 +136,10 @@ class Opening(QObject):
         def open_sensor() -> Sensor:
             sensor = load_sensor(path)
             if own is not None and _size(sensor) != _size(own):
-                self._other_camera = sensor
-                raise InputError(
+                raise OtherCameraError(
                     f"{path.name} is for images of {_size(sensor)} pixels, not {_size(own)}; it "
-                    "is used when a recording of that camera is opened"
+                    "is used when a recording of that camera is opened",
+                    sensor,
                 )
             return sensor
 
@@ -155,8 +161,10 @@ class Opening(QObject):
         if sensor is not None:
             self.open(NO_SOURCE, lambda: sensor, playing=False)
 
-    def finish(self, request: object) -> None:
-        """A request has succeeded or failed."""
+    def finish(self, request: object, error: Exception | None = None) -> None:
+        """A request has succeeded, or failed with an error."""
+        if isinstance(error, OtherCameraError):
+            self._other_camera = error.sensor
         if self._waiting is not None and request is self._waiting:
             self._end()
 
