@@ -86,6 +86,22 @@ def _real_recording(name):
     return path
 
 
+@pytest.fixture(scope="session")
+def sensor(tmp_path_factory):
+    """File of a small sensor."""
+    from small_press import write_small_sensor
+
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@pytest.fixture(scope="session")
+def press(sensor):
+    """Recording of five frames, of which three are pressed."""
+    from small_press import write_press
+
+    return write_press(sensor.with_name("press.mcap"), sensor)
+
+
 @pytest.fixture
 def certificates(tmp_path):
     """A folder with certificates of two authorities, one of localhost with its key, and logins."""

@@ -18,6 +18,7 @@ from bubbleviz.live import LiveSession
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
+from tests.program import output_of, refusal, run
 
 HEAVY = (
     "numpy",
@@ -56,9 +57,7 @@ def test_every_command_has_help():
     names = main.list_commands(click.Context(main))
     assert {"open", "window"} < set(names)
     for name in names:
-        done = CliRunner().invoke(main, [name, "--help"])
-        assert done.exit_code == 0
-        assert "Usage:" in done.stdout
+        assert "Usage:" in output_of(name, "--help")
 
 
 def test_every_command_has_the_short_option_for_help():
@@ -78,15 +77,14 @@ def test_runs_as_a_module():
 
 
 def test_presets_are_listed_by_the_names_that_options_take():
-    printed = json.loads(CliRunner().invoke(main, ["presets", "--json"]).stdout)
+    printed = json.loads(output_of("presets", "--json"))
     assert {"pico_flexx_75mm", "punyo_oval_d405"} <= printed["sensors"].keys()
     for name, says in printed["sensors"].items():
         assert says.startswith(bv.load_sensor(name).name)
     assert printed["objects"]["cylinder"] == "24 × 24 × 40 mm"
     for name in printed["objects"]:
         assert load_object(name).name == name
-    text = CliRunner().invoke(main, ["presets"]).stdout
-    assert "  cylinder        24 × 24 × 40 mm\n" in text
+    assert "  cylinder        24 × 24 × 40 mm\n" in output_of("presets")
 
 
 def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
@@ -95,17 +93,15 @@ def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
     (tmp_path / "pyrealsense2.py").write_text("import nothing_of_that_name")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setenv("DISPLAY", ":77")
-    done = CliRunner().invoke(main, ["doctor", "--json"])
-    assert done.exit_code == 0, done.output
-    printed = json.loads(done.stdout)
+    printed = json.loads(output_of("doctor", "--json"))
     machine = printed["machine"]
     assert machine["bubbleviz"] == bv.__version__ and sys.version.startswith(machine["Python"])
     assert printed["libraries"]["numpy"] == np.__version__
     assert printed["environment"]["DISPLAY"] == ":77"
     assert machine["OpenGL"] == "no answer; the process ended with code -6"
     assert "[realsense]" in machine["cameras"]
-    text = CliRunner().invoke(main, ["doctor"]).stdout
-    assert ["numpy", np.__version__] in [line.split() for line in text.splitlines()]
+    lines = output_of("doctor").splitlines()
+    assert ["numpy", np.__version__] in [line.split() for line in lines]
 
 
 def loaded_after_help(which):
@@ -135,9 +131,7 @@ INSTALL = '[window]"'
 def test_without_the_window_one_line_says_what_to_install(monkeypatch, words):
     none = EntryPoints([])
     monkeypatch.setattr("bubbleviz.cli.command_line.entry_points", lambda **_: none)
-    done = CliRunner().invoke(main, words, prog_name="bubbleviz")
-    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-    assert INSTALL in done.stderr
+    assert INSTALL in refusal(*words)
 
 
 @pytest.mark.parametrize("library", ["PySide6", "pyvistaqt"])
@@ -152,11 +146,8 @@ def test_without_a_library_of_the_window_one_line_says_what_to_install(library):
 
 
 def test_info(recording):
-    done = CliRunner().invoke(main, ["info", str(recording)])
-    assert done.exit_code == 0
-    assert "3 in 0.067 s, 30.00 Hz" in done.stdout
-    done = CliRunner().invoke(main, ["info", str(recording), "--json"])
-    assert json.loads(done.stdout)["frames"] == 3
+    assert "3 in 0.067 s, 30.00 Hz" in output_of("info", recording)
+    assert json.loads(output_of("info", recording, "--json"))["frames"] == 3
 
 
 @pytest.mark.parametrize(
@@ -169,12 +160,7 @@ def test_info(recording):
     ],
 )
 def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(arguments, words):
-    done = CliRunner().invoke(main, arguments, prog_name="bubbleviz")
-    assert done.exit_code == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("bubbleviz: ")
-    assert words in done.stderr
-    assert done.stderr.count("\n") == 1
+    assert words in refusal(*arguments)
 
 
 def test_a_truncated_recording_through_the_real_command(recording):
@@ -253,16 +239,15 @@ def windows(monkeypatch):
 
 
 def test_without_a_command_the_window_opens_with_the_synthetic_sensor(windows):
-    assert CliRunner().invoke(main, []).exit_code == 0
-    assert CliRunner().invoke(main, ["--fresh"]).exit_code == 0
+    output_of()
+    output_of("--fresh")
     name = "soft-bubble pico flexx"
     assert windows == [("window", (name,)), ("window", (name, "fresh"))]
 
 
 def test_exit_code_of_the_window_is_that_of_the_command(windows, monkeypatch, pico_recording):
     monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
-    assert CliRunner().invoke(main, []).exit_code == 3
-    assert CliRunner().invoke(main, ["open", str(pico_recording)]).exit_code == 3
+    assert run().exit_code == run("open", pico_recording).exit_code == 3
 
 
 def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
@@ -277,29 +262,25 @@ def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
     monkeypatch.setattr("bubbleviz_ui.app.run_window", window)
     delay = ["--colour-delay", "-0.055"]
     source = ["--source", f"replay:{pico_recording}", "--sensor", "pico_flexx_75mm"]
-    for what in ([str(pico_recording)], source):
-        assert CliRunner().invoke(main, ["open", *what]).exit_code == 0
-        assert CliRunner().invoke(main, ["open", *what, *delay]).exit_code == 0
+    for what in ([pico_recording], source):
+        output_of("open", *what)
+        output_of("open", *what, *delay)
     assert [each.camera.colour_delay_s for each in opened] == [0.0, -0.055] * 2
-    refused = CliRunner().invoke(main, ["open", "--session", "dual_nut", *delay])
-    assert refused.exit_code == 2 and "session file" in refused.output
+    assert "session file" in refusal("open", "--session", "dual_nut", *delay)
 
 
 def test_open_selects_and_reports_the_matching_preset(windows, pico_recording):
-    done = CliRunner().invoke(main, ["open", str(pico_recording)])
-    assert done.exit_code == 0
-    assert "pico_flexx_75mm" in done.stdout
-    assert CliRunner().invoke(main, ["--fresh", "open", str(pico_recording)]).exit_code == 0
+    assert "pico_flexx_75mm" in output_of("open", pico_recording)
+    output_of("--fresh", "open", pico_recording)
     asked = ("soft-bubble pico flexx", pico_recording, None, None)
     assert windows == [("window", asked), ("window", (*asked, "fresh"))]
 
 
 def test_open_at_a_frame_and_screenshot(windows, pico_recording, tmp_path):
-    words = ["open", str(pico_recording), "--sensor", "pico_flexx_75mm", "--frame", "7"]
-    assert CliRunner().invoke(main, words).exit_code == 0
+    words = ["open", pico_recording, "--sensor", "pico_flexx_75mm", "--frame", 7]
+    output_of(*words)
     out = tmp_path / "out.png"
-    done = CliRunner().invoke(main, [*words, "--screenshot", str(out)])
-    assert done.stdout == f"wrote {out}\n"
+    assert output_of(*words, "--screenshot", out) == f"wrote {out}\n"
     name = "soft-bubble pico flexx"
     assert windows == [
         ("window", (name, pico_recording, 7, None)),
@@ -317,10 +298,9 @@ def test_open_passes_scene_and_ground_truth_to_window_and_screenshot(
         ("--scene", "cloud", load_scene("cloud")),
         ("--truth", str(truth), truth),
     ):
-        words = ["open", str(pico_recording), option, given]
-        assert CliRunner().invoke(main, words).exit_code == 0
-        done = CliRunner().invoke(main, [*words, "--screenshot", str(tmp_path / "out.png")])
-        assert done.exit_code == 0
+        words = ["open", pico_recording, option, given]
+        output_of(*words)
+        output_of(*words, "--screenshot", tmp_path / "out.png")
         assert [arguments[-1] for _, arguments in windows] == 2 * [taken]
         windows.clear()
 
@@ -328,9 +308,8 @@ def test_open_passes_scene_and_ground_truth_to_window_and_screenshot(
 def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recording, tmp_path):
     out = tmp_path / "out.png"
     out.write_text("precious")
-    done = CliRunner().invoke(main, ["open", str(pico_recording), "--screenshot", str(out)])
-    assert done.exit_code == 2
-    assert "out.png: exists already" in done.stderr
+    refused = refusal("open", pico_recording, "--screenshot", out)
+    assert "out.png: exists already" in refused
     assert not windows
 
 
@@ -368,7 +347,5 @@ def test_wrong_usage_of_the_benchmark(windows, words, message):
     ],
 )
 def test_wrong_usage_of_the_windows_commands(windows, words, message):
-    done = CliRunner().invoke(main, words, prog_name="bubbleviz")
-    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-    assert message in done.stderr
+    assert message in refusal(*words)
     assert not windows

@@ -5,13 +5,12 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from small_press import write_press, write_small_sensor
+from small_press import write_press
 
 import bubbleviz as bv
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import RecordingWriter
+from tests.program import output_of
 
 CLEAR, PRESS = (0.060,), (0.046, 0.044, 0.042, 0.041, 0.042, 0.045)
 LATER = 3
@@ -20,16 +19,11 @@ STEP_S = 1.0 / 30.0
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
-def recordings(sensor):
+def recordings(sensor, tmp_path_factory):
     """The same press, recorded with other noise, once later."""
-    waits = {"a": 2, "b": 2 + LATER}
+    waits, folder = {"a": 2, "b": 2 + LATER}, tmp_path_factory.mktemp("recordings")
     return [
-        write_press(sensor.parent / f"{name}.mcap", sensor, wait * CLEAR + PRESS, seed)
+        write_press(folder / f"{name}.mcap", sensor, wait * CLEAR + PRESS, seed)
         for seed, (name, wait) in enumerate(waits.items())
     ]
 
@@ -86,10 +80,8 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
     bv.save_sensor(stiffer.model_copy(update={"pneumatics": pneumatics}), other)
     saved = tmp_path / "a.npz"
     runs[0].save(saved)
-    words = ["compare", str(saved), str(recordings[0]), "--other-sensor", str(other)]
-    done = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "all"), "--json"])
-    assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
+    words = ["compare", saved, recordings[0], "--other-sensor", other]
+    told = json.loads(output_of(*words, "--out", tmp_path / "all", "--json"))
     share = told["max_force_difference_n"] / np.linalg.norm(runs[0].force_n, axis=1).max()
     assert share == pytest.approx(0.5, abs=0.1)  # force is proportional to the gauge pressure
     assert json.loads((tmp_path / "all" / "comparison.json").read_text()) == told
@@ -97,8 +89,7 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
     with (tmp_path / "all" / "comparison.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["force_z_n"]) for row in rows] == pytest.approx(runs[0].force_n[:, 2])
-    words = ["compare", *map(str, recordings), "--sensor", str(sensor), "--align", "contact"]
-    text = CliRunner().invoke(main, words).stdout
+    text = output_of("compare", *recordings, "--sensor", sensor, "--align", "contact")
     assert "aligned by first contact: b.mcap shifted 0.100 s earlier" in text and "N median" in text
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_press import HEIGHTS, write_press, write_small_sensor
+from small_press import HEIGHTS
 
 import bubbleviz as bv
 
@@ -14,13 +14,8 @@ TIMES = ("solve_ms", "total_ms")
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
-def frames(sensor):
-    return list(bv.open(write_press(sensor.with_name("press.mcap"), sensor)))
+def frames(press):
+    return list(bv.open(press))
 
 
 @pytest.fixture(scope="module")
@@ -166,12 +161,11 @@ def test_other_invalid_arguments(frames, estimator):
         bv.Estimator("pico_flexx_75mm", solver="magic")
 
 
-def test_path_in_place_of_a_recording(sensor, tmp_path):
-    path = write_press(tmp_path / "press.mcap", sensor, HEIGHTS[:3])
-    opened, by_path = bv.estimate(bv.open(path), sensor), bv.estimate(str(path), sensor)
+def test_path_in_place_of_a_recording(sensor, press, tmp_path):
+    opened, by_path = bv.estimate(bv.open(press), sensor), bv.estimate(str(press), sensor)
     assert_same(by_path, opened)
-    assert len(bv.track(path, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")) == 3
-    assert bv.export(path, tmp_path / "table.csv", sensor).frames == 3
+    assert len(bv.track(press, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")) == len(HEIGHTS)
+    assert bv.export(press, tmp_path / "table.csv", sensor).frames == len(HEIGHTS)
     with pytest.raises(bv.InputError, match=r"nowhere\.mcap"):
         bv.estimate("nowhere.mcap", sensor)
     with pytest.raises(bv.InputError, match=r"use bv\.Estimator for arrays"):

@@ -10,47 +10,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from click.testing import CliRunner
-from small_press import HEIGHTS, write_press, write_small_sensor
+from small_press import HEIGHTS, write_press
 from trimesh.viewer.notebook import scene_to_html
 
 import bubbleviz as bv
 from bubbleviz.api.simulating import Simulation
-from bubbleviz.cli.command_line import main
 from bubbleviz.files import parse_pose
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import with_colour_delay
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource
+from tests.program import output_of
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
-def recording(sensor):
-    return write_press(sensor.with_name("press.mcap"), sensor)
-
-
-@pytest.fixture(scope="module")
-def frames(recording):
-    return bv.open(recording)
+def frames(press):
+    return bv.open(press)
 
 
 @pytest.fixture(scope="module")
 def estimated(frames, sensor):
     """The run of all frames."""
     return bv.estimate(frames, sensor)
-
-
-def cli(*words):
-    done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
 
 
 def python(code):
@@ -66,12 +50,12 @@ def test_import_loads_nothing_heavy():
     assert told == "[]"
 
 
-def test_a_notebook_kernel_estimates(recording, sensor):
+def test_a_notebook_kernel_estimates(press, sensor):
     """Open3D detects a Jupyter kernel by the class of its shell, and then loads more."""
     code = (
         "import builtins; builtins.get_ipython = type('ZMQInteractiveShell', (), {})\n"
         "import bubbleviz as bv\n"
-        f"print(bv.estimate(bv.open({str(recording)!r})[2:3], {str(sensor)!r}).status[0])"
+        f"print(bv.estimate(bv.open({str(press)!r})[2:3], {str(sensor)!r}).status[0])"
     )
     assert python(code) == "ok"
 
@@ -98,23 +82,24 @@ def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     assert followed.warning == run.warning
 
 
-def test_recording_behaves_like_a_list(recording):
-    with bv.open(recording) as frames:
+def test_recording_behaves_like_a_list(press):
+    with bv.open(press) as frames:
         assert len(frames) == len(HEIGHTS)
         assert frames[-1].index == len(HEIGHTS) - 1
         assert [frame.index for frame in frames[::-2]] == [4, 2, 0]
         assert [frame.index for frame in frames[1:][-2:]] == [3, 4]
-        with Recording(recording) as plain:
+        with Recording(press) as plain:
             np.testing.assert_array_equal(frames[3].depth_m, plain[3].depth_m)
             np.testing.assert_allclose(frames[1:3].times_s, plain.times_s[1:3])
         with pytest.raises(IndexError, match="has frames 0 to 4"):
             frames[5]
 
 
-def test_numbers_equal_those_of_the_command(recording, sensor, tmp_path):
+def test_numbers_equal_those_of_the_command(press, sensor, tmp_path):
     out = tmp_path / "result.npz"
-    cli("estimate", recording, "--sensor", sensor, "--frames", "1:4", "--kappa", "2", "--out", out)
-    run = bv.estimate(bv.open(recording)[1:4], sensor, kappa=2.0)
+    words = ("--frames", "1:4", "--kappa", 2, "--out", out)
+    output_of("estimate", press, "--sensor", sensor, *words)
+    run = bv.estimate(bv.open(press)[1:4], sensor, kappa=2.0)
     with np.load(out) as file:
         written = {key: file[key] for key in file.files}
     masks = written.pop("patch_mask")
@@ -256,8 +241,8 @@ def test_object_is_registered_and_tracked(frames, sensor, tmp_path):
     init = "0.005 0 0.044 0 0 0 1"
     run = bv.track(frames, "cylinder", sensor, init=init)
     assert frames.path is not None
-    cli("pose", frames.path, "--sensor", sensor, "--object", "cylinder", "--init", init,
-        "--out", tmp_path / "poses.csv")  # fmt: skip
+    words = ("--object", "cylinder", "--init", init, "--out", tmp_path / "poses.csv")
+    output_of("pose", frames.path, "--sensor", sensor, *words)
     lines = np.genfromtxt(tmp_path / "poses.csv", delimiter=",", names=True, encoding="utf-8")
     np.testing.assert_allclose(run.columns()["pose_z_m"], lines["z_m"])
     assert run.T_B_O[3, 2, 3] == pytest.approx(0.042, abs=1e-3)
@@ -280,16 +265,16 @@ def test_a_sensor_is_identified_and_saved(sensor, tmp_path):
     assert set(bv.estimate(rest[:2], tmp_path / "mine.toml").status) == {"no_contact"}
 
 
-def test_a_stream_gives_results_until_it_ends(recording, sensor):
-    with bv.connect(f"replay:{recording}?speed=0.2", sensor) as stream:
+def test_a_stream_gives_results_until_it_ends(press, sensor):
+    with bv.connect(f"replay:{press}?speed=0.2", sensor) as stream:
         found = list(bv.estimate(stream, zero_gas=False))
         assert stream.counters.frames == len(HEIGHTS)
     assert {each.status for each in found} <= {"ok", "no_contact"}
     assert max(float(np.linalg.norm(each.force_n)) for each in found) > 1.0
 
 
-def test_frames_and_poses_of_a_stream(recording, sensor, tmp_path):
-    with bv.connect(f"replay:{recording}?speed=0.2", sensor) as stream:
+def test_frames_and_poses_of_a_stream(press, sensor, tmp_path):
+    with bv.connect(f"replay:{press}?speed=0.2", sensor) as stream:
         assert [frame.index for frame in stream] == list(range(len(HEIGHTS)))
     held = (*HEIGHTS[:-1], HEIGHTS[-2])
     write_press(tmp_path / "held.mcap", sensor, held)

@@ -1,15 +1,10 @@
-"""A small sensor and a few short recordings of it."""
+"""A few short recordings of the small sensor."""
 
 import shutil
 from pathlib import Path
 
 import pytest
-from small_press import write_press, write_small_sensor
-
-
-@pytest.fixture(scope="session")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+from small_press import write_press
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from click.testing import CliRunner
 from small_press import write_press
 
 import bubbleviz as bv
@@ -24,8 +23,8 @@ from bubbleviz.api.batching import (
     run_in_processes,
     run_job,
 )
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
+from tests.program import output_of, refusal
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
@@ -39,9 +38,8 @@ def batch(*words):
 
 def resumed(*words):
     """Status of each recording as printed by a resumed batch, run in this process."""
-    done = CliRunner().invoke(main, ["batch", *map(str, words), "--resume", "--json"])
-    assert done.exit_code == 0, done.stderr
-    return {row["recording"]: row["outcome"] for row in json.loads(done.stdout)["rows"]}
+    rows = json.loads(output_of("batch", *words, "--resume", "--json"))["rows"]
+    return {row["recording"]: row["outcome"] for row in rows}
 
 
 def start(*words):
@@ -336,12 +334,9 @@ def test_single_recording_as_input(recordings):
 )
 def test_invalid_arguments(folder, more, words, recordings, sensor, tmp_path):
     (tmp_path / "there").mkdir()
-    given = ["--sensor", str(sensor), "--out", str(tmp_path / "out"), *more]
-    given = [str(tmp_path / word) if word == "there" else word for word in given]
-    done = CliRunner().invoke(main, ["batch", str(tmp_path / folder), *given])
-    assert done.exit_code == 2
-    assert done.stderr.count("\n") == 1
-    assert words in done.stderr
+    more = [tmp_path / word if word == "there" else word for word in more]
+    given = ("--sensor", sensor, "--out", tmp_path / "out")
+    assert words in refusal("batch", tmp_path / folder, *given, *more)
     assert not (tmp_path / "out").exists()
 
 

@@ -4,26 +4,25 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import bubbleviz as bv
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.camera import Intrinsics
-from bubbleviz.cli.command_line import main
 from bubbleviz.recordings import Recording
 from tests.colour.colour_bag import add_colour, add_compressed, add_pose, encoded, picture
+from tests.program import run
 from tests.recordings.bagmaker import PERIOD, START, BagMaker, fill
 from tests.recordings.realsense_bag import CLOCK_MS, PERIOD_MS, depth_units, write_realsense_bag
-from tests.small_press import HEIGHTS, small_source, write_small_sensor
+from tests.small_press import HEIGHTS, small_source
 
 CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
 
 
 def converted(*arguments):
     """Output of the command, or its error message of one line."""
-    done = CliRunner().invoke(main, ["convert", *map(str, arguments)])
+    done = run("convert", *arguments)
     assert done.exit_code in (0, 2), done.output
     assert done.exit_code == 0 or done.stderr.count("\n") == 1
     return done.stdout if done.exit_code == 0 else done.stderr
@@ -218,8 +217,7 @@ def test_assumed_colour_camera_is_written_to_the_copy(tmp_path):
         assert after.colour.camera.remark == before.colour.camera.remark
 
 
-def test_force_equals_that_of_the_original(tmp_path):
-    sensor = write_small_sensor(tmp_path / "small.toml")
+def test_force_equals_that_of_the_original(sensor, tmp_path):
     Simulation(small_source(sensor, HEIGHTS[1:2])).save(tmp_path / "press.mcap")
     (tmp_path / "images").mkdir()
     with Recording(tmp_path / "press.mcap") as recording:
@@ -227,8 +225,11 @@ def test_force_equals_that_of_the_original(tmp_path):
         (tmp_path / "gas.csv").write_text(f"0,{recording[0].gas_pressure_pa}\n")
     beside = ("--rate", 30, "--intrinsics", sensor, "--pressure", tmp_path / "gas.csv")
     converted(tmp_path / "images", tmp_path / "out.mcap", *beside)
-    names = ("press", "out")
-    before, after = (bv.estimate(bv.open(tmp_path / f"{k}.mcap"), sensor).force_n for k in names)
+    found = []
+    for name in ("press", "out"):
+        with bv.open(tmp_path / f"{name}.mcap") as frames:
+            found.append(bv.estimate(frames, sensor).force_n)
+    before, after = found
     assert np.linalg.norm(before) > 0.5
     np.testing.assert_allclose(after, before, rtol=1e-6)
 

@@ -9,11 +9,9 @@ import zlib
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.writer import CompressionType, IndexType, Writer
-from small_press import write_press, write_small_sensor
 
-from bubbleviz.cli.command_line import main
+from tests import program
 from tests.commands.limited import MEMORY, in_process
 from tests.recordings.bagmaker import PERIOD, START, BagMaker, depth_image
 
@@ -33,7 +31,7 @@ def in_one_line(code, stdout, stderr, *says):
 
 def run(*words, says=""):
     """A command that does its work, or refuses it in one line with these words."""
-    done = CliRunner().invoke(main, [str(word) for word in words])
+    done = program.run(*words)
     in_one_line(done.exit_code, done.stdout, done.stderr, says)
     assert done.exception is None or isinstance(done.exception, SystemExit)
     return done
@@ -59,16 +57,6 @@ def write_mcap(path, payloads, times_ns, **options):
         for payload, time_ns in zip(payloads, times_ns, strict=True):
             writer.add_message(channel, time_ns, payload, time_ns)
         writer.finish()
-
-
-@pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
-def press(sensor):
-    return write_press(sensor.with_name("press.mcap"), sensor, (0.060, 0.043))
 
 
 def with_pixels(sensor, folder, **arrays):
@@ -127,15 +115,8 @@ def npz_bomb(path, mib):
 def test_pixels_file_of_1500_mib(tmp_path, sensor, press):
     npz_bomb(tmp_path / "pixels.npz", 1500)
     assert (tmp_path / "pixels.npz").stat().st_size < 2 << 20
-    words = (
-        "estimate",
-        press,
-        "--sensor",
-        with_pixels(sensor, tmp_path),
-        "--out",
-        tmp_path / "r.npz",
-    )
-    done, peak = in_process(tmp_path, *words)
+    words = ("--sensor", with_pixels(sensor, tmp_path), "--out", tmp_path / "r.npz")
+    done, peak = in_process(tmp_path, "estimate", press, *words)
     assert peak < MEMORY, f"{peak >> 20} MiB"
     in_one_line(done.returncode, done.stdout, done.stderr, "pixels.npz")
     assert done.returncode == 2
@@ -304,13 +285,10 @@ def test_pixels_file(tmp_path, sensor, press, recwarn, changes):
     good = {"mask": np.ones(shape, bool), "bias_m": np.zeros(shape)}
     good |= {"noise_m": np.full(shape, 1e-3), "correlated_pixels": np.array(2.0)}
     words = ("--out", tmp_path / "r.npz", "--frames", "0:1")
-    assert (
-        run("estimate", press, "--sensor", with_pixels(sensor, tmp_path, **good), *words).exit_code
-        == 0
-    )
-    (tmp_path / "r.npz").unlink()
-    bad = with_pixels(sensor, tmp_path, **{**good, **changes})
-    assert run("estimate", press, "--sensor", bad, *words, says="pixels.npz").exit_code == 2
+    for arrays, code in ((good, 0), (good | changes, 2)):
+        own = with_pixels(sensor, tmp_path, **arrays)
+        done = run("estimate", press, "--sensor", own, *words, "--overwrite", says="pixels.npz")
+        assert done.exit_code == code
     assert not recwarn.list
 
 

@@ -12,25 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import bubbleviz
-from bubbleviz.cli.command_line import main
 from bubbleviz.membrane import build_mesh
 from bubbleviz.output import COLUMNS, FrameTable, ResultWriter, summary_row
 from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import load_sensor, sensor_to_toml
+from tests.program import output_of
 
 PRESET = "pico_flexx_75mm"
 HEIGHTS = (0.060, 0.042, 0.038, 0.038)
 """Of a cylinder's flat end above the rim: clear of the dome (50 mm high), then pressed in."""
-
-
-def run(*words):
-    done = CliRunner().invoke(main, [str(word) for word in words], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.stdout
 
 
 def arrays(path):
@@ -45,11 +38,11 @@ def folder(tmp_path_factory):
     lines = [f"{0.1 * k},0.01,0.005,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
     header = "time_s,x_m,y_m,z_m,qx,qy,qz,qw"
     (folder / "path.csv").write_text("\n".join([header, *lines]))
-    run(
+    output_of(
         "simulate", "--sensor", PRESET, "--object", "cylinder", "--path", folder / "path.csv",
         "--noise-relative", "0.003", "--out", folder / "rec.mcap", "--truth", folder / "truth.npz",
     )  # fmt: skip
-    told = run(
+    told = output_of(
         "estimate", folder / "rec.mcap", "--sensor", PRESET, "--out", folder / "result.npz",
         "--csv", folder / "result.csv", "--json",
     )  # fmt: skip
@@ -69,7 +62,7 @@ def truth(folder):
 
 def test_auto_selects_the_preset_with_the_image_size(folder, tmp_path):
     out = tmp_path / "auto.npz"
-    run("estimate", folder / "rec.mcap", "--sensor", "auto", "--frames", "1:2", "--out", out)
+    output_of("estimate", folder / "rec.mcap", "--sensor", "auto", "--frames", "1:2", "--out", out)
     assert tomllib.loads(str(arrays(out)["sensor_toml"]))["name"] == load_sensor(PRESET).name
 
 
@@ -179,8 +172,8 @@ def test_json_times_exclude_the_first_frame(folder, result):
 
 def test_kappa_changes_only_the_patch(folder, tmp_path, result):
     words = ("estimate", folder / "rec.mcap", "--sensor", PRESET, "--out")
-    run(*words, tmp_path / "low.npz", "--kappa", "1")
-    run(*words, tmp_path / "high.npz", "--kappa", "20")
+    output_of(*words, tmp_path / "low.npz", "--kappa", "1")
+    output_of(*words, tmp_path / "high.npz", "--kappa", "20")
     low, high = arrays(tmp_path / "low.npz"), arrays(tmp_path / "high.npz")
     assert np.all(low["patch_area_m2"][1:] > high["patch_area_m2"][1:])
     np.testing.assert_array_equal(low["force_n"], high["force_n"])
@@ -202,7 +195,7 @@ def copied(source, path, change):
 def test_a_frame_without_data_in_the_middle(folder, tmp_path, result):
     recording = copied(folder / "rec.mcap", tmp_path / "hole.mcap", {2: np.nan})
     out = tmp_path / "r.npz"
-    told = json.loads(run("estimate", recording, "--sensor", PRESET, "--out", out, "--json"))
+    told = json.loads(output_of("estimate", recording, "--sensor", PRESET, "--out", out, "--json"))
     assert told["status"] == {"no_contact": 1, "ok": 2, "no_data": 1}
     assert told["rms_force_n"] > 0.0
     found = arrays(out)
@@ -221,7 +214,7 @@ def test_camera_info_of_the_recording_has_priority(folder, tmp_path, result):
     camera = sensor.camera.model_copy(update={"fx": 1.2 * sensor.camera.fx})
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(sensor_to_toml(sensor.model_copy(update={"camera": camera})))
-    run("estimate", folder / "rec.mcap", "--sensor", wrong, "--out", tmp_path / "r.npz")
+    output_of("estimate", folder / "rec.mcap", "--sensor", wrong, "--out", tmp_path / "r.npz")
     np.testing.assert_allclose(arrays(tmp_path / "r.npz")["force_n"], result["force_n"])
 
 
@@ -329,7 +322,7 @@ EVERY = 1 if "TEST_ALL" in os.environ else 6
 def press(punyo_press, tmp_path_factory):
     out = tmp_path_factory.mktemp("punyo") / "result.npz"
     words = ["--sensor", "punyo_oval_d405", "--frames", f"0:90:{EVERY}"]
-    run("estimate", punyo_press, *words, "--out", out)
+    output_of("estimate", punyo_press, *words, "--out", out)
     return arrays(out)
 
 

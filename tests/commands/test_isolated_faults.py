@@ -7,28 +7,12 @@ import time
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
-from bubbleviz.cli.command_line import main
+from tests.program import output_of, run
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
-
-
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
-@pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
-def press(sensor):
-    return write_press(sensor.with_name("press.mcap"), sensor, (0.060, 0.060, 0.043, 0.043))
 
 
 def copied(source, path, change):
@@ -54,8 +38,7 @@ def estimated(recording, sensor, folder, *more):
     """Rows of a recording's table by frame."""
     table = folder / f"{recording.stem}{len(more)}.csv"
     words = ("--sensor", sensor, "--out", table.with_suffix(".npz"), "--csv", table, *more)
-    done = run("estimate", recording, *words)
-    assert done.exit_code == 0, done.stderr
+    output_of("estimate", recording, *words)
     with table.open() as file:
         return {int(row["frame"]): row for row in csv.DictReader(file)}
 
@@ -64,8 +47,8 @@ def estimated(recording, sensor, folder, *more):
 def test_an_empty_message_is_one_bad_frame(tmp_path, press, sensor, bad):
     """Which `info` lists, and `--frames` may leave out."""
     damaged = copied(press, tmp_path / "rec.mcap", lambda data, k: b"" if k == bad else data)
-    assert run("info", damaged).exit_code == 0
-    (line,) = (x for x in run("info", damaged).stdout.splitlines() if x.startswith("bad frames"))
+    told = output_of("info", damaged).splitlines()
+    (line,) = (line for line in told if line.startswith("bad frames"))
     assert line.split()[2] == "1" and line.split()[-1] == str(bad)
     rows, whole = estimated(damaged, sensor, tmp_path), estimated(press, sensor, tmp_path)
     assert rows[bad]["status"] == "no_data"
@@ -86,17 +69,14 @@ def test_name_that_is_a_formula_or_not_utf8(tmp_path, press, sensor, name, shown
     assert (done.exit_code, done.stderr) == (0, "")
     with (tmp_path / "out" / "summary.csv").open(newline="", encoding="utf-8") as file:
         assert [row["recording"] for row in csv.DictReader(file)] == [shown]
-    done = run(*words, "--resume", "--json")
-    assert done.exit_code == 0, done.stderr
-    assert [(x["recording"], x["outcome"]) for x in json.loads(done.stdout)["rows"]] == [
-        (name, "kept")
-    ]
+    rows = json.loads(output_of(*words, "--resume", "--json"))["rows"]
+    assert [(row["recording"], row["outcome"]) for row in rows] == [(name, "kept")]
 
 
 def test_implausible_frame_takes_no_seconds(tmp_path):
     """The membrane at rest, a tenth nearer to the camera; processor time counts."""
     words = ("--sensor", "pico_flexx_75mm", "--object", "sphere", "--pose", "0 0 0.07 0 0 0 1")
-    assert run("simulate", *words, "--out", tmp_path / "rest.mcap").exit_code == 0
+    output_of("simulate", *words, "--out", tmp_path / "rest.mcap")
     with bv.open(tmp_path / "rest.mcap") as recording:
         rest = recording[0].depth_m
     bag = BagMaker("mcap file")

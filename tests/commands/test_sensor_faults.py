@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from bubbleviz.cli.command_line import main
+from tests.program import run
 
 PRESETS = Path(__file__).parents[2] / "presets" / "sensors"
 ROWS, COLUMNS, DENT = 480, 640, (259, 289)
@@ -100,8 +99,8 @@ def drift(image, k):
 def estimated(recording, folder, sensor="punyo_oval_d405"):
     """Status, force, σ of each frame and what stderr says."""
     table = folder / f"{recording.stem}.csv"
-    words = ("estimate", recording, "--sensor", sensor, "--out", table.with_suffix(".npz"))
-    done = CliRunner().invoke(main, [*map(str, words), "--csv", str(table)])
+    words = ("--sensor", sensor, "--out", table.with_suffix(".npz"), "--csv", table)
+    done = run("estimate", recording, *words)
     assert done.exit_code in (0, 2), done.output
     if done.exit_code:
         return [], np.zeros((0, 3)), np.zeros((0, 3)), done.stderr

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from bubbleviz.camera import DepthCamera
-from bubbleviz.cli.command_line import main
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml
+from tests.program import output_of, refusal
 
 POSE = "0.004 0 0.040 0 0 0 1"
 
@@ -26,9 +25,8 @@ def sensor_file(tmp_path_factory):
     return path
 
 
-def run(sensor_file, folder, *arguments):
-    base = ["simulate", "--sensor", str(sensor_file), "--out", str(folder / "out.mcap")]
-    return CliRunner().invoke(main, [*base, *map(str, arguments)])
+def words_of(sensor_file, folder, *arguments):
+    return "simulate", "--sensor", sensor_file, "--out", folder / "out.mcap", *arguments
 
 
 def test_path_of_poses_gives_frames_and_ground_truth(sensor_file, tmp_path):
@@ -39,8 +37,7 @@ def test_path_of_poses_gives_frames_and_ground_truth(sensor_file, tmp_path):
     )
     truth = tmp_path / "truth.npz"
     both = ("--pose", "0 0 1 0 0 0 1", "--path", poses)  # the path counts
-    done = run(sensor_file, tmp_path, "--object", "sphere", *both, "--truth", truth)
-    assert done.exit_code == 0, done.output
+    output_of(*words_of(sensor_file, tmp_path, "--object", "sphere", *both, "--truth", truth))
     recording = Recording(tmp_path / "out.mcap")
     data = np.load(truth)
     np.testing.assert_allclose(recording.times_s, [0.0, 0.1, 0.25], atol=1e-6)
@@ -67,7 +64,7 @@ def test_noise_is_reproducible_by_seed(sensor_file, tmp_path):
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         (tmp_path / name).mkdir()
         arguments = ("--object", "sphere", "--pose", POSE, "--noise-sigma", 0.001, "--seed", seed)
-        assert run(sensor_file, tmp_path / name, *arguments).exit_code == 0
+        output_of(*words_of(sensor_file, tmp_path / name, *arguments))
         recording = Recording(tmp_path / name / "out.mcap")
         images.append(recording[0].depth_m)
         recording.close()
@@ -89,17 +86,13 @@ def test_noise_is_reproducible_by_seed(sensor_file, tmp_path):
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(sensor_file, tmp_path, arguments, words):
-    done = run(sensor_file, tmp_path, *arguments)
-    assert done.exit_code == 2
-    assert done.stderr.count("\n") == 1
-    assert words in done.stderr
+    assert words in refusal(*words_of(sensor_file, tmp_path, *arguments))
     assert not list(tmp_path.iterdir())
 
 
 def test_bad_line_of_a_path_is_named(sensor_file, tmp_path):
     poses = tmp_path / "poses.csv"
     poses.write_text("x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0,0,nan,0,0,0,1\n")
-    done = run(sensor_file, tmp_path, "--object", "sphere", "--path", poses)
-    assert done.exit_code == 2
-    assert "line 3" in done.stderr
+    words = words_of(sensor_file, tmp_path, "--object", "sphere", "--path", poses)
+    assert "line 3" in refusal(*words)
     assert not (tmp_path / "out.mcap").exists()

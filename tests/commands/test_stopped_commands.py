@@ -7,11 +7,9 @@ import sys
 
 import psutil
 import pytest
-from click.testing import CliRunner
-from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
-from bubbleviz.cli.command_line import main
+from tests.program import output_of
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
@@ -26,11 +24,8 @@ WRITING = {
 
 
 @pytest.fixture(scope="module")
-def given(tmp_path_factory):
-    """A sensor, a short press, and its last image a thousand times."""
-    folder = tmp_path_factory.mktemp("given")
-    sensor = write_small_sensor(folder / "small.toml")
-    press = write_press(folder / "press.mcap", sensor, (0.060, 0.043))
+def given(sensor, press, tmp_path_factory):
+    """A sensor, a short press, and an image of it a thousand times."""
     with bv.open(press) as recording:
         depth = recording[1].depth_m
     bag = BagMaker("mcap plain")
@@ -39,7 +34,7 @@ def given(tmp_path_factory):
     names = {
         "SENSOR": sensor,
         "PRESS": press,
-        "LONG": bag.write(folder),
+        "LONG": bag.write(tmp_path_factory.mktemp("given")),
         "POSE": "0 0 0.044 0 0 0 1",
     }
     return {key: str(value) for key, value in names.items()}
@@ -75,8 +70,7 @@ def test_the_next_command_removes_what_a_killed_one_left(given, tmp_path, eventu
         words = words_of(WRITING[name], given, tmp_path)
         assert stopped(words, tmp_path, signal.SIGKILL, eventually)[0] == -signal.SIGKILL
     assert list(tmp_path.iterdir())
-    words = ("convert", given["PRESS"], str(tmp_path / "new.mcap"))
-    assert CliRunner().invoke(main, words).exit_code == 0
+    output_of("convert", given["PRESS"], tmp_path / "new.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["new.mcap"]
 
 
@@ -99,7 +93,7 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(name, given, tmp_path, mon
 
     monkeypatch.setattr(os, "fsync", note)
     if words := words_of(ONTO_DISK[name], given, tmp_path):
-        assert CliRunner().invoke(main, words).exit_code == 0
+        output_of(*words)
     else:
         bv.save_sensor(bv.load_sensor(given["SENSOR"]), path)
     files = [path] if path.is_file() else list(path.rglob("*.png"))

@@ -8,7 +8,7 @@ import numpy as np
 import press_until
 import pytest
 import ros2_without_ros
-from small_press import write_press, write_small_sensor
+from small_press import write_press
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
@@ -35,13 +35,8 @@ class Recorded:
 
 
 @pytest.fixture(scope="module")
-def sensor(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
 def recording(sensor):
-    return write_press(sensor.with_name("press.mcap"), sensor, DEEPER)
+    return write_press(sensor.with_name("deeper.mcap"), sensor, DEEPER)
 
 
 def test_the_robot_stops_at_the_force_and_before_the_end(recording, sensor):

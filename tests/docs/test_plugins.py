@@ -1,6 +1,7 @@
 """The package of the page on plug-ins, installed by pip: format, source and solver are usable."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pages import REPOSITORY, blocks
-from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
 
@@ -17,7 +17,7 @@ BUILD = '[build-system]\nrequires = ["hatchling"]\nbuild-backend = "hatchling.bu
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
+def lab(tmp_path_factory, sensor, press):
     """A folder with the sensor, the press as its own format, and the installed package."""
     folder = tmp_path_factory.mktemp("lab")
     package = folder / "package"
@@ -28,10 +28,9 @@ def lab(tmp_path_factory):
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet"]
     install = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", *options]
     subprocess.run([*install, "--target", str(folder / "site"), str(package)], check=True)
-    sensor = write_small_sensor(folder / "small.toml")
-    write_press(folder / "press.mcap", sensor)
-    with bv.open(folder / "press.mcap") as press:
-        np.save(folder / "press.npy", [frame.depth_m for frame in press])
+    shutil.copy(sensor, folder)
+    with bv.open(shutil.copy(press, folder)) as frames:
+        np.save(folder / "press.npy", [frame.depth_m for frame in frames])
     return folder
 
 

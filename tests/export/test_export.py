@@ -14,31 +14,25 @@ import open3d
 import pyarrow.parquet
 import pytest
 import pyvista
-from click.testing import CliRunner
 from PIL import Image
 
 import bubbleviz as bv
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.output import ExportPlan
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import Recording, RecordingWriter
+from tests.program import output_of, refusal, run
 
 SERIES = "vtk,ply,patch,png"
 ALL = f"table,parquet,plots,{SERIES}"
 PRESSED = 2
 
 
-def export(*words):
-    return CliRunner().invoke(main, ["export", *map(str, words)], prog_name="bubbleviz")
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, press, sensor):
     """Everything at once."""
     out = tmp_path_factory.mktemp("out") / "all.of it"
-    done = export(press, "--sensor", sensor, "--out", out, "--what", ALL)
-    assert done.exit_code == 0, done.output
+    output_of("export", press, "--sensor", sensor, "--out", out, "--what", ALL)
     return out
 
 
@@ -77,8 +71,7 @@ def test_measured_force_is_exported_with_the_estimate(tmp_path, press, sensor):
             wrench = bias + push * np.array([0.6, 0, 0.8, 0, 0, 0])
             writer.write(replace(source[k], wrench=wrench))
     exported, archive, table = (tmp_path / name for name in ("table.csv", "r.npz", "r.csv"))
-    done = export(recording, "--sensor", sensor, "--out", exported)
-    assert done.exit_code == 0, done.output
+    output_of("export", recording, "--sensor", sensor, "--out", exported)
     run = bv.estimate(bv.open(recording), sensor, out=archive, csv=table)
     assert "6 N median in contact by the wrench" in run.to_text()
     for path in (exported, table):
@@ -105,9 +98,7 @@ def test_parquet_has_the_columns_of_the_csv(folder):
 def test_a_range_of_frames_and_a_name_with_a_suffix(tmp_path, press, sensor):
     out = tmp_path / "my numbers.csv"
     words = ("--sensor", sensor, "--out", out, "--frames", "1:4:2", "--kappa", "2.5", "--json")
-    done = export(press, *words)
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["frames"] == 2
+    assert json.loads(output_of("export", press, *words))["frames"] == 2
     assert [(row["frame"], row["kappa"]) for row in rows_of(out)] == [("1", "2.5"), ("3", "2.5")]
 
 
@@ -118,8 +109,8 @@ def test_poses_are_joined_by_frame(tmp_path, press, sensor):
         "2,0.1,ok,0.005,0,0.042,0,0,0,1,0.9,0.0002,0.0003,20\n"
     )
     out = tmp_path / "with.csv"
-    done = export(press, "--sensor", sensor, "--out", out, "--poses", poses, "--frames", "1:3")
-    assert done.exit_code == 0, done.output
+    words = ("--sensor", sensor, "--out", out, "--poses", poses, "--frames", "1:3")
+    output_of("export", press, *words)
     before, posed = rows_of(out)
     assert (posed["pose_status"], posed["pose_z_m"], posed["pose_qw"]) == ("ok", "0.042", "1.0")
     assert (before["pose_status"], before["pose_z_m"]) == ("", "nan")
@@ -144,7 +135,7 @@ def test_plots_by_suffix(tmp_path, folder, press, sensor):
     with Image.open(folder / "all.of it.png") as picture:
         assert np.asarray(picture).std() > 5.0
     out = tmp_path / "plots.svg"
-    assert export(press, "--sensor", sensor, "--out", out).exit_code == 0
+    output_of("export", press, "--sensor", sensor, "--out", out)
     assert ElementTree.parse(out).getroot().tag.endswith("svg")
 
 
@@ -243,8 +234,7 @@ def test_every_frame_has_its_files(folder):
 )
 def test_only_required_stages_run(what, stages, tmp_path, press, sensor):
     words = ["--out", tmp_path / "x", "--what", what, "--frames", "2:4", "--json"]
-    done = export(press, "--sensor", sensor, *words)
-    ran = json.loads(done.stdout)["stages"]
+    ran = json.loads(output_of("export", press, "--sensor", sensor, *words))["stages"]
     assert set(ran) - {"total"} == stages
     assert set(ran.values()) == {2}
 
@@ -281,10 +271,8 @@ def test_unreadable_frame_leaves_no_files(tmp_path, sensor, press):
     middle = len(raw) // 2
     raw[middle : middle + 2000] = bytes(2000)
     cut.write_bytes(raw)
-    done = export(cut, "--sensor", sensor, "--out", tmp_path / "x", "--what", "vtk,table")
-    assert done.exit_code == 2
-    assert done.stderr.count("\n") == 1
-    assert "cut.mcap" in done.stderr
+    words = ("--sensor", sensor, "--out", tmp_path / "x", "--what", "vtk,table")
+    assert "cut.mcap" in refusal("export", cut, *words)
     assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
 
 
@@ -307,10 +295,8 @@ def test_unreadable_frame_leaves_no_files(tmp_path, sensor, press):
 )
 def test_invalid_arguments_give_one_line_and_exit_code_2(out, more, words, tmp_path, press, sensor):
     (tmp_path / "there").mkdir()
-    done = export(press, "--sensor", sensor, "--out", tmp_path / out, *more)
-    assert done.exit_code == 2, done.output
-    assert done.stderr.count("\n") == 1
-    assert words.lower() in done.stderr.lower()
+    said = refusal("export", press, "--sensor", sensor, "--out", tmp_path / out, *more)
+    assert words.lower() in said.lower()
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
@@ -323,13 +309,13 @@ def test_parquet_without_its_library_is_refused(tmp_path, monkeypatch):
 def test_every_command_reports_a_truncated_recording(press, sensor, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(press.read_bytes()[:-40])
-    given = (str(cut), "--sensor", str(sensor), "--frames", "2:3", "--json")
+    given = (cut, "--sensor", sensor, "--frames", "2:3", "--json")
     for words in (
-        ("export", *given, "--what", "depth", "--out", str(tmp_path / "pictures")),
-        ("estimate", *given, "--out", str(tmp_path / "result.npz")),
-        ("pose", *given, "--object", "cylinder", "--out", str(tmp_path / "poses.csv")),
+        ("export", *given, "--what", "depth", "--out", tmp_path / "pictures"),
+        ("estimate", *given, "--out", tmp_path / "result.npz"),
+        ("pose", *given, "--object", "cylinder", "--out", tmp_path / "poses.csv"),
     ):
-        done = CliRunner().invoke(main, list(words), prog_name="bubbleviz")
+        done = run(*words)
         assert done.exit_code == 0, done.output
         told = json.loads(done.stdout)["warning"]
         assert "cut.mcap ends early" in told

@@ -1,36 +1,25 @@
 """Robots that announce, send or stop sending what they should not, by the commands alone."""
 
 import json
-import socket
 import threading
 import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 from robot import KEYS, TOKENS, open_session
 from wire import image
 
 import bubbleviz as bv
-from bubbleviz.cli.command_line import main
+from benchmarks.window.live_soak import free_port
 from tests.commands.limited import MEMORY, in_process
+from tests.program import output_of, run
 from tests.recordings.bagmaker import PERIOD, START, BagMaker, depth_image
 
 TF = "tf2_msgs/msg/TFMessage"
 BEFORE, GAP_S = 4, 2.5
 """Frames before and after each gap, and its length: more than twice the time that is waited."""
-
-
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @contextmanager
@@ -67,9 +56,8 @@ def test_a_token_without_a_topic_ends_nothing(small_sensor_file, tmp_path, comma
     out = tmp_path / "rec.mcap"
     with camera_beside_a_token_without_a_topic(after) as (source, announced_ns):
         words = ("--source", source, "--sensor", small_sensor_file, "--out", out)
-        done = run(command, *words, "--duration", "1", "--json")
-    assert done.exit_code == 0, done.stderr
-    assert json.loads(done.stdout)["frames"] > 0
+        told = json.loads(output_of(command, *words, "--duration", 1, "--json"))
+    assert told["frames"] > 0
     with out.open("rb") as file:
         last_ns = max(
             message.log_time for *_, message in make_reader(file).iter_messages("/cam/depth")

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 from small_press import small_source
 from streams import recorded
@@ -20,7 +19,6 @@ import bubbleviz as bv
 from benchmarks.window.live_soak import Measured, free_port, report_of, sequences, soak
 from bubbleviz.api.frames import info
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
     RecorderStatus,
@@ -31,17 +29,14 @@ from bubbleviz.live import (
 )
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor
+from tests.program import output_of, refusal, run
 
 ENTRY = "from bubbleviz.cli.command_line import main; main()"
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, list(arguments))
-
-
 def start(*arguments):
     return subprocess.Popen(
-        [sys.executable, "-c", ENTRY, *arguments],
+        [sys.executable, "-c", ENTRY, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -65,27 +60,23 @@ def has_frames(path):
 
 def test_record_for_a_duration(tmp_path, small_sensor_file):
     out = tmp_path / "rec.mcap"
-    source, sensor = "synthetic:?rate=100&frames=4", str(small_sensor_file)
-    words = ("--sensor", sensor, "--out", str(out), "--duration", "0.6", "--json")
-    done = run("record", "--source", source, *words)
-    assert done.exit_code == 0, done.output
-    facts = json.loads(done.stdout)
+    words = ("--sensor", small_sensor_file, "--out", out, "--duration", 0.6, "--json")
+    source = "synthetic:?rate=100&frames=4"
+    facts = json.loads(output_of("record", "--source", source, *words))
     told = info(out)
     assert told.frames == facts["frames"] > 20
     assert told.gaps == 0
     assert told.note == ""
     assert facts["size_bytes"] == out.stat().st_size
     again = tmp_path / "again"
-    assert "wrote" in run("record", "--source", f"replay:{out}?speed=9", "--out", str(again)).output
+    assert "wrote" in output_of("record", "--source", f"replay:{out}?speed=9", "--out", again)
     assert (again / "metadata.yaml").exists()
 
 
 def test_stopping_record_leaves_a_complete_file(tmp_path, small_sensor_file, eventually):
     out = tmp_path / "rec.mcap"
     source = "synthetic:?rate=100&frames=4"
-    process = start(
-        *("record", "--source", source, "--sensor", str(small_sensor_file), "--out", str(out))
-    )
+    process = start("record", "--source", source, "--sensor", small_sensor_file, "--out", out)
     eventually(lambda: has_frames(out))
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=240)
@@ -111,62 +102,50 @@ def test_bad_sources_are_one_line_and_leave_no_file(tmp_path, source, says):
     for command in ("record", "watch"):
         out = tmp_path / f"{command}.mcap"
         more = () if command == "record" else ("--sensor", "pico_flexx_75mm")
-        done = run(command, "--source", source, "--out", str(out), "--duration", "0.1", *more)
-        assert done.exit_code == 2
-        assert done.stderr.count("\n") == 1
-        assert says in done.stderr
+        words = ("--source", source, "--out", out, "--duration", 0.1, *more)
+        assert says in refusal(command, *words)
         assert not out.exists()
 
 
 def test_images_of_another_camera_are_refused_in_one_line(tmp_path):
     path = tmp_path / "rec.mcap"
     write_plain(path, 8)
-    source = f"replay:{path}"
-    done = run("watch", "--source", source, "--sensor", "pico_flexx_75mm")
-    assert done.exit_code == 2 and done.stderr.count("\n") == 1
-    assert "images are 64×48 pixels but the camera of sensor" in done.stderr
-    done = run("watch", "--source", source, "--sensor", "auto")
-    assert done.exit_code == 2 and done.stderr.count("\n") == 1
-    assert "no preset has a camera of 64×48 pixels" in done.stderr
+    for sensor, said in (
+        ("pico_flexx_75mm", "images are 64×48 pixels but the camera of sensor"),
+        ("auto", "no preset has a camera of 64×48 pixels"),
+    ):
+        assert said in refusal("watch", "--source", f"replay:{path}", "--sensor", sensor)
 
 
 def test_recording_without_messages_is_reported_and_leaves_no_file(tmp_path, monkeypatch):
     monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 0.3)
     out, source = tmp_path / "rec.mcap", f"zenoh:tcp/127.0.0.1:{free_port()}"
-    record = ("record", "--source", source, "--out", str(out), "--duration", "0.1")
-    watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", str(out))
+    record = ("record", "--source", source, "--out", out, "--duration", 0.1)
+    watch = ("watch", "--source", source, "--sensor", "pico_flexx_75mm", "--out", out)
     for words in (record, watch):
-        done = run(*words)
-        assert done.exit_code == 2
-        assert "nothing listens at" in done.stderr
+        assert "nothing listens at" in refusal(*words)
     silent = SessionOptions("silent", listen=source.removeprefix("zenoh:"))
     with open_session(silent):
         for words, said in ((record, "no message arrived"), (watch, "no depth image arrived")):
-            done = run(*words)
-            assert done.exit_code == 2
-            assert said in done.stderr
+            assert said in refusal(*words)
     assert not out.exists()
 
 
 def test_publish_watch_and_record_a_source_with_results(tmp_path, small_sensor_file, eventually):
     """Simulation → Zenoh → watch → recording, in processes of their own."""
-    sensor, port = str(small_sensor_file), free_port()
+    sensor, port = ("--sensor", small_sensor_file), free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
     source = "synthetic:sphere?rate=30&frames=40"
-    publisher = start(
-        *("publish", "--source", source, "--sensor", sensor, "--listen", endpoint, "--json")
-    )
+    publisher = start("publish", "--source", source, *sensor, "--listen", endpoint, "--json")
     try:
         eventually(lambda: listens(port))
         for duration in (1.6, 10.0, 60.0):  # on a busy machine few frames are seen in a second
             out = tmp_path / f"{duration:g}"
-            done = run(
-                *("watch", "--source", f"zenoh:{endpoint}", "--sensor", sensor, "--json"),
-                *("--out", str(out), "--duration", str(duration)),
-                *("--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
+            told = output_of(
+                *("watch", "--source", f"zenoh:{endpoint}", *sensor, "--json", "--out", out),
+                *("--duration", duration, "--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
             )
-            assert done.exit_code == 0, done.output
-            facts = json.loads(done.stdout)
+            facts = json.loads(told)
             if facts["frames"] > 10 and facts["status"].get("ok", 0) > 3:
                 break
     finally:
@@ -204,19 +183,19 @@ def test_an_untrusted_estimate_shows_no_force(tmp_path, small_sensor_file):
         for k in range(5):
             dark = np.zeros((camera.height, camera.width), np.float32)
             writer.write(Frame(k, 0.01 * k, dark))
-    words = ("watch", "--source", f"replay:{path}", "--sensor", str(small_sensor_file))
-    facts = json.loads(run(*words, "--json").stdout)
+    words = ("watch", "--source", f"replay:{path}", "--sensor", small_sensor_file)
+    facts = json.loads(output_of(*words, "--json"))
     assert list(facts["status"]) == ["no_data"]
     assert facts["max_force_n"] is None
-    assert " N " not in run(*words).stdout
+    assert " N " not in output_of(*words)
 
 
 @pytest.mark.parametrize("frames", [1, 6])
 def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_file, frames):
     path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, frames, 0.0)
     source, out = f"replay:{path}?speed=1000", tmp_path / "out.mcap"
-    words = ("--source", source, "--sensor", str(small_sensor_file), "--out", str(out))
-    assert json.loads(run("watch", *words, "--json").stdout)["frames"] >= 1
+    words = ("--source", source, "--sensor", small_sensor_file, "--out", out)
+    assert json.loads(output_of("watch", *words, "--json"))["frames"] >= 1
     with out.open("rb") as file:
         wrench = ["/bubbleviz/contact_wrench"]
         sent = [message.publish_time for _, _, message in make_reader(file).iter_messages(wrench)]
@@ -231,11 +210,10 @@ def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_f
 def test_warning_for_a_gas_pressure_beyond_weather(
     tmp_path, small_sensor_file, off_pa, warned, zero
 ):
-    path, sensor = tmp_path / "rec.mcap", str(small_sensor_file)
-    untouched_recording(path, small_sensor_file, 60, off_pa)
+    path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, 60, off_pa)
     for speed in (1.0, 0.1, 0.02):  # on a busy machine few frames are seen in a second
         source = f"replay:{path}?speed={speed}"
-        done = run("watch", "--source", source, "--sensor", sensor, zero, "--json")
+        done = run("watch", "--source", source, "--sensor", small_sensor_file, zero, "--json")
         assert done.exit_code == 0, done.output
         if zero == "--no-zero" or json.loads(done.stdout)["pressure_offset_pa"] is not None:
             break
@@ -266,8 +244,7 @@ def test_a_published_recording_waits_for_its_first_subscriber(tmp_path, eventual
         publisher.kill()
     assert (publisher.returncode, stderr) == (0, "")
     assert sum(json.loads(stdout)["sent"].values()) == len(arrived)
-    done = run(*common, "zenoh:")
-    assert done.exit_code == 2 and "leave out --wait" in done.stderr
+    assert "leave out --wait" in refusal(*common, "zenoh:")
 
 
 def test_colour_images_are_published_with_the_pose_of_their_camera(tmp_path, small_sensor):
@@ -305,7 +282,7 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
     path, out, port = tmp_path / "rec.mcap", tmp_path / "got.mcap", free_port()
     write_plain(path, 10)
     endpoint, files = f"tls/localhost:{port}", ("ca.pem", "cert.pem", "key.pem", "login")
-    ca, cert, key, login = (str(certificates / name) for name in files)
+    ca, cert, key, login = (certificates / name for name in files)
     publisher = start(
         *("publish", "--source", f"replay:{path}?loop=1", "--listen", endpoint),
         *("--cert", cert, "--key", key, "--login", login),
@@ -313,8 +290,7 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
     try:
         eventually(lambda: listens(port))
         source = f"zenoh:{endpoint}?ca={ca}&login={login}"
-        done = run("record", "--source", source, "--out", str(out), "--duration", "0.3")
-        assert done.exit_code == 0, done.output
+        output_of("record", "--source", source, "--out", out, "--duration", 0.3)
         assert info(out).frames > 0
         monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 2.0)
         auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
@@ -324,18 +300,17 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
             (f"ca={ca}&login={certificates / 'stranger'}", "check user and password"),
         ):
             refused = f"zenoh:{endpoint}?{options}"
-            more = ("--out", str(tmp_path / "no.mcap"), "--duration", "0.1")
+            more = ("--out", tmp_path / "no.mcap", "--duration", 0.1)
             for words in (("record", *more), ("watch", *auto), ("watch", *named)):
-                done = run(*words, "--source", refused)
-                assert done.exit_code == 2 and why in done.stderr and done.stderr.count("\n") == 1
-        more = ("--connect", endpoint, "--ca", ca, "--duration", "0.1")
-        done = run("publish", "--source", "synthetic:", *more)
-        assert done.exit_code == 2 and "if it requires user and password" in done.stderr
+                assert why in refusal(*words, "--source", refused)
+        more = ("--connect", endpoint, "--ca", ca, "--duration", 0.1)
+        said = refusal("publish", "--source", "synthetic:", *more)
+        assert "if it requires user and password" in said
     finally:
         publisher.terminate()
         publisher.communicate(timeout=240)
-    done = run("record", "--source", f"zenoh:{endpoint}?ca=nowhere.pem", "--out", str(out) + "2")
-    assert done.exit_code == 2 and "nowhere.pem: no such file" in done.stderr
+    said = refusal("record", "--source", f"zenoh:{endpoint}?ca=nowhere.pem", "--out", f"{out}2")
+    assert "nowhere.pem: no such file" in said
 
 
 def test_publishing_is_refused_in_one_line():
@@ -345,10 +320,7 @@ def test_publishing_is_refused_in_one_line():
         (("--connect", f"tcp/127.0.0.1:{free_port()}"), "no Zenoh session"),
         (("--listen", "nonsense"), "no Zenoh session"),
     ):
-        done = run(*common, *more)
-        assert done.exit_code == 2
-        assert done.stderr.count("\n") == 1
-        assert says in done.stderr
+        assert says in refusal(*common, *more)
 
 
 def test_short_soak(small_sensor_file, tmp_path):

@@ -5,20 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from bubbleviz.api.watching import Watcher
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
-from bubbleviz.cli.command_line import main
 from bubbleviz.diagnostics import ShearSummary, shear_line
 from bubbleviz.live import LiveSource, LiveStream, OfferedTopic
 from bubbleviz.recordings import LAG, Frame, FrameMessages
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear import COLLECTED
-from tests.shear.drag import Eyes, sensor, stuck
+from tests.program import output_of, refusal
+from tests.shear.drag import Eyes, sensor as shear_sensor, stuck
 from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_press
-from tests.small_press import write_press, write_small_sensor
 
 NOW = 1_700_000_000_000_000_000
 
@@ -46,7 +44,7 @@ def frame_of(k):
     depth, grey = image(k)
     height, width = grey.shape
     encoded = EncodedImage("mono8", grey.tobytes(), width, height, width)
-    lens = SensorModel.of(sensor()).camera.intrinsics
+    lens = SensorModel.of(shear_sensor()).camera.intrinsics
     colour = ColourImage(lambda: encoded, time_s=k / 30.0, camera=ColourCamera(lens))
     return Frame(k, k / 30.0, depth, lens, find_colour=lambda _: colour)
 
@@ -54,10 +52,10 @@ def frame_of(k):
 def watched(*frames):
     """Results of frames, one after the other."""
     source = HandedSource()
-    with LiveStream(source, sensor()) as stream:
+    with LiveStream(source, shear_sensor()) as stream:
         stream.follow_colour()
         source.hand(frames[0])
-        watcher = Watcher.on(stream, sensor(), zero_gas=False, shear=True)
+        watcher = Watcher.on(stream, shear_sensor(), zero_gas=False, shear=True)
         for k, frame in enumerate(frames):
             if k:
                 source.hand(frame)
@@ -132,14 +130,8 @@ def test_without_colour_depth_alone_is_reported():
         (["--shear"], "cannot estimate shear; choose --solver rubber"),
     ],
 )
-def test_impossible_options_are_reported(tmp_path, options, said):
-    own = write_small_sensor(tmp_path / "small.toml")
-    press = write_press(tmp_path / "press.mcap", own)
-    found = CliRunner().invoke(
-        main, ["watch", "--source", f"replay:{press}", "--sensor", str(own), *options]
-    )
-    assert found.exit_code == 2
-    assert said in found.output
+def test_impossible_options_are_reported(sensor, press, options, said):
+    assert said in refusal("watch", "--source", f"replay:{press}", "--sensor", sensor, *options)
 
 
 @pytest.mark.long
@@ -147,10 +139,8 @@ def test_the_command_records_the_wrench_with_friction(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     press, own = write_texture_press(tmp_path, {})
     out = tmp_path / "out.mcap"
-    command = ["watch", "--source", f"replay:{press}?speed=0.1", "--sensor", str(own), "--shear"]
-    found = CliRunner().invoke(main, [*command, "--out", str(out), "--json"])
-    assert found.exit_code == 0, found.output
-    shear = json.loads(found.stdout)["shear"]
+    words = ("--source", f"replay:{press}?speed=0.1", "--sensor", own, "--shear", "--out", out)
+    shear = json.loads(output_of("watch", *words, "--json"))["shear"]
     assert shear["status"]["ok"] > 3
     truth = np.linalg.norm(stuck("puck", 0.004, 0.001, 8.0).force_n)
     assert shear["highest"]["force_n"][0] == pytest.approx(truth, rel=0.05)

@@ -6,7 +6,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from small_press import small_source, write_small_sensor
+from small_press import small_source
 
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import FrameOptions, Pipeline
@@ -18,19 +18,14 @@ OPTIONS = FrameOptions(cloud_points=500)
 
 
 @pytest.fixture(scope="module")
-def sensor_file(tmp_path_factory):
-    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
-
-
-@pytest.fixture(scope="module")
-def frames(sensor_file):
-    source = small_source(sensor_file)
+def frames(sensor):
+    source = small_source(sensor)
     return [source[k] for k in range(len(source))]
 
 
 @pytest.fixture
-def pipeline(sensor_file):
-    return Pipeline.of(load_sensor(sensor_file))
+def pipeline(sensor):
+    return Pipeline.of(load_sensor(sensor))
 
 
 def started(process, frame):
@@ -57,8 +52,8 @@ def gone(pid):
     return False
 
 
-def test_results_equal_those_of_a_local_pipeline(process, sensor_file, frames):
-    here = Pipeline.of(load_sensor(sensor_file))
+def test_results_equal_those_of_a_local_pipeline(process, sensor, frames):
+    here = Pipeline.of(load_sensor(sensor))
     here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)
     for frame in frames[1:]:
         a, b = (

@@ -6,17 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from bubbleviz.cli.command_line import main
 from bubbleviz.files import write_rows
 from bubbleviz.output import FrameTable, ResultWriter, csv_row
 from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
+from tests.program import output_of, refusal
 from tests.recordings.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
 from tests.shear.texture_bag import FRAMES, HELD, image, write_texture_press
-from tests.small_press import write_press, write_small_sensor
 
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a_color"
 
@@ -58,13 +56,9 @@ def test_a_result_has_traction_and_slip(tmp_path):
         (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
     ],
 )
-def test_unavailable_options_are_reported(tmp_path, options, said):
-    sensor = write_small_sensor(tmp_path / "small.toml")
-    press = write_press(tmp_path / "press.mcap", sensor)
-    command = ["estimate", str(press), "--sensor", str(sensor), "--out", str(tmp_path / "r.npz")]
-    found = CliRunner().invoke(main, [*command, *options])
-    assert found.exit_code == 2
-    assert said in found.output
+def test_unavailable_options_are_reported(sensor, press, tmp_path, options, said):
+    words = ("estimate", press, "--sensor", sensor, "--out", tmp_path / "r.npz")
+    assert said in refusal(*words, *options)
     assert not (tmp_path / "r.npz").exists()
 
 
@@ -80,10 +74,8 @@ def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
     changed = {k: jpeg(k)[: len(jpeg(k)) // 2] for k in (5, damaged)}
     changed |= {k: jpeg(k, 2) for k in (8, small)}
     press, sensor = write_texture_press(tmp_path, changed)
-    command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
-    found = CliRunner().invoke(main, [*command, "--frames", f"{HELD}:{HELD + 4}", "--json"])
-    assert found.exit_code == 0, found.output
-    summary = json.loads(found.stdout)
+    words = ("--sensor", sensor, "--shear", "--out", out, "--frames", f"{HELD}:{HELD + 4}")
+    summary = json.loads(output_of("estimate", press, *words, "--json"))
     with np.load(out) as result:
         assert result["traction_status"].tolist() == ["ok", "depth_alone", "depth_alone", "ok"]
         said = result["traction_reason"].tolist()
@@ -105,9 +97,8 @@ def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
 
 def estimated(press, sensor, out, *options):
     """Force with friction of pressed and dragged frames, estimated with these options."""
-    command = ["estimate", str(press), "--sensor", str(sensor), "--shear", "--out", str(out)]
-    found = CliRunner().invoke(main, [*command, "--frames", f"{HELD - 4}:{HELD}", *options])
-    assert found.exit_code == 0, found.output
+    words = ("--sensor", sensor, "--shear", "--out", out, "--frames", f"{HELD - 4}:{HELD}")
+    output_of("estimate", press, *words, *options)
     with np.load(out) as result:
         return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
 
@@ -137,10 +128,9 @@ def test_colour_that_leads_by_frames_is_paired_by_the_given_delay(tmp_path):
 def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path):
     changed = {k: jpeg(k, 2) for k in range(FRAMES)}
     press, sensor = write_texture_press(tmp_path, changed)
-    command = ["estimate", str(press), "--sensor", str(sensor), "--shear"]
-    found = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "r.npz")])
-    assert found.exit_code == 2
-    assert f"{press}: no intrinsics for colour images" in found.output
+    words = ("--sensor", sensor, "--shear", "--out", tmp_path / "r.npz")
+    said = refusal("estimate", press, *words)
+    assert f"{press}: no intrinsics for colour images" in said
 
 
 @pytest.mark.long
@@ -148,11 +138,8 @@ def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path)
 def test_the_real_press(tmp_path):
     """Friction makes the force a tenth larger; no contact before."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
-    command = ["estimate", str(PRESS), "--sensor", "punyo_oval_d405", "--shear", "--json"]
-    out = ["--out", str(tmp_path / "r.npz"), "--frames", "50:90:3"]
-    found = CliRunner().invoke(main, [*command, *out])
-    assert found.exit_code == 0, found.output
-    summary = json.loads(found.stdout)
+    words = ("--shear", "--json", "--out", tmp_path / "r.npz", "--frames", "50:90:3")
+    summary = json.loads(output_of("estimate", PRESS, "--sensor", "punyo_oval_d405", *words))
     assert set(summary["traction_status"]) == {"no_contact", "ok"}
     with np.load(tmp_path / "r.npz") as result:
         hold = result["frame"] >= 75

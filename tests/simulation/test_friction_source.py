@@ -4,10 +4,8 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from bubbleviz.api.simulating import Simulation, simulate
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.recordings import Recording
@@ -21,6 +19,7 @@ from bubbleviz.simulation import (
     read_truth,
     touching_height,
 )
+from tests.program import output_of, refusal
 
 HEIGHT, FRAMES = 0.020, 16
 POSE = f"0.002 0 {HEIGHT - 0.004} 0 0 0 1"
@@ -107,8 +106,7 @@ def test_recording_and_ground_truth_of_the_command(sensor, dragged, tmp_path):
     rec, truth = tmp_path / "drag.mcap", tmp_path / "drag.npz"
     words = ["simulate", "--sensor", file, "--object", "sphere", "--pose", POSE]
     words += ["--frames", FRAMES, "--friction", 0.5, "--drag", 3, "--twist", 15]
-    done = CliRunner().invoke(main, [*map(str, words), "--out", str(rec), "--truth", str(truth)])
-    assert done.exit_code == 0, done.output
+    output_of(*words, "--out", rec, "--truth", truth)
     known = RecordingWithTruth(Recording(rec), truth)
     assert len(known) == FRAMES
     for k in (0, 8, FRAMES - 1):
@@ -147,11 +145,8 @@ def test_ground_truth_without_friction_is_read(sensor, tmp_path):
 def test_invalid_simulation_gives_one_line(sensor, tmp_path, arguments, words):
     file, rec = tmp_path / "sensor.toml", tmp_path / "out.mcap"
     file.write_text(sensor_to_toml(sensor))
-    base = ["simulate", "--sensor", str(file), "--object", "sphere", "--pose", POSE]
-    done = CliRunner().invoke(main, [*base, *arguments, "--out", str(rec)])
-    assert done.exit_code == 2
-    assert words in done.output and "Traceback" not in done.output
-    assert len(done.output.strip().splitlines()) == 1
+    given = ("--sensor", file, "--object", "sphere", "--pose", POSE, *arguments)
+    assert words in refusal("simulate", *given, "--out", rec)
     assert not rec.exists()
 
 

@@ -14,7 +14,6 @@ from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation import PrintedMembrane, Speckle, SyntheticSource
-from tests.small_press import write_small_sensor
 
 WIDTH, HEIGHT, REST = 320, 240, 8
 
@@ -87,10 +86,9 @@ def test_light_and_noise_match_the_options(view):
     assert not np.array_equal(again.image(at_rest, 1), noisy)
 
 
-def test_a_simulated_recording_has_the_images(tmp_path):
-    sensor = load_sensor(write_small_sensor(tmp_path / "small.toml"))
+def test_a_simulated_recording_has_the_images(sensor, tmp_path):
     poses = np.array([parse_pose(f"0.005 0 {z} 0 0 0 1") for z in (0.060, 0.044)])
-    source = SyntheticSource(sensor, load_object("cylinder"), poses, texture=Speckle())
+    source = SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, texture=Speckle())
     Simulation(source).save(tmp_path / "rec.mcap")
     with Recording(tmp_path / "rec.mcap") as recording:
         for k in range(2):
