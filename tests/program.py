@@ -1,4 +1,6 @@
-"""Commands of bubbleviz, in the process of a test."""
+"""Commands of bubbleviz, in the process of a test, and the tables that they write."""
+
+import csv
 
 from click.testing import CliRunner
 
@@ -23,3 +25,9 @@ def refusal(*words):
     assert (done.exit_code, done.stdout) == (2, ""), done.output
     assert done.stderr.startswith("bubbleviz: ") and done.stderr.count("\n") == 1, done.stderr
     return done.stderr
+
+
+def rows_of(path):
+    """Rows of a CSV file by the names of its columns."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))

@@ -1,6 +1,5 @@
 """Two recordings of one press on one time axis."""
 
-import csv
 import json
 
 import numpy as np
@@ -10,7 +9,7 @@ from small_press import write_press
 import bubbleviz as bv
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import RecordingWriter
-from tests.program import output_of
+from tests.program import output_of, rows_of
 
 CLEAR, PRESS = (0.060,), (0.046, 0.044, 0.042, 0.041, 0.042, 0.045)
 LATER = 3
@@ -86,8 +85,7 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
     assert share == pytest.approx(0.5, abs=0.1)  # force is proportional to the gauge pressure
     assert json.loads((tmp_path / "all" / "comparison.json").read_text()) == told
     assert (tmp_path / "all" / "comparison.png").read_bytes().startswith(b"\x89PNG")
-    with (tmp_path / "all" / "comparison.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "all" / "comparison.csv")
     assert [float(row["force_z_n"]) for row in rows] == pytest.approx(runs[0].force_n[:, 2])
     text = output_of("compare", *recordings, "--sensor", sensor, "--align", "contact")
     assert "aligned by first contact: b.mcap shifted 0.100 s earlier" in text and "N median" in text

@@ -1,6 +1,5 @@
 """The command batch: real processes, real files, real signals."""
 
-import csv
 import json
 import os
 import shutil
@@ -24,7 +23,7 @@ from bubbleviz.api.batching import (
     run_job,
 )
 from bubbleviz.errors import InputError
-from tests.program import output_of, refusal
+from tests.program import output_of, refusal, rows_of
 
 COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
@@ -54,8 +53,7 @@ def start(*words):
 
 
 def table_of(out):
-    with (out / "summary.csv").open(newline="", encoding="utf-8") as file:
-        return {row["recording"]: row for row in csv.DictReader(file)}
+    return {row["recording"]: row for row in rows_of(out / "summary.csv")}
 
 
 def hidden_in(out):

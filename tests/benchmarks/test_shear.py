@@ -1,6 +1,5 @@
 """The shear study prints its results and writes them to files."""
 
-import csv
 import json
 
 import numpy as np
@@ -10,6 +9,7 @@ from click.testing import CliRunner
 from benchmarks.__main__ import benchmarks
 from benchmarks.shear import ShearTrial, targets
 from benchmarks.slip import SlipTrial, report_of
+from tests.program import rows_of
 
 
 def trial(**changed):
@@ -73,8 +73,7 @@ def test_quick_study(tmp_path):
     met = {target["name"]: target["met"] for target in numbers["targets"] + slips["targets"]}
     del met["traction, ms of processor"]  # of the machine
     assert all(met.values())
-    with (out / "shear.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(out / "shear.csv")
     assert len(rows) == len(numbers["trials"])
     assert [row["friction"] for row in rows[:5]] == ["nan"] * 5
     sliding = [row for row in rows[5:] if float(row["drag_m"]) > 5e-4 or float(row["twist_rad"])]

@@ -1,6 +1,5 @@
 """The command estimate: from a recording to RESULT.npz, checked against the simulation."""
 
-import csv
 import json
 import math
 import os
@@ -19,7 +18,7 @@ from bubbleviz.output import COLUMNS, FrameTable, ResultWriter, summary_row
 from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from tests.program import output_of
+from tests.program import output_of, rows_of
 
 PRESET = "pico_flexx_75mm"
 HEIGHTS = (0.060, 0.042, 0.038, 0.038)
@@ -145,8 +144,7 @@ def test_columns_agree_with_the_nodal_fields(result):
 
 
 def test_csv_has_the_same_numbers(folder, result):
-    with (folder / "result.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(folder / "result.csv")
     assert [row["status"] for row in rows] == result["status"].tolist()
     for name in ("frame", "time_s", "patch_area_m2", "kkt_residual", "total_ms"):
         assert [float(row[name]) for row in rows] == result[name].tolist()

@@ -1,37 +1,16 @@
 """One bad message, file name or image spoils nothing else of its recording or folder."""
 
-import csv
 import json
 import shutil
 import time
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
 
 import bubbleviz as bv
-from tests.program import output_of, run
+from tests.program import output_of, rows_of, run
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
-
-
-def copied(source, path, change):
-    """Copy an MCAP file; `change(data, k)` replaces the k-th depth message."""
-    counts, channels = {}, {}
-    with source.open("rb") as file, path.open("wb") as out:
-        writer = Writer(out)
-        writer.start("ros2", "copy")
-        for schema, channel, message in make_reader(file).iter_messages():
-            k = counts[channel.topic] = counts.get(channel.topic, -1) + 1
-            if not k:
-                known = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", known)
-            is_depth = channel.topic.endswith("image_raw")
-            data = change(message.data, k) if is_depth else message.data
-            log_ns = message.log_time
-            writer.add_message(channels[channel.topic], log_ns, data, log_ns, message.sequence)
-        writer.finish()
-    return path
+from tests.recordings.mcap_copy import copied
 
 
 def estimated(recording, sensor, folder, *more):
@@ -39,14 +18,17 @@ def estimated(recording, sensor, folder, *more):
     table = folder / f"{recording.stem}{len(more)}.csv"
     words = ("--sensor", sensor, "--out", table.with_suffix(".npz"), "--csv", table, *more)
     output_of("estimate", recording, *words)
-    with table.open() as file:
-        return {int(row["frame"]): row for row in csv.DictReader(file)}
+    return {int(row["frame"]): row for row in rows_of(table)}
 
 
 @pytest.mark.parametrize("bad", [0, 2])
 def test_an_empty_message_is_one_bad_frame(tmp_path, press, sensor, bad):
     """Which `info` lists, and `--frames` may leave out."""
-    damaged = copied(press, tmp_path / "rec.mcap", lambda data, k: b"" if k == bad else data)
+
+    def emptied(topic, data, k):
+        return b"" if k == bad and topic.endswith("image_raw") else data
+
+    damaged = copied(press, tmp_path / "rec.mcap", emptied)
     told = output_of("info", damaged).splitlines()
     (line,) = (line for line in told if line.startswith("bad frames"))
     assert line.split()[2] == "1" and line.split()[-1] == str(bad)
@@ -67,8 +49,8 @@ def test_name_that_is_a_formula_or_not_utf8(tmp_path, press, sensor, name, shown
     words = ("batch", tmp_path / "in", "--sensor", sensor, "--out", tmp_path / "out", "--jobs", "1")
     done = run(*words)
     assert (done.exit_code, done.stderr) == (0, "")
-    with (tmp_path / "out" / "summary.csv").open(newline="", encoding="utf-8") as file:
-        assert [row["recording"] for row in csv.DictReader(file)] == [shown]
+    rows = rows_of(tmp_path / "out" / "summary.csv")
+    assert [row["recording"] for row in rows] == [shown]
     rows = json.loads(output_of(*words, "--resume", "--json"))["rows"]
     assert [(row["recording"], row["outcome"]) for row in rows] == [(name, "kept")]
 

@@ -1,6 +1,5 @@
 """The command export: files read back by other programs' readers, against RESULT.npz."""
 
-import csv
 import json
 import os
 import subprocess
@@ -21,7 +20,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.output import ExportPlan
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import Recording, RecordingWriter
-from tests.program import output_of, refusal, run
+from tests.program import output_of, refusal, rows_of, run
 
 SERIES = "vtk,ply,patch,png"
 ALL = f"table,parquet,plots,{SERIES}"
@@ -34,11 +33,6 @@ def folder(tmp_path_factory, press, sensor):
     out = tmp_path_factory.mktemp("out") / "all.of it"
     output_of("export", press, "--sensor", sensor, "--out", out, "--what", ALL)
     return out
-
-
-def rows_of(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def columns_of(rows, *names):

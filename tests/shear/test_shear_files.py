@@ -1,6 +1,5 @@
 """Files and output of `estimate --shear`."""
 
-import csv
 import json
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from bubbleviz.files import write_rows
 from bubbleviz.output import FrameTable, ResultWriter, csv_row
 from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
 from tests.colour.colour_bag import encoded
-from tests.program import output_of, refusal
+from tests.program import output_of, refusal, rows_of
 from tests.recordings.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
 from tests.shear.texture_bag import FRAMES, HELD, image, write_texture_press
@@ -41,8 +40,7 @@ def test_a_result_has_traction_and_slip(tmp_path):
         assert (found["traction_torque_sigma_nm"][1:] > 0.0).all()
         np.testing.assert_array_equal(np.isnan(found["slip"]), [True, True, False])
     np.testing.assert_allclose(force[2], truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n))
-    with (tmp_path / "result.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "result.csv")
     assert float(rows[2]["traction_torque_z_nm"]) == torque[2, 2]
     assert rows[1]["traction_status"] == "ok"
 

@@ -13,7 +13,7 @@ from tests.recordings.bagmaker import PERIOD, START, BagMaker
 from tests.shear.drag import NOISE, sensor, stuck
 
 PRESS = "puck", 0.004, 0.001, 8.0
-FRAMES, TOUCHED, HELD = 60, 30, 40
+FRAMES, TOUCHED, HELD = 46, 30, 40
 """Contact begins and the hold, in which the membrane is in equilibrium."""
 
 
@@ -24,18 +24,21 @@ def view():
 
 
 @cache
-def ranges(share):
-    """Noise-free ranges of the membrane displaced by a share of the press, m."""
-    return view().range_image(share * stuck(*PRESS).displacement_m)
+def clean(share):
+    """Ranges, m, and grey image of the membrane displaced by a share of the press, noise-free."""
+    moved_m = share * stuck(*PRESS).displacement_m
+    printed = PrintedMembrane(Speckle(noise=0.0), view())
+    return view().range_image(moved_m), printed.image(moved_m, 0)
 
 
 @cache
 def image(k):
     """Depth, m, and grey image of a frame."""
     share = float(np.clip((k - TOUCHED + 1) / (HELD - TOUCHED), 0.0, 1.0))
-    depth = view().camera.depth_image(NOISE.apply(ranges(share), 0, k)).astype(np.float32)
-    printed = PrintedMembrane(Speckle(), view())
-    return depth, printed.image(share * stuck(*PRESS).displacement_m, k)
+    ranges, grey = clean(share)
+    depth = view().camera.depth_image(NOISE.apply(ranges, 0, k)).astype(np.float32)
+    noise = np.random.default_rng(k).normal(0.0, Speckle().noise, grey.shape)
+    return depth, np.clip(np.rint(grey + noise), 0, 255).astype(np.uint8)
 
 
 def write_texture_press(folder, changed, lead=0):

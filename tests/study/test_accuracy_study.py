@@ -1,6 +1,5 @@
 """The accuracy study: presses, errors, targets and the report."""
 
-import csv
 import json
 from dataclasses import asdict, replace
 
@@ -29,6 +28,7 @@ from bubbleviz.study.accuracy import (
     targets,
 )
 from bubbleviz.study.harness import write
+from tests.program import rows_of
 
 NONE, ONE = DepthNoise(), DepthNoise(relative=0.01)
 SETUPS = (LINEAR, Setup("paper", nodes=300))
@@ -154,8 +154,7 @@ def test_on_rubber_the_exact_estimator_is_right_and_the_linear_one_is_not(sensor
 
 
 def test_report_files(study, written, sensor):
-    with (written / "accuracy.csv").open() as file:
-        lines = list(csv.DictReader(file))
+    lines = rows_of(written / "accuracy.csv")
     assert len(lines) == len(study.rows)
     assert {"depth_m", "warm_ms", "cop_error_m", "gas_error_pa"} <= set(lines[0])
     data = json.loads((written / "accuracy.json").read_text())

@@ -1,6 +1,5 @@
 """The pose study: judge, small run and report."""
 
-import csv
 import json
 import os
 
@@ -14,6 +13,7 @@ from bubbleviz.pose import moved, precision_of
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import Press, SyntheticSource, study_object, with_nodes
 from bubbleviz.study.pose import Grid, PoseMetrics, pose_study
+from tests.program import rows_of
 
 LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""
@@ -85,8 +85,7 @@ def test_report(study, folder):
     assert {"targets", "points", "rows", "grid"} <= set(data)
     names = [target["name"] for target in data["targets"]]
     assert f"{len(OBJECTS)} starts: worst error in mm" in names
-    with (folder / "pose.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(folder / "pose.csv")
     assert [row["object_name"] for row in rows] == list(OBJECTS)
     assert all(float(row["next_ms"]) > 0.0 for row in rows)
     assert "two_spheres" in study.to_text()
