@@ -1,4 +1,4 @@
-"""Simulated presses into the exact or the linear membrane, with noise-free ranges."""
+"""Ground truth of presses into the exact or the linear membrane: contact and noise-free ranges."""
 
 from __future__ import annotations
 
