@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bubbleviz.live import SessionPreset
     from bubbleviz_ui.engine.solver import Opened
     from bubbleviz_ui.engine.worker import Failed
+    from bubbleviz_ui.model.messages import UserMessage
     from bubbleviz_ui.model.scene_presets import ScenePreset
     from bubbleviz_ui.session_files.session_file import SavedSession
 
@@ -122,12 +123,18 @@ class WindowSession:
         from bubbleviz_ui.engine.worker import Failed
 
         live_controller, problems = self.window.live_controller, list[str]()
-        live_controller.notified.connect(lambda said: problems.append(said.text))
+
+        def note(message: UserMessage) -> None:
+            if message.kind == "error":  # a warning is no reason not to start
+                problems.append(message.text)
+
+        live_controller.notified.connect(note)
         live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(
             lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
         )
+        live_controller.notified.disconnect(note)
         problems += [answer.message for answer in self._answers if isinstance(answer, Failed)]
         if problems:
             raise InputError(problems[0])
