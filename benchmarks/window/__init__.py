@@ -1,1 +1,1 @@
-"""Benchmarks of the window: frame rate, start, seek, live soak and monkey tests."""
+"""Benchmarks of the window: frame rate, start, seek, two cameras, and monkey tests."""

@@ -93,21 +93,6 @@ def bench_monkey(
     return int(not seen.passed)
 
 
-@bench.command("live")
-@click.option("--minutes", type=click.FloatRange(0.05, 600.0), default=1.0, help="How long.")
-@click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=60.0, help="Frames a second.")
-@click.option("--sensor", default=SYNTHETIC_SENSOR, help="Sensor simulated and solved.")
-@click.option("--out", type=click.Path(path_type=Path), help="Keep the recording here.")
-@_json
-def bench_live(minutes: float, rate: float, sensor: str, out: Path | None, as_json: bool) -> int:
-    """Stream over Zenoh, record and solve; exit code 1 when a frame is missing in the file."""
-    from benchmarks.window.live_soak import soak
-
-    soaked = soak(sensor, 60.0 * minutes, rate, out)
-    report(soaked, as_json=as_json)
-    return soaked.exit_code
-
-
 @bench.command("pair")
 @click.option("--session", default="dual_nut", help="Session of two synthetic sensors.")
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=20.0, help="How long.")

@@ -43,13 +43,11 @@ def live_window(preset: SessionPreset) -> Iterator[WindowSession]:
 
 
 def recorded_run(session: WindowSession, path: Path) -> LiveRun:
-    """The live run, once all its sensors are shown; recorded from then on."""
+    """The live run, once both sensors are shown; recorded from then on."""
     live, pair = session.window.live_controller, session.window.pair
 
     def shown() -> bool:
-        run, second = live.run, pair.second
-        alone = run is not None and len(run.frames) == 1
-        return alone or (second is not None and second.opened is not None)
+        return pair.second is not None and pair.second.opened is not None
 
     session.wait_for(shown, "connecting")
     if live.run is None:
