@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.camera import ColourCamera, EncodedImage, Intrinsics
-from bubbleviz.errors import InputError
 from bubbleviz.files import transform
 from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.depth_topics import (
@@ -95,27 +94,17 @@ _REALSENSE_STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+_\d+)/image/data")
 """Topic of images in a `.bag` of the RealSense library."""
 
 
-def find_colour(bag: Bag, depth: Topic, name: str | None = None) -> Topic | None:
-    """Topic of the colour images: `name`, or that of the sensor with the depth images `depth`.
-
-    None where there is none; InputError where `name` has no colour images.
-    """
+def find_colour(bag: Bag, depth: Topic) -> Topic | None:
+    """Topic of the colour images of the sensor with the depth images `depth`; None without any."""
     found = [
         topic
         for kind in (IMAGE, COMPRESSED_IMAGE)
-        for topic in of_type(bag, kind, name)
-        if name is not None or belongs_to(topic.name, depth.name)
+        for topic in of_type(bag, kind)
+        if belongs_to(topic.name, depth.name)
     ]
     found.sort(key=lambda topic: not is_called_colour(topic.name))
-    for topic in found:
-        if size_of(bag.messages(topic).first(has_data)) is not None:
-            return topic
-    if name is not None:
-        raise InputError(
-            f"{bag.path}: topic {name} has no colour images in a known encoding; choose a topic "
-            "with rgb8, bgr8, mono8, JPEG or PNG images"
-        )
-    return None
+    readable = (t for t in found if size_of(bag.messages(t).first(has_data)) is not None)
+    return next(readable, None)
 
 
 def size_of(message: Any) -> tuple[int, int] | None:

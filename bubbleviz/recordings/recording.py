@@ -65,7 +65,7 @@ class Recording:
     Parameters
     ----------
     path : path-like
-    depth_topic, info_topic, pressure_topic, wrench_topic, colour_topic : str, optional
+    depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
         Topics to use; without them the first depth images, and of the others those of the right
         message type that are nearest by name (and for the camera info: of the image's size), so
         that `depth_topic` alone selects one of two sensors in a recording.
@@ -81,7 +81,6 @@ class Recording:
         info_topic: str | None = None,
         pressure_topic: str | None = None,
         wrench_topic: str | None = None,
-        colour_topic: str | None = None,
     ) -> None:
         self._lock = threading.Lock()
         self.bag = Bag(path)  # the recording by topics
@@ -94,7 +93,7 @@ class Recording:
             _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
             self.intrinsics: Intrinsics | None = intrinsics
             self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
-            self.colour = self._colour(colour_topic)  # the colour images of the same sensor
+            self.colour = self._colour()  # the colour images of the same sensor
             # text: what the user should know about the recording; may be empty
             self.remark = self.bag.note
         except BaseException:
@@ -192,8 +191,8 @@ class Recording:
         with self._lock, as_input_error(self.path, f"the colour image at {time_s + after_s:.3f} s"):
             return find(after_s)
 
-    def _colour(self, name: str | None) -> RecordedColour | None:
-        topic = find_colour(self.bag, self.depth_topic, name)
+    def _colour(self) -> RecordedColour | None:
+        topic = find_colour(self.bag, self.depth_topic)
         if topic is None:
             return None
         period = usual_step(np.diff(self.stamps_ns))

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.api.frames import info
-from bubbleviz.errors import InputError
 from bubbleviz.recordings import Messages, Recording
 from tests.colour.colour_bag import COLOUR, add_colour, add_compressed, add_pose, encoded, picture
 from tests.recordings.bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
@@ -88,16 +87,11 @@ def test_the_colour_camera_is_that_of_the_sensor(tmp_path, depth, ours, others):
         assert recording.colour.topic.name == ours
 
 
-def test_topic_can_be_chosen(tmp_path):
+def test_colour_of_another_namespace_is_not_of_the_sensor(tmp_path):
     bag = fill(BagMaker("mcap file"))
     add_colour(bag, START, 2, "/elsewhere")
-    path = bag.write(tmp_path)
-    with Recording(path) as recording:
+    with Recording(bag.write(tmp_path)) as recording:
         assert recording[0].colour is None
-    with Recording(path, colour_topic="/elsewhere") as recording:
-        assert recording[0].colour is not None
-    with pytest.raises(InputError, match="topic /gas has no colour images in a known encoding"):
-        Recording(path, colour_topic="/gas")
 
 
 def test_the_camera_has_its_own_intrinsics_and_its_pose_in_the_depth_camera(tmp_path):
