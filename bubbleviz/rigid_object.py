@@ -38,7 +38,8 @@ def load_object(
         shipped = {p.stem: p for p in sorted(presets_folder("objects").glob("*.*"))}
         if path.suffix.lower() in SUFFIXES or path.stem not in shipped:
             known = ", ".join(shipped)
-            raise InputError(f"{name}: no such object; give a mesh file or one of: {known}")
+            missing = "file; check its path" if path.suffix else "object; give a mesh file"
+            raise InputError(f"{name}: no such {missing}, or one of: {known}")
         path = shipped[path.stem]
     vertices, triangles = object_mesh(path, unit)
     return RigidObject(path.stem, vertices, triangles)
@@ -77,8 +78,8 @@ def object_mesh(
     size = float(np.ptp(vertices, axis=0).max())
     if size > _MAX_SIZE_M:
         millimetres = (
-            "scale it or, if the file is in millimetres, choose millimetres next to it in the "
-            "window, give pose --unit mm, or end its name in _mm"
+            "scale it or, if the file is in millimetres, end its name in _mm (or set its unit: "
+            "Pose panel, pose --unit mm)"
         )
         advice = "scale it" if in_mm else millimetres
         raise InputError(f"{path}: the object is {size:.4g} m long, more than 1 m; {advice}")

@@ -39,7 +39,7 @@ from bubbleviz.wording import decimals_of, rounded
 
 CheckVerdict = Literal["fits", "drifted", "another"]
 
-OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure from the shape"
+OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure change by the shape"
 _UNITS = {OFFSET: ("mm", 1e3), SCALE: ("%", 1e2), GAS: ("Pa", 1.0)}
 _REMEDY = {
     True: "inflate the sensor to the gauge pressure in its file, or identify it again",
@@ -349,7 +349,9 @@ def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _RestComparison
     inflation = rest.size(GAS)[0] if GAS in rest.causes else 0.0
     half = HALF_95 * error_of_mean(gas)
     remedy = gas_warning(float(gas.mean()) - inflation, known)
-    return [CheckRow("gas pressure measured", "Pa", 1.0, difference, half, WEATHER_PA, remedy)]
+    return [
+        CheckRow("gas pressure change measured", "Pa", 1.0, difference, half, WEATHER_PA, remedy)
+    ]
 
 
 def _another_camera(model: SensorModel, row: CheckRow) -> str:

@@ -202,7 +202,7 @@ def estimate_tension(
         "gas_pressure": value / gauge_pressure_pa * _gas_error(samples),
         "facets": 0.5 * gauge_pressure_pa * facets,
         "surface": float(np.linalg.norm(shape)),
-        "statics": excess / np.sqrt(12.0),  # uniform distribution from 0 to the excess
+        "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
     found = TensionEstimate(

@@ -156,8 +156,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         "gas_pressure": "record longer (largest error: noise of the gas pressure)",
         "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
         "gauge_pressure": f"{chamber_text} (largest error: gauge pressure)",
-        "statics": "not possible: shape and pressure of a sensor with an oval rim do not determine "
-        "the mean tension",
+        "statics": "not possible (largest error: tension that differs over the membrane, which "
+        "shape and pressure do not determine)",
         "surface": "uncover the rim (largest error: shape that is hidden or too fine for the fit)",
     }[part]
     if rubber is None:

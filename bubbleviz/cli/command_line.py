@@ -57,7 +57,7 @@ class OneLineErrors(click.Group):
             library = (error.name or "").split(".")[0]
             if library not in WINDOW_LIBRARIES:
                 raise
-            _fail(f"{library}, which the window and VTK files need, {NOT_INSTALLED}", 2)
+            _fail(f"{library}, which the window and VTK meshes need, {NOT_INSTALLED}", 2)
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else "bubbleviz"
             _fail(f"{_usage_problem(error)}; see {command} --help", 2)

@@ -245,7 +245,7 @@ def _words(numbers: ShearNumbers) -> str:
     force_n, torque_nm, slip_share = numbers.force_n, numbers.torque_nm, numbers.slip_share
     parts = [
         f"force {force_n[0]:.2f} ± {force_n[1]:.2g} N with friction",
-        f"torque {1e3 * torque_nm[0]:.3g} ± {1e3 * torque_nm[1]:.2g} N·mm",
+        f"torque about the contact normal {1e3 * torque_nm[0]:.3g} ± {1e3 * torque_nm[1]:.2g} N·mm",
     ]
     if math.isfinite(slip_share[0]):
         parts.append(f"slip {1e2 * slip_share[0]:.0f} ± {1e2 * slip_share[1]:.2g} %")

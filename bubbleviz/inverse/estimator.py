@@ -158,8 +158,8 @@ class Estimator:
         self.mesh = observer.mesh
         if len(self.mesh.nodes) > MAX_NODES:
             raise InputError(
-                f"mesh: {len(self.mesh.nodes)} nodes are too many for the inverse problem; "
-                f"use at most {MAX_NODES:,}; more than 3,000 gain nothing beyond the noise"
+                f"the mesh of the sensor file has {len(self.mesh.nodes):,} nodes, more than "
+                f"{MAX_NODES:,}; identify the sensor again, with --nodes 1000"
             )
         self.observer, self.bubble = observer, bubble
         self.options = options or EstimatorOptions()

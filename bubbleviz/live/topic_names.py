@@ -98,8 +98,8 @@ def decode(message: Message) -> Any:
     """
     payload = message.payload
     if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
-        raise ValueError("the message does not begin with a CDR header")
+        raise ValueError("a message does not begin with a CDR header")
     try:
         return ros2_types().deserialize_cdr(payload, message.type)
     except (Exception, MemoryError) as error:  # rosbags allocates the sizes it reads
-        raise ValueError(f"the message is not a {message.type}") from error
+        raise ValueError(f"a message is damaged: it cannot be decoded as {message.type}") from error

@@ -25,8 +25,8 @@ def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     if size > _LARGEST * bubble:
         raise InputError(
             f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; scale "
-            "the mesh or, if it is in millimetres, choose millimetres next to the object in the "
-            "window, give pose --unit mm, or end the file's name in _mm"
+            "the mesh or, if it is in millimetres, end the file's name in _mm (or set its unit: "
+            "Pose panel, pose --unit mm)"
         )
 
 

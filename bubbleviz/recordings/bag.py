@@ -64,7 +64,9 @@ class Bag:
             raise InputError(
                 f"{self.path}: no such recording, or no access to it; check path and permissions"
             )
-        self.ros1 = self.path.suffix == ".bag"  # whether messages are serialised as in ROS 1
+        self.ros1 = (
+            self.path.suffix.lower() == ".bag"
+        )  # whether messages are serialised as in ROS 1
         try:
             with as_input_error(self.path, "the recording"):
                 self._open()
@@ -113,11 +115,11 @@ class Bag:
         return [Ros1Storage(self._opened(Reader(self.path)))]
 
     def _ros2_file(self, file: Path) -> Storage:
-        if file.suffix == ".db3":
+        if file.suffix.lower() == ".db3":
             from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
             return SqliteStorage(self._opened(Sqlite3Reader(file)))
-        if file.suffix != ".mcap":
+        if file.suffix.lower() != ".mcap":
             raise InputError(
                 f"{file}: not a recording by its suffix; give a rosbag2 folder, or a .mcap, .db3 "
                 "or .bag file"
@@ -146,7 +148,7 @@ class Bag:
             folder = self._opened(_folder_reader()(self.path))
             self.inflates = folder.metadata.compression_mode == "message"
             return [each.path for each in folder.storages]
-        files = sorted(f for f in self.path.iterdir() if f.suffix in (".mcap", ".db3"))
+        files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in (".mcap", ".db3"))
         if not files:
             raise InputError(
                 f"{self.path}: no recording in this folder; give one with metadata.yaml, .mcap or "

@@ -63,7 +63,7 @@ def test_weather_is_not_drift(sensor, rest):
     frames = [replace(f, gas_pressure_pa=f.gas_pressure_pa + 1e3) for f in rest]
     found = bv.check(frames, sensor)
     assert found.verdict == "fits"
-    assert size_of(found, "gas pressure measured") == pytest.approx(1e3, abs=20.0)
+    assert size_of(found, "gas pressure change measured") == pytest.approx(1e3, abs=20.0)
     frames = [replace(f, gas_pressure_pa=f.gas_pressure_pa + 9e3) for f in rest]
     assert "more than weather" in bv.check(frames, sensor).to_text()
 
@@ -99,7 +99,7 @@ def test_more_gas_is_detected(sensor, twin, rest):
     ]
     found = bv.check(frames, sensor)
     assert found.verdict == "drifted" and "inflate" in found.reason
-    assert size_of(found, "gas pressure from the shape") == pytest.approx(1e3, rel=0.1)
+    assert size_of(found, "gas pressure change by the shape") == pytest.approx(1e3, rel=0.1)
 
 
 def test_another_membrane_is_detected(sensor, twin, rest):

@@ -37,6 +37,7 @@ def test_interval_covers_the_true_tension(spheres):
     inside = [f.tension.tension.low <= TRUTH <= f.tension.tension.high for f in spheres]
     assert np.mean(inside) >= 0.9
     assert all(f.surfaces.chosen == "sphere" for f in spheres)
+    assert all(sigma >= 0.0 for f in spheres for sigma in f.tension.parts.values())
 
 
 @pytest.mark.long  # in short: of made-up errors, below

@@ -86,7 +86,7 @@ class RectificationPage(Page):
             self.numbers.set("valid over", None)
             return
         slope, spread, span = line.typical(answer.draft.found.pixels.mask)
-        text = f"slope of true over measured range {slope:.4f}, its spread {spread:.4f}"
+        text = f"slope of true over measured range {slope:.4f}, σ between pixels {spread:.4f}"
         self.numbers.set("line", f"{text}, {line.levels} levels")
         text = f"{self.units.length.text(span)}; outside, the nearest level's offset"
         self.numbers.set("valid over", text)

@@ -249,4 +249,7 @@ class ValidationPage(Page):
         self.column.addLayout(form)
         buttons = fill(QHBoxLayout(), self.predict, self.remove)
         fill(self.column, buttons, self.summary, self.numbers, self.paint, 1)
-        self.pose.setToolTip("T_B_O: x y z in m, qx qy qz qw; origin: middle of the rim plane")
+        self.pose.setToolTip(
+            "T_B_O, the object's pose in B: x y z in m, qx qy qz qw; origin of B: middle of the "
+            "rim plane"
+        )

@@ -76,7 +76,7 @@ class ExportDialog(QDialog):
         self.progress = QProgressBar(minimum=0, maximum=100)
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
         self.export.setToolTip("Choose the name of the file or folder, and start")
-        self.cancel.setToolTip("Stop and remove the unfinished files")
+        self.cancel.setToolTip("Stop; nothing is kept")
         self._lay_out()
         self._connect()
         self.show_all()

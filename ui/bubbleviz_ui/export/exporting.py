@@ -67,8 +67,8 @@ KINDS = (
     Kind("ParaView series", "Membrane with displacement and pressure, one VTK file per frame", {},
          "vtk"),
     Kind("Membrane series", "Deformed membrane, one PLY file per frame", {}, "ply"),
-    Kind("Patch clouds", "Points of the contact patch with pressure, one PLY file per frame", {},
-         "patch"),
+    Kind("Patch clouds", "Measured points in the contact patch with pressure, one PLY file per "
+         "frame", {}, "patch"),
     Kind("Depth pictures", "Depth image in colours, one PNG file per frame", {}, "depth"),
     Kind("Pressure pictures", "Contact pressure at each pixel in colours, one PNG file per frame",
          {}, "pressure"),

@@ -133,5 +133,6 @@ def _waiting_text(stream: LiveStream) -> str:
     if counters.problem and not stream.status().problem:
         return f"no depth image yet: {counters.problem}"
     if topics:
-        return f"no depth image yet; topics: {', '.join(topic.name for topic in topics)}"
+        names = ", ".join(topic.name for topic in topics)
+        return f"no depth image yet; choose its topic or start its publisher; topics: {names}"
     return stream.status().text

@@ -182,7 +182,7 @@ class BusyBar(_Bar):
         self.progress = QProgressBar(minimum=0, maximum=0)
         self.progress.setFixedWidth(160)
         self.cancel = QPushButton("Cancel")
-        self.cancel.setToolTip("Stop; the current source stays open")
+        self.cancel.setToolTip("Stop; what was open stays open")
         super().__init__(parent, "busy", self.progress, self.cancel)
         self._due = QTimer(self, singleShot=True, interval=BUSY_AFTER_MS)
         self._due.timeout.connect(self.show)
