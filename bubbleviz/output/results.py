@@ -17,7 +17,6 @@ from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import Frame, force_of
 from bubbleviz.result import Estimate, Patch, Result
-from bubbleviz.wording import count_of
 
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
@@ -58,6 +57,10 @@ NODAL_FIELDS: dict[str, tuple[int, ...]] = {
 `patch_level` is positive; the last two exist only with the product traction."""
 
 _OF_SHEAR = ("traction_pa", "tangential_displacement_m")
+
+_TEXTS = ("status", "traction_status", "traction_reason")
+
+_LARGEST = 1e15  # in any unit of the file; larger numbers are damage
 
 _KNOWN_WITHOUT_DATA = {
     *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
@@ -182,20 +185,29 @@ def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
 def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
     """Results of the frames in a RESULT.npz, without images, traction and slip.
 
-    Raises ValueError: no frames, or an array of other values or of another length.
+    Raises ValueError: no frames, or an array of other or impossible values or of another shape.
     """
-    frames = len(arrays["frame"])
+    frames, nodes = len(arrays["frame"]), len(arrays["nodes_m"])
     # missing in files of version 0.2
     defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}
     values = {key: np.full(frames, value) for key, value in defaults.items()}
     values |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
-    per_frame = values.keys() & {*COLUMNS, *NODAL_FIELDS, "patch_mask"}
+    shapes: dict[str, tuple[int, ...]] = {
+        **{key: (len(names),) if names else () for key, names in COLUMNS.items()},
+        **{key: (nodes, *shape) for key, shape in NODAL_FIELDS.items()},
+        "patch_mask": values["patch_mask"].shape[1:3],  # any image's
+    }
+    per_frame = values.keys() & shapes
     for key in per_frame:
-        kinds = "U" if key == "status" else "biuf"
-        if values[key].dtype.kind not in kinds or len(values[key]) != max(frames, 1):
+        kinds = "U" if key in _TEXTS else "biuf"
+        expected = (max(frames, 1), *shapes[key])
+        if values[key].dtype.kind not in kinds or values[key].shape != expected:
             kind = "text" if kinds == "U" else "numbers"
-            found = f"{len(values[key])} values of {values[key].dtype}"
-            raise ValueError(f"{key} has {found}, not {kind} for {count_of(frames, 'frame')}")
+            found = f"shape {values[key].shape} and type {values[key].dtype}"
+            raise ValueError(f"{key} has {found}, not {expected} of {kind}")
+        known = values[key][np.isfinite(values[key])] if values[key].dtype.kind == "f" else 0.0
+        if (np.abs(known) > _LARGEST).any():
+            raise ValueError(f"{key} has numbers above {_LARGEST:g}")
     return [_result_of({key: values[key][k] for key in per_frame}) for k in range(frames)]
 
 

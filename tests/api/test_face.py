@@ -189,6 +189,27 @@ def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
     assert got.facts()["max_force_n"] == estimated.facts()["max_force_n"]
 
 
+@pytest.mark.parametrize("key", ["force_n", "seen_share", "displacement_3d_m", "patch_mask"])
+def test_result_file_with_an_array_of_another_shape_is_refused(estimated, tmp_path, key):
+    estimated.save(tmp_path / "press.npz")
+    with np.load(tmp_path / "press.npz") as saved:
+        arrays = dict(saved)
+    arrays[key] = np.stack([arrays[key], arrays[key]], axis=-1)
+    np.savez(tmp_path / "other.npz", **arrays)
+    with pytest.raises(bv.InputError, match=rf"other\.npz: .*{key} has shape .*RESULT\.npz"):
+        bv.load_run(tmp_path / "other.npz")
+
+
+def test_result_file_with_impossible_numbers_is_refused(estimated, tmp_path):
+    estimated.save(tmp_path / "press.npz")
+    with np.load(tmp_path / "press.npz") as saved:
+        arrays = dict(saved)
+    arrays["force_n"][:] = 1e200
+    np.savez(tmp_path / "huge.npz", **arrays)
+    with pytest.raises(bv.InputError, match=r"force_n has numbers above 1e\+15.*RESULT\.npz"):
+        bv.load_run(tmp_path / "huge.npz")
+
+
 def test_invalid_result_file_is_refused_in_one_sentence(tmp_path):
     (tmp_path / "text.npz").write_text("no archive")
     np.savez(tmp_path / "other.npz", force_n=np.zeros((2, 3)))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import bubbleviz as bv
 from bubbleviz.files import write_rows
 from bubbleviz.output import FrameTable, ResultWriter, csv_row
 from bubbleviz.sensor import load_sensor, save_sensor, with_colour_delay
@@ -91,6 +92,10 @@ def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
     assert summary["traction_status"]["depth_alone"] == 2
     assert "contact-free frames 0–" in summary["texture"]
     assert "; using the depth camera's" in summary["texture"]
+    loaded = bv.load_run(out)
+    assert loaded.status.tolist() == ["ok"] * 4
+    np.testing.assert_array_equal(loaded.force_n[1:3], alone)
+    assert "traction and slip in the file are not loaded" in loaded.warning
 
 
 def estimated(press, sensor, out, *options):
