@@ -87,10 +87,10 @@ class Identification:
 
     def _pressures(self) -> dict[str, float | None]:
         """Pressures and γ0 for the sensor file."""
-        gauge, known = self.tension.gauge_pressure_pa, self.tension.gauge
+        gauge, sigma = self.tension.gauge_pressure_pa, self.tension.gauge_sigma_pa
         values = {
             "gauge_pressure_pa": round(gauge, 1),
-            "gauge_sigma_pa": None if known is None else round(known.sigma, 1),
+            "gauge_sigma_pa": None if sigma is None else round(sigma, 1),
             "tension_n_per_m": round(self.tension_n_per_m, 3),
         }
         if self.samples.gas_pressure_pa is not None:

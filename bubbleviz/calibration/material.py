@@ -176,7 +176,7 @@ def _estimate(
     known = RubberEstimate(None, None, "given", text, "press" if pressed else "levels")
     samples, tension = found.samples, found.tension
     gauge, gas = tension.gauge_pressure_pa, samples.gas_pressure_pa
-    sigma = WEATHER_SIGMA_PA if tension.gauge is None else tension.gauge.sigma
+    sigma = tension.gauge_sigma_pa or WEATHER_SIGMA_PA
     if vented is not None:
         if gas is None:
             raise InputError(

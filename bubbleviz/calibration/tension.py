@@ -108,63 +108,61 @@ class Quantity:
 class TensionEstimate:
     """γ0 of the contact-free shape by Young–Laplace."""
 
-    tension: Quantity  # γ0, N/m, of the chosen surface
+    # γ0, N/m, of the chosen surface, with the error of the shape alone, at an exact gauge pressure
+    of_shape: Quantity
     # `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
     # `rim_semi_axis_x_m` … of an ellipsoid, m
     dimensions: dict[str, Quantity]
-    # standard deviation of γ0 by each source of error, N/m: `pixels` (noise, and fixed pattern of
-    # the camera), `frames` (drift beyond noise), `gas_pressure` (its noise, not its zero), `facets`
-    # (of the mesh), `surface` (hidden or unresolved shape: uncertainty of the free form, difference
-    # between free form and cap, and, where a cap was chosen, between that and one fitted to the
-    # upper half alone), `statics` (mean tension that shape and pressure do not determine: between
-    # that of a soap film and that of an initially flat sheet) and, where it is known,
-    # `gauge_pressure`
-    parts: dict[str, float]
+    # standard deviation of γ0 by each source of error of the shape, N/m: `pixels` (noise, and fixed
+    # pattern of the camera), `frames` (drift beyond noise), `gas_pressure` (its noise, not its
+    # zero), `facets` (of the mesh), `surface` (hidden or unresolved shape: uncertainty of the free
+    # form, difference between free form and cap, and, where a cap was chosen, between that and one
+    # fitted to the upper half alone) and `statics` (mean tension that shape and pressure do not
+    # determine: between that of a soap film and that of an initially flat sheet)
+    shape_parts: dict[str, float]
     by_surface: dict[SurfaceName, float]  # γ0 of every surface, N/m
     # γ0 of the mesh by least squares over its nodes instead of the overall balance; smaller where
     # the mean curvature varies, so that no uniform tension fits
     least_squares_n_per_m: float
     gauge_pressure_pa: float
+    gauge_sigma_pa: float | None  # its standard deviation; None: unknown, γ0's is without it
 
     @property
     def per_pascal(self) -> float:
         """Derivative of γ0 by the gauge pressure, m; γ0 is proportional to it."""
-        return self.tension.value / self.gauge_pressure_pa
+        return self.of_shape.value / self.gauge_pressure_pa
 
     @property
     def gauge(self) -> Quantity | None:
         """Gauge pressure, Pa, whose error is part of γ0's interval; None: of unknown error."""
-        part = self.parts.get("gauge_pressure")
-        if part is None:
-            return None
-        return Quantity.normal(self.gauge_pressure_pa, part / self.per_pascal)
+        sigma = self.gauge_sigma_pa
+        return None if sigma is None else Quantity.normal(self.gauge_pressure_pa, sigma)
 
     @property
-    def of_shape(self) -> Quantity:
-        """γ0 with the error of the shape alone, at an exact gauge pressure, N/m."""
-        exact = self.gauge_pressure_pa
-        return self.under(Quantity(exact, exact, exact)).tension
+    def parts(self) -> dict[str, float]:
+        """Standard deviation of γ0 by every source, `gauge_pressure` where it is known, N/m."""
+        if self.gauge_sigma_pa is None:
+            return self.shape_parts
+        return self.shape_parts | {"gauge_pressure": self.per_pascal * self.gauge_sigma_pa}
+
+    @property
+    def tension(self) -> Quantity:
+        """γ0, N/m, of the chosen surface."""
+        shape, other = self.of_shape, HALF_95 * self.parts.get("gauge_pressure", 0.0)
+        low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
+        return Quantity(shape.value, shape.value - low, shape.value + high)
 
     def under(self, gauge: Quantity) -> TensionEstimate:
         """The same estimate for another gauge pressure with its interval."""
-        scale = gauge.value / self.gauge_pressure_pa
-        value = scale * self.tension.value
-        before, now = self.parts.get("gauge_pressure", 0.0), gauge.sigma / gauge.value * value
-
-        def half(end: float) -> float:
-            own = (end - self.tension.value) ** 2 - (HALF_95 * before) ** 2
-            return float(np.sqrt(scale**2 * max(own, 0.0) + (HALF_95 * now) ** 2))
-
-        parts = {name: scale * part for name, part in self.parts.items()}
+        scale, shape = gauge.value / self.gauge_pressure_pa, self.of_shape
         return replace(
             self,
-            tension=Quantity(
-                value, value - half(self.tension.low), value + half(self.tension.high)
-            ),
-            parts=parts | {"gauge_pressure": now},
+            of_shape=Quantity(scale * shape.value, scale * shape.low, scale * shape.high),
+            shape_parts={name: scale * part for name, part in self.shape_parts.items()},
             by_surface={name: scale * each for name, each in self.by_surface.items()},
             least_squares_n_per_m=scale * self.least_squares_n_per_m,
             gauge_pressure_pa=gauge.value,
+            gauge_sigma_pa=gauge.sigma,
         )
 
 
@@ -172,7 +170,7 @@ def estimate_tension(
     samples: FrameSamples,
     surfaces: Surfaces,
     gauge_pressure_pa: float,
-    gauge_sigma_pa: float | None,  # its standard deviation, Pa; None: unknown, γ0's is without it
+    gauge_sigma_pa: float | None,
     progress: Progress = quiet,
 ) -> TensionEstimate:
     """γ0 by Young–Laplace: P R/2 of a sphere, else by force balance over the chosen surface.
@@ -205,20 +203,18 @@ def estimate_tension(
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
-    found = TensionEstimate(
-        tension=Quantity(value, own.low, own.high),
+    return TensionEstimate(
+        of_shape=Quantity(value, own.low, own.high),
         dimensions={
             name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))
             for (name, size), *errors in list(zip(now.items(), tiles, frames, strict=True))[1:]
         },
-        parts=parts,
+        shape_parts=parts,
         by_surface=by_surface,
         least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
         gauge_pressure_pa=gauge_pressure_pa,
+        gauge_sigma_pa=gauge_sigma_pa,
     )
-    if gauge_sigma_pa is None:
-        return found
-    return found.under(Quantity.normal(gauge_pressure_pa, gauge_sigma_pa))
 
 
 def _covariances(

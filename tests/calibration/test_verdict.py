@@ -47,7 +47,7 @@ def with_tension(found, relative, **changes):
     """The same with another relative half-width of γ0, and other fields of its estimate."""
     value = found.tension.tension.value
     interval = Quantity(value, (1.0 - relative) * value, (1.0 + relative) * value)
-    estimate = {"tension": interval, "least_squares_n_per_m": value} | changes
+    estimate = {"of_shape": interval, "least_squares_n_per_m": value} | changes
     return replace(found, tension=replace(found.tension, **estimate))
 
 
@@ -121,7 +121,7 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
     assert stretch.value == "not determined" and "(--level)" in stretch.narrower
     parts = ball.tension.parts
     for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():
-        found = with_tension(ball, 0.01, parts=parts | {name: 10.0 * max(parts.values())})
+        found = with_tension(ball, 0.01, shape_parts=parts | {name: 10.0 * max(parts.values())})
         tension = judge(found).parameters[0]
         assert said in tension.narrower and f"{ball.tension_n_per_m:.0f}" in tension.value
 
