@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import bubbleviz as bv
-from bubbleviz.calibration import Quantity, Vented, collect, with_rubber
+from bubbleviz.calibration import Quantity, Vented, collect, rest_gauge, with_rubber
+from bubbleviz.sensor import edited
 from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber, InflatedSensor
 from bubbleviz.study.harness import (
     Case,
@@ -118,22 +119,26 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     weather = ATMOSPHERE_PA + _WEATHER_PA * rng.standard_normal()
     sigma = _VENTED_NOISE_PA / np.sqrt(_VENTED_FRAMES)
     vented = Vented("vented", ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
-    sensor = replace(vented, pressure_pa=weather).set_in(rubber.sensor(grid.width))
+    sensor = edited(
+        rubber.sensor(grid.width), {"pneumatics.atmospheric_pressure_pa": round(weather, 1)}
+    )
     rest, *others = _recorded(grid, rubber, seed)
     if seed % 2:
         off = grid.pressure_error * rng.choice([-1.0, 1.0]) * grid.levels[-1] * GAUGE_PA
         others[-1].pressures_pa = others[-1].pressures_pa + off
     levels = [collect(source, sensor, range(grid.frames)) for source in others]
     truths = rubber.tension_n_per_m, rubber.prestretch, rubber.gauge_pressure_pa
-    for known, opened in (("levels", None), ("vented", vented)):
-        given = opened.set_in(sensor) if opened else sensor
-        alone = bv.identify(
-            rest, given, contact_free=range(grid.frames), nodes=grid.nodes, held_press=False
-        )
-        found = with_rubber(alone.found, levels, opened)
+    alone = bv.identify(
+        rest, sensor, contact_free=range(grid.frames), nodes=grid.nodes, held_press=False
+    ).found
+    gauge_pa, sigma_pa = rest_gauge(alone.samples, sensor, vented)
+    tension = alone.tension.under(Quantity.normal(gauge_pa, sigma_pa or 0.0))
+    opened = replace(alone, tension=tension, vented=vented)
+    for known, given in (("levels", alone), ("vented", opened)):
+        found = with_rubber(given, levels)
         numbers: list[Quantity | None] = [None] * len(QUANTITIES)
-        if found.rubber is not None and found.rubber.gauge is not None:
-            numbers = [found.tension.tension, found.rubber.prestretch, found.rubber.gauge]
+        if found.rubber is not None and (found.vented or found.rubber.gauge):
+            numbers = [found.tension.tension, found.rubber.prestretch, found.tension.gauge]
         for quantity, truth, number in zip(QUANTITIES, truths, numbers, strict=True):
             interval = (number.value, number.low, number.high) if number else ()
             rows.append(CoverageRow(name, seed, known, quantity, truth, *interval))

@@ -8,11 +8,11 @@ from .ellipsoid import (
 )
 from .identification import (
     Identification as Identification,
+    Vented as Vented,
     rest_gauge as rest_gauge,
 )
 from .material import (
     RubberEstimate as RubberEstimate,
-    Vented as Vented,
     collect_press as collect_press,
     press_hold_frames as press_hold_frames,
     with_rubber as with_rubber,

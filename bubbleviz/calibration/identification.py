@@ -14,7 +14,7 @@ from bubbleviz.calibration.tension import TensionEstimate
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import DepthStatistics
+from bubbleviz.recordings import DepthStatistics, FrameSource, error_of_mean
 from bubbleviz.sensor import (
     ATMOSPHERES,
     MIN_NOISE,
@@ -25,9 +25,35 @@ from bubbleviz.sensor import (
     Sensor,
 )
 from bubbleviz.sensor_model import SensorModel
+from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
     from bubbleviz.calibration.material import RubberEstimate
+
+
+@dataclass(frozen=True)
+class Vented:
+    """Gas pressure of the open chamber, with the same sensor offset as when it is closed."""
+
+    source_name: str
+    pressure_pa: float  # absolute, Pa
+    sigma_pa: float  # standard error, Pa
+
+    @classmethod
+    def measure(cls, source: FrameSource) -> Vented:
+        """Mean over all frames of a recording.
+
+        Raises InputError: fewer than five frames with a gas pressure.
+        """
+        fewest = 5  # for a mean with a standard error; chosen
+        values = [source[k].gas_pressure_pa for k in range(len(source))]
+        known = np.array([value for value in values if value is not None])
+        if len(known) < fewest:
+            raise InputError(
+                f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
+                f"{fewest} or more with the chamber open, or leave --vented out"
+            )
+        return cls(source.name, float(np.mean(known)), error_of_mean(known))
 
 
 @dataclass(frozen=True)
@@ -39,6 +65,7 @@ class Identification:
     surfaces: Surfaces
     pixels: PixelModel
     tension: TensionEstimate
+    vented: Vented | None = None  # the open chamber, whose pressure is in the tension
     # None without inflation levels, press and open chamber
     rubber: RubberEstimate | None = None
 
@@ -53,7 +80,21 @@ class Identification:
     @property
     def gauge_source(self) -> str:
         """Source of the gauge pressure, as text."""
-        return "the sensor file" if self.rubber is None else self.rubber.gauge_source
+        if self.vented is not None:
+            return f"the open-chamber recording {self.vented.source_name}"
+        if self.rubber is None:
+            return "the sensor file"
+        if self.rubber.gauge is None:
+            return "the sensor file's atmospheric pressure"
+        return f"{self.rubber.shapes_text}; the sensor file"
+
+    @property
+    def prestretch_source(self) -> str:
+        """Source of λ, as text; empty where it is not determined."""
+        if self.rubber is None or self.rubber.prestretch is None:
+            return ""
+        chamber = "" if self.vented is None else f"; the gauge pressure from {self.gauge_source}"
+        return self.rubber.shapes_text + chamber
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -99,21 +140,31 @@ class Identification:
         return values
 
 
-def rest_gauge(samples: FrameSamples, sensor: Sensor) -> tuple[float, float | None]:
+def rest_gauge(
+    samples: FrameSamples, sensor: Sensor, vented: Vented | None = None
+) -> tuple[float, float | None]:
     """Gauge pressure of the contact-free frames and its standard deviation, Pa.
 
-    The sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
-    recorded pressure less the sensor file's atmospheric pressure, with the weather's deviation.
-    Where the recorded pressure differs from that of the sensor file, either the weather or the
-    inflation has changed, so the difference, up to the weather's, adds to the file's deviation. A
-    deviation of None: not known.
+    With the open chamber, the difference of both recorded gas pressures. Else the sensor file's
+    where it has a standard deviation, or no gas pressure was recorded. Else the recorded pressure
+    less the sensor file's atmospheric pressure, with the weather's deviation. Where the recorded
+    pressure differs from that of the sensor file, either the weather or the inflation has changed,
+    so the difference, up to the weather's, adds to the file's deviation. A deviation of None: not
+    known.
     """
     pneumatics = sensor.pneumatics
     gauge, sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
-    if samples.gas_pressure_pa is None:
+    gas = samples.gas_pressure_pa
+    if gas is None:
+        if vented is not None:
+            raise InputError(
+                f"{samples.source_name}: no gas pressure, so {vented.source_name} does not "
+                "determine the gauge pressure; leave --vented out, or record the pressure"
+            )
         return gauge, sigma
-    recorded = float(np.median(samples.gas_pressure_pa))
-    if sigma is not None:
+    recorded = float(np.median(gas))
+    air = pneumatics.atmospheric_pressure_pa if vented is None else vented.pressure_pa
+    if sigma is not None and vented is None:
         if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
             raise InputError(
                 f"{samples.source_name}: gas pressure {recorded:.0f} Pa minus the sensor file's "
@@ -122,13 +173,15 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor) -> tuple[float, float | No
             )
         change = abs(recorded - pneumatics.reference_pressure_pa)
         return gauge, float(np.hypot(sigma, min(change, WEATHER_SIGMA_PA)))
-    gauge = recorded - pneumatics.atmospheric_pressure_pa
+    gauge = recorded - air
     if gauge <= 0.0:
         raise InputError(
             f"{samples.source_name}: gas pressure {recorded:.0f} Pa is not above the atmospheric"
-            f" {pneumatics.atmospheric_pressure_pa:.0f} Pa; correct the atmospheric pressure in "
+            f" {air:.0f} Pa; correct the atmospheric pressure in "
             "the sensor file, or inflate the bubble"
         )
+    if vented is not None:
+        return gauge, float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
     return gauge, WEATHER_SIGMA_PA
 
 

@@ -14,10 +14,9 @@ from bubbleviz.calibration.rubber_problem import LARGEST_Q, SMALLEST_Q, Fit, Rub
 from bubbleviz.calibration.tension import Quantity
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, error_of_mean, robust_sigma
+from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, robust_sigma
 from bubbleviz.result import HALF_95
-from bubbleviz.sensor import WEATHER_SIGMA_PA, Sensor
-from bubbleviz.wording import count_of
+from bubbleviz.sensor import WEATHER_SIGMA_PA
 
 _MAX_UNEXPLAINED = 0.25  # largest share of the change of range that the rubber model may not fit
 
@@ -26,14 +25,12 @@ _MAX_UNEXPLAINED = 0.25  # largest share of the change of range that the rubber 
 class RubberEstimate:
     """Pre-stretch and gauge pressure, and the data that they come from."""
 
-    prestretch: Quantity | None  # λ; None: not determined
-    # gauge pressure of the reference surface, Pa; None: not determined, the sensor file's is used
-    gauge: Quantity | None
-    # from levels or a press: weighted mean with the sensor file's
-    gauge_from: Literal["vented", "levels", "press", "given"]
+    prestretch: Quantity | None = None  # λ; None: not determined
+    # gauge pressure of the reference surface, Pa, weighted mean of that from the shapes and the
+    # sensor file's; None: known by the open chamber, or not determined
+    gauge: Quantity | None = None
     shapes_text: str = ""  # the recordings of levels or press, for reports
     shapes_kind: Literal["press", "levels"] = "levels"
-    vented: str = ""  # name of the recording of the open chamber; empty where there is none
     why_not: str = ""  # why λ is not determined; empty where it is
     # gauge pressure from the shapes alone, and from the sensor file, Pa; None: no weighted mean
     gauge_candidates: tuple[Quantity, Quantity] | None = None
@@ -49,56 +46,6 @@ class RubberEstimate:
             return False
         shapes, file = self.gauge_candidates
         return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
-
-    @property
-    def gauge_source(self) -> str:
-        """Source of the gauge pressure, as text."""
-        if self.gauge_from == "vented":
-            return f"the open-chamber recording {self.vented}"
-        if self.gauge_from == "given":
-            return "the sensor file"
-        return f"{self.shapes_text}; the sensor file"
-
-    @property
-    def prestretch_source(self) -> str:
-        """Source of λ, as text."""
-        if self.gauge_from in ("levels", "press"):
-            return self.shapes_text
-        return f"{self.shapes_text}; the gauge pressure from {self.gauge_source}"
-
-
-@dataclass(frozen=True)
-class Vented:
-    """Gas pressure of the open chamber, with the same sensor offset as when it is closed."""
-
-    source_name: str
-    pressure_pa: float  # absolute, Pa
-    sigma_pa: float  # standard error, Pa
-
-    @classmethod
-    def measure(cls, source: FrameSource) -> Vented:
-        """Mean over all frames of a recording.
-
-        Raises InputError: fewer than five frames with a gas pressure.
-        """
-        fewest = 5  # for a mean with a standard error; chosen
-        values = [source[k].gas_pressure_pa for k in range(len(source))]
-        known = np.array([value for value in values if value is not None])
-        if len(known) < fewest:
-            raise InputError(
-                f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
-                f"{fewest} or more with the chamber open, or leave --vented out"
-            )
-        return cls(source.name, float(np.mean(known)), error_of_mean(known))
-
-    def set_in(self, sensor: Sensor) -> Sensor:
-        section = sensor.pneumatics.model_copy(
-            update={
-                "atmospheric_pressure_pa": round(self.pressure_pa, 1),
-                "gauge_sigma_pa": None,  # belongs to the sensor file's gauge pressure
-            }
-        )
-        return sensor.model_copy(update={"pneumatics": section})
 
 
 _HOLD_SHARE = 0.9  # of the largest rise of the gas pressure: above it, a press counts as held
@@ -141,24 +88,18 @@ def collect_press(
 
 
 def with_rubber(
-    # with the open chamber's atmospheric pressure, where that is given
     found: Identification,
     levels: Sequence[FrameSamples],  # of the untouched sensor at other pressures
-    vented: Vented | None = None,
     press: FrameSamples | None = None,  # used where there are no levels
     # standard deviation of gas pressure differences between recordings, Pa; None: of a typical
     # pressure sensor
     level_sigma_pa: float | None = None,
 ) -> Identification:
-    """Identification with λ and gauge pressure from levels, a press and the open chamber.
-
-    Raises InputError: an open chamber was recorded, but not the gas pressure of the inflated
-    sensor.
-    """
+    """Identification with λ and gauge pressure from levels or a press."""
     shapes = levels or ([] if press is None else [press])
-    if vented is None and not shapes:
+    if found.vented is None and not shapes:
         return found
-    rubber = _estimate(found, shapes, vented, level_sigma_pa, pressed=not levels)
+    rubber = _estimate(found, shapes, level_sigma_pa, pressed=not levels)
     tension = found.tension if rubber.gauge is None else found.tension.under(rubber.gauge)
     return replace(found, tension=tension, rubber=rubber)
 
@@ -166,31 +107,22 @@ def with_rubber(
 def _estimate(
     found: Identification,
     shapes: Sequence[FrameSamples],  # levels, or a press
-    vented: Vented | None,
     level_sigma_pa: float | None,
     *,
     pressed: bool,
 ) -> RubberEstimate:
-    names = ", ".join(each.source_name for each in shapes)
-    text = (f"the press in {names}" if pressed else f"inflation levels: {names}") if shapes else ""
-    known = RubberEstimate(None, None, "given", text, "press" if pressed else "levels")
-    samples, tension = found.samples, found.tension
-    gauge, gas = tension.gauge_pressure_pa, samples.gas_pressure_pa
-    sigma = tension.gauge_sigma_pa or WEATHER_SIGMA_PA
-    if vented is not None:
-        if gas is None:
-            raise InputError(
-                f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
-                f"{vented.source_name} does not determine the gauge pressure; record it in every "
-                "frame, or leave --vented out"
-            )
-        sigma = float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
-        name, by_chamber = vented.source_name, Quantity.normal(gauge, sigma)
-        known = replace(known, gauge=by_chamber, gauge_from="vented", vented=name)
     if not shapes:
-        return replace(known, why_not="neither levels nor a held press were used")
+        return RubberEstimate(why_not="neither levels nor a held press were used")
+    names = ", ".join(each.source_name for each in shapes)
+    known = RubberEstimate(
+        shapes_text=f"the press in {names}" if pressed else f"inflation levels: {names}",
+        shapes_kind="press" if pressed else "levels",
+    )
+    tension = found.tension
+    gauge = tension.gauge_pressure_pa
+    sigma = tension.gauge_sigma_pa or WEATHER_SIGMA_PA
     relative = tension.of_shape.sigma / tension.of_shape.value
-    given = found.model, samples, shapes, found.surfaces.other_mesh, gauge, relative
+    given = found.model, found.samples, shapes, found.surfaces.other_mesh, gauge, relative
     try:
         problem = RubberProblem(*given, level_sigma_pa, pressed=pressed)
         alone = problem.fit()
@@ -203,13 +135,14 @@ def _estimate(
         change_rms_m=problem.change_rms_m,
         unexplained_rms_m=problem.unexplained_rms_m(fit.vector),
     )
-    return _with_fit(alone, fit, Quantity.normal(gauge, sigma), known)
+    by_file = None if found.vented else Quantity.normal(gauge, sigma)
+    return _with_fit(alone, fit, by_file, known)
 
 
 def _with_fit(
     alone: Fit,  # from the shapes alone
     fit: Fit,  # from the shapes and the gauge pressure that is known otherwise
-    by_file: Quantity,
+    by_file: Quantity | None,  # gauge pressure in the sensor file, Pa; None: the chamber was opened
     known: RubberEstimate,
 ) -> RubberEstimate:
     """Estimate with λ and gauge pressure of the fit, or the reason why λ is not determined.
@@ -225,10 +158,10 @@ def _with_fit(
         misfit = f"misfit {1e3 * unexplained:.2g} mm of a change of {1e3 * change:.2g} mm"
         return replace(known, why_not=f"no rubber of this shape fits: {misfit}")
     covariance, found = fit.covariance, known
-    if known.gauge is None:
+    if by_file is not None:
         by_shapes, mean = (_gauge(each, by_file.value) for each in (alone, fit))
         candidates = by_shapes, by_file
-        found = replace(known, gauge_from=known.shapes_kind, gauge_candidates=candidates)
+        found = replace(known, gauge_candidates=candidates)
         spread = np.hypot(by_shapes.sigma, by_file.sigma)
         apart = abs(by_shapes.value - by_file.value) / spread
         mean_sigma = by_shapes.sigma * by_file.sigma / spread

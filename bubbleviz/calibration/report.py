@@ -101,7 +101,7 @@ def _intervals(found: Identification) -> dict[str, Any]:
         keys["gauge_from"] = found.gauge_source
     if (rubber := found.rubber) is not None and (stretch := rubber.prestretch) is not None:
         keys["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
-        keys["prestretch_from"] = rubber.prestretch_source
+        keys["prestretch_from"] = found.prestretch_source
     return keys
 
 
@@ -216,14 +216,15 @@ def _rubber(found: Identification) -> dict[str, Any] | None:
     rubber = found.rubber
     if rubber is None:
         return None
+    gauge = rubber.gauge if found.vented is None else found.tension.gauge
     fitted = np.isfinite(rubber.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
         "prestretch": rubber.prestretch and asdict(rubber.prestretch),
-        "prestretch_from": rubber.prestretch_source if rubber.prestretch else None,
+        "prestretch_from": found.prestretch_source or None,
         "why_not_determined": rubber.why_not or None,
-        "gauge_pressure_pa": rubber.gauge and asdict(rubber.gauge),
-        "gauge_from": rubber.gauge_source,
+        "gauge_pressure_pa": gauge and asdict(gauge),
+        "gauge_from": found.gauge_source,
         "from": rubber.shapes_kind if fitted else None,
         "levels": {name: getattr(rubber, name) for name in names} if fitted else None,
     }

@@ -140,7 +140,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
     """γ0, gauge pressure and λ with their sources, and what would narrow their intervals."""
     tension, rubber, gauge = found.tension, found.rubber, found.tension.gauge
-    vented = rubber is not None and rubber.gauge_from == "vented"
+    vented = found.vented is not None
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
@@ -165,7 +165,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     elif rubber.prestretch is None:
         source, narrower = rubber.why_not, _LEVELS
     else:
-        source = rubber.prestretch_source
+        source = found.prestretch_source
         narrower = "record levels farther apart" if vented else chamber
     stretch = None if rubber is None else rubber.prestretch
     return (

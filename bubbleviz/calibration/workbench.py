@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.identification import Identification, rest_gauge
-from bubbleviz.calibration.material import Vented, collect_press, with_rubber
+from bubbleviz.calibration.identification import Identification, Vented, rest_gauge
+from bubbleviz.calibration.material import collect_press, with_rubber
 from bubbleviz.calibration.rectification import Level, rectify
 from bubbleviz.calibration.rest_frames import (
     FrameSamples,
@@ -156,18 +156,18 @@ class Workbench:
 
     def _tension(self, draft: Draft, progress: Progress) -> Draft:
         settings, samples, surfaces = draft.settings, _known(draft.samples), _known(draft.surfaces)
-        sensor, vented = self.sensor, None
+        vented = None
         if settings.vented is not None:
             vented = self._of_other(settings.vented, "vented", Vented.measure)
-            sensor = vented.set_in(sensor)
         with _errors_name(self.source):
-            gauge = rest_gauge(samples, sensor)
+            gauge = rest_gauge(samples, self.sensor, vented)
             tension = self._cached(
                 "tension",
                 (draft.ranges, settings.nodes, settings.surface, settings.vented),
                 lambda: estimate_tension(samples, surfaces, *gauge, part_of(progress, 0.0, 0.5)),
             )
-        found = Identification(sensor, samples, surfaces, _known(draft.pixels), tension)
+        parts = samples, surfaces, _known(draft.pixels), tension
+        found = Identification(self.sensor, *parts, vented)
         levels = [
             self._of_other(each, settings.nodes, partial(self._level, draft, progress))
             for each in settings.levels
@@ -180,7 +180,7 @@ class Workbench:
             press = collect_press(self.source, found, own) if use_press else None
             own("fitting the rubber", 0.0)
             shapes = [samples for samples, _, _ in levels]
-            return with_rubber(found, shapes, vented, press, settings.level_sigma_pa)
+            return with_rubber(found, shapes, press, settings.level_sigma_pa)
 
         rubber = self._cached("rubber", replace(settings, press=None), fit_rubber)
         draft = replace(draft, pixels=rubber.pixels, found=rubber)

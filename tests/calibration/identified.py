@@ -1,7 +1,22 @@
 """Identification from contact-free frames alone."""
 
+from dataclasses import replace
+
 import bubbleviz as bv
+from bubbleviz.calibration import Quantity, rest_gauge
 
 
 def identify(source, sensor, frames=None, **settings):
     return bv.identify(source, sensor, contact_free=frames, held_press=False, **settings).found
+
+
+def opened(found, vented):
+    """The same with the gas pressure of the open chamber."""
+    gauge = Quantity.normal(*rest_gauge(found.samples, found.given, vented))
+    return replace(found, tension=found.tension.under(gauge), vented=vented)
+
+
+def with_air(sensor, pressure_pa):
+    """The same sensor file with another atmospheric pressure, whose error is not known."""
+    air = {"atmospheric_pressure_pa": pressure_pa, "gauge_sigma_pa": None}
+    return sensor.model_copy(update={"pneumatics": sensor.pneumatics.model_copy(update=air)})

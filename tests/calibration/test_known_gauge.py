@@ -223,10 +223,11 @@ def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
         rest_gauge(gauge_only, known)
 
 
-def test_open_chamber_replaces_the_gauge_pressure_of_the_file():
-    vented = Vented("vented", ATMOSPHERE_PA, 1.0).set_in(sensor_file(gauge_sigma_pa=50.0))
-    assert vented.pneumatics.gauge_sigma_pa is None
-    assert vented.pneumatics.atmospheric_pressure_pa == ATMOSPHERE_PA
+def test_open_chamber_replaces_the_gauge_pressure_of_the_file(rest_samples):
+    vented = Vented("vented", ATMOSPHERE_PA - 700.0, 1.0)
+    gauge, sigma = rest_gauge(rest_samples, sensor_file(gauge_sigma_pa=50.0), vented)
+    assert gauge == pytest.approx(GAUGE_PA + 700.0, abs=5.0)
+    assert 1.0 <= sigma < 5.0
 
 
 def test_an_edited_gauge_pressure_drops_its_standard_deviation():

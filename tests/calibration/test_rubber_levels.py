@@ -20,7 +20,7 @@ from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.round_sheet import round_sheet
 from tests.oracles.rubber_oracle import AxialRubber
 
-from .identified import identify
+from .identified import identify, opened, with_air
 
 G = 2500.0
 SHEET = round_sheet(0.045, 110.0, 1.15, G)
@@ -125,7 +125,9 @@ def vented():
 
 @pytest.fixture(scope="module")
 def found(vented):
-    return identify(shifted(1.0), vented.set_in(SHEET.sensor(WIDTH)), range(FRAMES), nodes=NODES)
+    return identify(
+        shifted(1.0), with_air(SHEET.sensor(WIDTH), vented.pressure_pa), range(FRAMES), nodes=NODES
+    )
 
 
 def shifted(share):
@@ -140,10 +142,10 @@ def level(found, share):
 
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
     """The zero of the absolute sensor cancels."""
-    only = with_rubber(found, [], vented)
-    assert only.rubber.gauge_from == "vented" and only.rubber.prestretch is None
-    assert only.rubber.gauge.low < G < only.rubber.gauge.high
-    assert only.rubber.gauge.half_width < 0.005 * G
+    only = with_rubber(opened(found, vented), [])
+    assert only.gauge_source == "the open-chamber recording vented" and only.rubber.prestretch is None
+    assert only.tension.gauge.low < G < only.tension.gauge.high
+    assert only.tension.gauge.half_width < 0.005 * G
     assert only.sensor.pneumatics.atmospheric_pressure_pa == pytest.approx(
         ATMOSPHERE_PA + OFFSET, abs=3.0
     )
@@ -152,7 +154,7 @@ def test_open_chamber_gives_the_gauge_pressure(found, vented):
 
 def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     levels = [level(found, share) for share in (0.85, 1.15)]
-    known = with_rubber(found, levels, vented).rubber
+    known = with_rubber(opened(found, vented), levels).rubber
     free = with_rubber(found, levels).rubber
     assert known.prestretch.low < SHEET.prestretch < known.prestretch.high
     assert known.prestretch.value == pytest.approx(SHEET.prestretch, abs=0.02)
@@ -165,13 +167,13 @@ def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found,
     """±2 % is the total error band of common sensors; a better one gives a narrower interval."""
     low, high = level(found, 0.85), level(found, 1.15)
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + off * 1.15 * G)
-    for opened in (None, vented):
-        usual = with_rubber(found, [low, high], opened).rubber
-        assert usual.gauge.low < G < usual.gauge.high
-        assert usual.prestretch is None or (
-            usual.prestretch.low < SHEET.prestretch < usual.prestretch.high
-        )
-    exact = with_rubber(found, [low, high], vented, level_sigma_pa=1.0).rubber.prestretch
+    for given in (found, opened(found, vented)):
+        usual = with_rubber(given, [low, high])
+        assert usual.tension.gauge.low < G < usual.tension.gauge.high
+        stretch = usual.rubber.prestretch
+        assert stretch is None or stretch.low < SHEET.prestretch < stretch.high
+    known = opened(found, vented)
+    exact = with_rubber(known, [low, high], level_sigma_pa=1.0).rubber.prestretch
     assert not exact.low < SHEET.prestretch < exact.high
 
 
@@ -182,8 +184,9 @@ def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented)
     rows = len(ranges)
     ranges[int(0.45 * rows) : int(0.55 * rows)] -= 3e-3
     shaded = replace(low, statistics=replace(low.statistics, range_m=ranges))
-    clean = with_rubber(found, [low, high], vented).rubber.prestretch
-    crossed = with_rubber(found, [shaded, high], vented).rubber.prestretch
+    known = opened(found, vented)
+    clean = with_rubber(known, [low, high]).rubber.prestretch
+    crossed = with_rubber(known, [shaded, high]).rubber.prestretch
     assert crossed.value == pytest.approx(clean.value, abs=0.25 * clean.half_width)
     assert crossed.low < SHEET.prestretch < crossed.high
 
@@ -208,8 +211,6 @@ def test_levels_that_do_not_determine_the_prestretch(found):
 
 def test_open_chamber_needs_gas_pressures(found, vented):
     with pytest.raises(InputError, match="leave --vented out"):
-        with_rubber(
-            replace(found, samples=replace(found.samples, gas_pressure_pa=None)), [], vented
-        )
+        opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
     with pytest.raises(InputError, match="chamber open"):
         Vented.measure(Chamber([None] * 30))
