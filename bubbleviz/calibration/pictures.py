@@ -21,13 +21,9 @@ def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
 
     Images (H, W), m; NaN outside the pixels in use.
     """
-    frame = found.model.camera.range_image(found.samples.depth_m[-1])
-    pixels, line = found.pixels, found.pixels.line
-    straight = frame if line is None else line.straighten(frame)
-    before, after = (
-        np.where(pixels.mask, image - found.modelled_range_m, np.nan) for image in (frame, straight)
-    )
-    return before, after - pixels.bias_m
+    model, depth = found.model, found.samples.depth_m[-1]
+    before = np.where(found.pixels.mask, model.camera.range_image(depth), np.nan)
+    return before - found.modelled_range_m, model.range_image(depth) - found.modelled_range_m
 
 
 def local_tension_image(found: Identification) -> np.ndarray:
