@@ -135,7 +135,7 @@ class Identification:
             "tension_n_per_m": round(self.tension_n_per_m, 3),
         }
         if self.samples.gas_pressure_pa is not None:
-            absolute = float(np.median(self.samples.gas_pressure_pa))
+            absolute = float(np.mean(self.samples.gas_pressure_pa))
             values["atmospheric_pressure_pa"] = round(absolute - gauge, 1)
         return values
 
@@ -162,7 +162,7 @@ def rest_gauge(
                 "determine the gauge pressure; leave --vented out, or record the pressure"
             )
         return gauge, sigma
-    recorded = float(np.median(gas))
+    recorded = float(np.mean(gas))
     air = pneumatics.atmospheric_pressure_pa if vented is None else vented.pressure_pa
     if sigma is not None and vented is None:
         if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
