@@ -41,54 +41,37 @@ def cluster_covariances(
     # flat indices (P,) of the pixels or blocks fitted, columns of the image, and side of one in
     # pixels
     layout: tuple[np.ndarray, int, int],
-    # frames (F, P), mean_m and limit_m (P,), influence (P, Q), residual_m (P,): as in `tile_scores`
-    frames: np.ndarray,
+    frames: np.ndarray,  # (F, P), depth or residual of each, m; NaN: no return
+    # mean_m, limit_m: (P,), their mean, and the distance from it beyond which samples are ignored
+    # (as in the mean), m
     mean_m: np.ndarray,
     limit_m: np.ndarray,
-    influence: np.ndarray,
-    residual_m: np.ndarray,
+    influence: np.ndarray,  # (P, Q), derivative of each parameter by each mean, unit/m
+    residual_m: np.ndarray,  # (P,), mean minus that of the fitted surface, m
     parameters: int,  # count of fitted parameters
     progress: Progress = quiet,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The two parts of `covariances`, for parameters fitted to the mean of frames."""
-    numbers, columns, side = layout
-    tile = tile_numbers(
-        numbers, columns, tile_side(len(numbers), statistics.correlation_length_px / side)
-    )
-    scores = tile_scores(frames, mean_m, limit_m, influence, residual_m, tile, progress)
-    block = _BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)
-    return covariances(*scores, parameters, max(1, round(block)))
-
-
-def tile_scores(
-    depth_m: np.ndarray,  # (F, P), z-depth of the pixels fitted, m; NaN: no return
-    # mean_depth_m, limit_m: (P,), their mean, and the distance from it beyond which samples are
-    # ignored (as in the mean), m
-    mean_depth_m: np.ndarray,
-    limit_m: np.ndarray,
-    # (P, Q), derivative of each parameter by each pixel's mean z-depth, unit/m
-    influence: np.ndarray,
-    residual_m: np.ndarray,  # (P,), mean z-depth minus that of the fitted surface, m
-    tile: np.ndarray,  # (P,) int
-    progress: Progress = quiet,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of influence times error in each tile: of the mean (T, Q), of every frame (F, T, Q)."""
+    pixels, columns, side = layout
+    length = statistics.correlation_length_px / side
+    tile = tile_numbers(pixels, columns, tile_side(len(pixels), length))
     tiles, (count, numbers) = int(tile.max()) + 1, influence.shape
-    rows = (tile[None] + tiles * np.arange(numbers)[:, None]).ravel()
-    columns = np.tile(np.arange(count), numbers)
-    sums = sparse.csr_array((influence.T.ravel(), (rows, columns)), shape=(numbers * tiles, count))
-    static = (sums @ residual_m).reshape(numbers, tiles).T
+    place = (tile[None] + tiles * np.arange(numbers)[:, None]).ravel()
+    entries = influence.T.ravel(), (place, np.tile(np.arange(count), numbers))
+    sums = sparse.csr_array(entries, shape=(numbers * tiles, count))
     kept = np.zeros(count)
-    for image in depth_m:
-        kept += np.abs(image - mean_depth_m) <= limit_m
+    for image in frames:
+        kept += np.abs(image - mean_m) <= limit_m
     share = 1.0 / np.maximum(kept, 1.0)
-    moving = np.empty((len(depth_m), tiles, numbers))
-    for k, image in enumerate(depth_m):
-        error = image - mean_depth_m
+    moving = np.empty((len(frames), tiles, numbers))
+    for k, image in enumerate(frames):
+        error = image - mean_m
         error = np.where(np.abs(error) <= limit_m, error, 0.0) * share
         moving[k] = (sums @ error).reshape(numbers, tiles).T
-        progress("error of the mean", (k + 1) / len(depth_m))
-    return static, moving
+        progress("error of the mean", (k + 1) / len(frames))
+    static = (sums @ residual_m).reshape(numbers, tiles).T
+    block = _BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)
+    return covariances(static, moving, parameters, max(1, round(block)))
 
 
 def covariances(
