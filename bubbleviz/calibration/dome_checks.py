@@ -27,19 +27,14 @@ def check_dome(
     membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane
 ) -> float:
     """Visible share of the dome. Raises InputError: it is pressed in, or less than half visible."""
-    name, ranges = samples.source_name, samples.statistics.range_m
     visible = _visible_share(cap.fine_mesh, camera, membrane)
     if visible < _MIN_VISIBLE_SHARE:
         raise InputError(
-            f"{name}: only {100 * visible:.0f} % of the dome is visible: its shape at rest, its "
-            "volume and γ0 cannot be determined; uncover the camera, or give a sensor file with "
-            "this camera's pose"
+            f"{samples.source_name}: only {100 * visible:.0f} % of the dome is visible: its shape "
+            "at rest, its volume and γ0 cannot be determined; uncover the camera, or give a sensor "
+            "file with this camera's pose"
         )
-    points = camera.points_at(ranges, np.arange(ranges.size))
-    residual = cap.distance(points).reshape(ranges.shape)
-    pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)
-    edge_px = samples.statistics.correlation_length_px
-    _check_no_dent(name, residual, membrane, edge_px, pixel_m, cap)
+    _check_no_dent(samples, cap, camera, membrane)
     return visible
 
 
@@ -61,24 +56,22 @@ def _visible_share(
 
 
 def _check_no_dent(
-    name: str,
-    # (H, W), distance of the measured from the fitted surface, m, negative inside; NaN: none
-    residual_m: np.ndarray,
-    membrane: np.ndarray,  # (H, W) bool
-    edge_px: float,  # width of the unreliable band along the membrane's outer edge, pixels
-    pixel_m: np.ndarray,  # (H, W), side of a pixel on the membrane, m
-    dome: Ellipsoid,
+    samples: FrameSamples, cap: Ellipsoid, camera: DepthCamera, membrane: np.ndarray
 ) -> None:
     """Refuse a dome that is pressed in, as by a contact in every frame.
 
     Gas pressure alone makes a membrane bulge everywhere. A patch counts as a contact where it lies
     so deep inside the fitted cap, for its width, that the membrane has lost half of its curvature.
     """
+    ranges, edge_px = samples.statistics.range_m, samples.statistics.correlation_length_px
+    points = camera.points_at(ranges, np.arange(ranges.size))
+    residual_m = cap.distance(points).reshape(ranges.shape)  # negative inside
+    pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)  # side on the membrane
     inner = away_from_edges(ndimage.binary_fill_holes(_closed(membrane)), edge_px + 1.0)
     measured = inner & np.isfinite(residual_m)
     known = measured & membrane
     spread = robust_sigma(residual_m[known])
-    radius = float(np.prod(dome.semi_axes_m) ** (1.0 / 3.0))
+    radius = float(np.prod(cap.semi_axes_m) ** (1.0 / 3.0))
     below = np.nan_to_num(residual_m) < -_SIGNIFICANT * spread
     known |= _steep_dents(measured & ~membrane, -residual_m)
     deep = known & below
@@ -99,9 +92,9 @@ def _check_no_dent(
         if depth > max(flattened, _MIN_DENT_DEPTH * radius):
             row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
             raise InputError(
-                f"{name}: in the frames taken as contact-free the membrane is pressed in by "
-                f"{1e3 * depth:.1f} mm around pixel ({column}, {row}); record it without an "
-                "object, or choose other frames"
+                f"{samples.source_name}: in the frames taken as contact-free the membrane is "
+                f"pressed in by {1e3 * depth:.1f} mm around pixel ({column}, {row}); record it "
+                "without an object, or choose other frames"
             )
 
 

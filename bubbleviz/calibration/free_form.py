@@ -87,7 +87,8 @@ def fit_free_form(
         about = residual - np.median(residual)
         sigma = robust_sigma(residual)
         weights = tukey_weights(about, sigma)
-        unit = _balance(D, weights, prior)
+        # λ at which data and prior have equal trace
+        unit = float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
         if k < 2:  # later rounds move by micrometres: λ stays
             near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse search
             tried = _DECADES[near] if k else _DECADES[::2]
@@ -130,11 +131,6 @@ def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
     """Fold 0 … 4 of each pixel: all pixels of a tile share one; neighbouring tiles differ."""
     row, column = np.divmod(pixels, width)
     return (row // tile_px * 2 + column // tile_px) % FOLDS
-
-
-def _balance(D: sparse.csr_array, weights: np.ndarray, prior: sparse.csc_array) -> float:
-    """λ at which data and prior have equal trace."""
-    return float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
 
 
 def left_out(

@@ -434,29 +434,27 @@ class RubberProblem:
         """Covariance (2, 2) by the noise of all frames and the residuals of the model."""
         ends = np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1]
         influences, residuals = np.split(influence, ends), np.split(residual_m, ends)
-        at_rest = -np.sum(influences, axis=0), np.zeros(len(influences[0]))
-        total = self._covariance_of(self._rest, *at_rest)
-        for shape, each, residual in zip(self._shapes, influences, residuals, strict=True):
-            total = total + self._covariance_of(shape.samples, each, residual)
+        at_rest = self._rest, -np.sum(influences, axis=0), np.zeros(len(influences[0]))
+        samples = [shape.samples for shape in self._shapes]
+        every = at_rest, *zip(samples, influences, residuals, strict=True)
+        observer, total = self._observer, np.zeros((2, 2))
+        for recorded, own, residual in every:
+            used = np.flatnonzero(own.any(axis=1))
+            seen = [observer.observe(image) for image in recorded.depth_m]
+            frames = np.stack([np.where(o.weight > 0.0, o.residual_m, np.nan)[used] for o in seen])
+            total += sum(
+                cluster_covariances(
+                    recorded.statistics,
+                    (observer.block_number[used], observer.columns, observer.block),
+                    frames,
+                    np.nan_to_num(np.nanmean(frames, axis=0)),
+                    np.full(len(used), np.inf),
+                    own[used],
+                    residual[used],
+                    2,
+                )
+            )
         return total
-
-    def _covariance_of(
-        self, samples: FrameSamples, influence: np.ndarray, residual_m: np.ndarray
-    ) -> np.ndarray:
-        observer, used = self._observer, np.flatnonzero(influence.any(axis=1))
-        observed = [observer.observe(image) for image in samples.depth_m]
-        frames = np.stack([np.where(o.weight > 0.0, o.residual_m, np.nan)[used] for o in observed])
-        by_tiles, by_frames = cluster_covariances(
-            samples.statistics,
-            (observer.block_number[used], observer.columns, observer.block),
-            frames,
-            np.nan_to_num(np.nanmean(frames, axis=0)),
-            np.full(len(used), np.inf),
-            influence[used],
-            residual_m[used],
-            2,
-        )
-        return by_tiles + by_frames
 
 
 def _measured(

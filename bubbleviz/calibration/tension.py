@@ -177,9 +177,7 @@ def estimate_tension(
 
     Raises InputError: no tension balances the surface.
     """
-    now, pixels, influence, residual, parameters = _linear(samples, surfaces, gauge_pressure_pa)
-    covariance = _covariances(samples, pixels, influence, residual, parameters, progress)
-    tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariance)
+    now, tiles, frames = _with_errors(samples, surfaces, gauge_pressure_pa, progress)
     sphere, cap = surfaces.sphere, surfaces.cap
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
@@ -217,19 +215,15 @@ def estimate_tension(
     )
 
 
-def _covariances(
-    samples: FrameSamples,
-    pixels: np.ndarray,  # (P,) int, flat indices of those fitted
-    influence: np.ndarray,  # (P, Q), of each pixel's mean range, unit/m
-    residual_m: np.ndarray,  # (P,), mean range minus that of the fitted surface, m
-    parameters: int,  # count of fitted parameters
-    progress: Progress,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The two parts of `covariances`."""
+def _with_errors(
+    samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float, progress: Progress
+) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
+    """γ0 and dimensions; their standard deviations by the pixels, and by drift of the frames."""
+    now, pixels, influence, residual_m, parameters = _linear(samples, surfaces, gauge_pressure_pa)
     statistics = samples.statistics
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
-    return cluster_covariances(
+    covariances = cluster_covariances(
         statistics,
         (pixels, samples.camera.intrinsics.width, 1),
         samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
@@ -240,6 +234,8 @@ def _covariances(
         parameters,
         progress,
     )
+    tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariances)
+    return now, tiles, frames
 
 
 Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]
