@@ -30,6 +30,8 @@ from bubbleviz.wording import count_of
 if TYPE_CHECKING:
     from bubbleviz.calibration.material import RubberEstimate
 
+_RESOLUTION_PA = 0.1  # of pressures in a sensor file
+
 
 @dataclass(frozen=True)
 class Vented:
@@ -131,7 +133,7 @@ class Identification:
         gauge, sigma = self.tension.gauge_pressure_pa, self.tension.gauge_sigma_pa
         values = {
             "gauge_pressure_pa": round(gauge, 1),
-            "gauge_sigma_pa": None if sigma is None else round(sigma, 1),
+            "gauge_sigma_pa": None if sigma is None else max(round(sigma, 1), _RESOLUTION_PA),
             "tension_n_per_m": round(self.tension_n_per_m, 3),
         }
         if self.samples.gas_pressure_pa is not None:
@@ -181,7 +183,7 @@ def rest_gauge(
             "the sensor file, or inflate the bubble"
         )
     if vented is not None:
-        return gauge, float(np.hypot(vented.sigma_pa, error_of_mean(gas)))
+        return gauge, max(float(np.hypot(vented.sigma_pa, error_of_mean(gas))), _RESOLUTION_PA)
     return gauge, WEATHER_SIGMA_PA
 
 

@@ -209,6 +209,14 @@ def test_levels_that_do_not_determine_the_prestretch(found):
     assert with_rubber(found, [wrong]).rubber.prestretch is None
 
 
+def test_open_chamber_of_a_sensor_without_noise(found):
+    """A coarse pressure sensor shows one value in all frames; the sensor file stays valid."""
+    still = replace(found.samples, gas_pressure_pa=np.full(FRAMES, ATMOSPHERE_PA + G))
+    known = opened(replace(found, samples=still), Vented.measure(Chamber([ATMOSPHERE_PA] * 10)))
+    assert known.sensor.pneumatics.gauge_sigma_pa == 0.1
+    assert known.sensor.pneumatics.gauge_pressure_pa == G
+
+
 def test_open_chamber_needs_gas_pressures(found, vented):
     with pytest.raises(InputError, match="leave --vented out"):
         opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
