@@ -10,7 +10,7 @@ import numpy as np
 
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import Surfaces
-from bubbleviz.calibration.tension import TensionEstimate
+from bubbleviz.calibration.tension import Quantity, TensionEstimate
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -80,6 +80,11 @@ class Identification:
         return self.tension.tension.value
 
     @property
+    def prestretch(self) -> Quantity | None:
+        """λ; None where it is not determined."""
+        return None if self.rubber is None else self.rubber.prestretch
+
+    @property
     def gauge_source(self) -> str:
         """Source of the gauge pressure, as text."""
         if self.vented is not None:
@@ -93,7 +98,7 @@ class Identification:
     @property
     def prestretch_source(self) -> str:
         """Source of λ, as text; empty where it is not determined."""
-        if self.rubber is None or self.rubber.prestretch is None:
+        if self.rubber is None or self.prestretch is None:
             return ""
         chamber = "" if self.vented is None else f"; the gauge pressure from {self.gauge_source}"
         return self.rubber.shapes_text + chamber
@@ -107,9 +112,9 @@ class Identification:
         """
         statistics, surfaces = self.samples.statistics, self.surfaces
         pneumatics = self.given.pneumatics.model_copy(update=self._pressures())
-        stretch = None if self.rubber is None else self.rubber.prestretch
-        before = self.given.membrane.prestretch
-        prestretch = before if stretch is None else round(stretch.value, 4)
+        prestretch = self.given.membrane.prestretch
+        if self.prestretch is not None:
+            prestretch = round(self.prestretch.value, 4)
         update = {
             "membrane": _membrane_section(surfaces, prestretch),
             "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import platform
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -19,7 +17,14 @@ from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.validation import Validation
 from bubbleviz.calibration.verdict import judge, parameters
 from bubbleviz.errors import InputError
-from bubbleviz.files import file_hash, refuse_existing, whole_file, write_ply
+from bubbleviz.files import (
+    file_hash,
+    portable_path,
+    refuse_existing,
+    whole_file,
+    write_json,
+    write_ply,
+)
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
@@ -83,26 +88,20 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
     membrane = sensor.membrane
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
+    known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
+    if (gauge := found.tension.gauge) is not None:
+        known["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
+        known["gauge_from"] = found.gauge_source
+    if (stretch := found.prestretch) is not None:
+        known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
+        known["prestretch_from"] = found.prestretch_source
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
-        **{key: value for key, value in origin.items() if key != "sensor_file"},
-        **_intervals(found),
+        **known,
     )
     where = {"folder": path.parent, "file": path.name}
     return sensor.model_copy(update={"membrane": membrane, "calibration": calibration, **where})
-
-
-def _intervals(found: Identification) -> dict[str, Any]:
-    """Intervals and sources of gauge pressure and λ for the sensor file."""
-    keys: dict[str, Any] = {}
-    if (gauge := found.tension.gauge) is not None:
-        keys["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
-        keys["gauge_from"] = found.gauge_source
-    if (rubber := found.rubber) is not None and (stretch := rubber.prestretch) is not None:
-        keys["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
-        keys["prestretch_from"] = found.prestretch_source
-    return keys
 
 
 def _comment(found: Identification) -> str:
@@ -195,10 +194,9 @@ def write_report(
     page = pages.get_template("identification_report.html").render(
         name=found.sensor.name, numbers=numbers, pictures=pictures(found, validation)
     )
-    text = json.dumps(numbers, indent=2, ensure_ascii=False) + "\n"
     with whole_file(folder) as temporary:
         temporary.mkdir()
-        (temporary / "report.json").write_text(text, encoding="utf-8")
+        write_json(temporary / "report.json", numbers)
         (temporary / "report.html").write_text(page, encoding="utf-8")
 
 
@@ -266,7 +264,7 @@ def save(
         "recording_sha256": None if path is None else file_hash(path),
         "sensor_file": sensor_file,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "report": None if report is None else _relative(report / "report.html", out.parent),
+        "report": None if report is None else portable_path(report / "report.html", out.parent),
     }
     numbers = summary(found, origin, validation)
     progress("writing", 0.0)
@@ -279,11 +277,3 @@ def save(
                 each.unlink(missing_ok=True)  # none existed before: `output_files`
             raise
     return numbers
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Path relative to a folder, so that both can be moved together."""
-    try:
-        return Path(os.path.relpath(path, folder)).as_posix()
-    except ValueError:  # on another drive
-        return str(path)

@@ -60,8 +60,12 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
     models = SensorModel.of(old, intrinsics), new.model
     before, after = (_numbers(model, measured) for model in models)
-    stretch, known = None if new.rubber is None else new.rubber.prestretch, old.calibration
-    intervals = {"γ0": new.tension.tension, "λ": stretch, "gauge pressure": new.tension.gauge}
+    known = old.calibration
+    intervals = {
+        "γ0": new.tension.tension,
+        "λ": new.prestretch,
+        "gauge pressure": new.tension.gauge,
+    }
     names = list(intervals)
     intervals["height"] = new.tension.dimensions["height_m"]
     half = {name: None if each is None else each.half_width for name, each in intervals.items()}

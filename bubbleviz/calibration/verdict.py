@@ -167,7 +167,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     else:
         source = found.prestretch_source
         narrower = "record levels farther apart" if vented else chamber
-    stretch = None if rubber is None else rubber.prestretch
+    stretch = found.prestretch
     return (
         Parameter("γ0", _range(tension.tension, 2, " N/m"), "shape and gauge pressure", of_tension),
         Parameter("gauge pressure", gauge_text, found.gauge_source, chamber_text),

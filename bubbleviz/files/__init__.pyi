@@ -3,6 +3,7 @@ from .output_files import (
     cannot_write as cannot_write,
     create_folder as create_folder,
     free_name as free_name,
+    portable_path as portable_path,
     refuse_existing as refuse_existing,
     remove_unfinished as remove_unfinished,
     restore_on_error as restore_on_error,

@@ -82,6 +82,14 @@ def restore_on_error(*paths: Path) -> Iterator[None]:
         _discard(backup)
 
 
+def portable_path(path: str | Path, folder: str | Path) -> str:
+    """Path relative to a folder, so that both can be moved together; unchanged on another drive."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return str(path)
+
+
 def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
     """Raise InputError unless `path` can be written; call it before long computations.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import SUFFIXES, presets_folder, whole_file
+from bubbleviz.files import SUFFIXES, portable_path, presets_folder, whole_file
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import SYNTHETIC
@@ -164,12 +163,7 @@ def portable(saved: SavedSession, file: Path) -> SavedSession:
     folder = file.absolute().parent
 
     def relative(name: str) -> str:
-        if not Path(name).is_absolute():
-            return name
-        try:
-            return Path(os.path.relpath(name, folder)).as_posix()
-        except ValueError:  # another drive
-            return name
+        return portable_path(name, folder) if Path(name).is_absolute() else name
 
     theirs = _renamed(saved, relative)
     choices = {k: v for k, v in theirs.choices.items() if k not in USER_SETTINGS}
