@@ -178,7 +178,7 @@ def estimate_tension(
     Raises InputError: no tension balances the surface.
     """
     now, tiles, frames = _with_errors(samples, surfaces, gauge_pressure_pa, progress)
-    sphere, cap = surfaces.sphere, surfaces.cap
+    sphere, cap, gas = surfaces.sphere, surfaces.cap, samples.gas_pressure_pa
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
         "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
@@ -195,7 +195,7 @@ def estimate_tension(
     parts = {
         "pixels": float(tiles[0]),
         "frames": float(frames[0]),
-        "gas_pressure": value / gauge_pressure_pa * _gas_error(samples),
+        "gas_pressure": value / gauge_pressure_pa * (0.0 if gas is None else error_of_mean(gas)),
         "facets": 0.5 * gauge_pressure_pa * facets,
         "surface": float(np.linalg.norm(shape)),
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
@@ -335,9 +335,3 @@ def _gradient(numbers: Numbers, at: Ellipsoid, parameters: int) -> np.ndarray:
         up, down = numbers(at.moved(step)), numbers(at.moved(-step))
         columns.append((np.array(list(up.values())) - np.array(list(down.values()))) / 2e-6)
     return np.array(columns)
-
-
-def _gas_error(samples: FrameSamples) -> float:
-    """Standard error of the mean gas pressure, Pa."""
-    gas = samples.gas_pressure_pa
-    return 0.0 if gas is None else error_of_mean(gas)
