@@ -101,7 +101,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             )
     elif abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
-        known = rubber is not None and rubber.gauge_from == "vented"
+        known = found.vented is not None
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: make sure that nothing touches the sensor, and inflate it as"

@@ -143,7 +143,8 @@ def level(found, share):
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
     """The zero of the absolute sensor cancels."""
     only = with_rubber(opened(found, vented), [])
-    assert only.gauge_source == "the open-chamber recording vented" and only.rubber.prestretch is None
+    assert only.gauge_source == "the open-chamber recording vented"
+    assert only.rubber.prestretch is None
     assert only.tension.gauge.low < G < only.tension.gauge.high
     assert only.tension.gauge.half_width < 0.005 * G
     assert only.sensor.pneumatics.atmospheric_pressure_pa == pytest.approx(
