@@ -7,7 +7,7 @@ from benchmarks.pose_coverage import Grid, PoseRow, coverage_study, points, repo
 from bubbleviz.sensor import load_sensor
 
 SMALL = Grid(
-    objects=("torus",), noises=((1.5e-4, 0.0),), frames=5, paths=1, seeds=1, truth_nodes=4_000
+    objects=("frustum",), noises=((1.5e-4, 0.0),), frames=5, paths=1, seeds=1, truth_nodes=4_000
 )
 
 

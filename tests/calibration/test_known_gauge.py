@@ -159,39 +159,47 @@ def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
     assert rubber.gauge.low > 0.0 and rubber.gauge.high < 2.0 * GAUGE_PA
 
 
-def test_force_of_presses_after_levels(tmp_path):
-    """Force is accurate if the gauge pressure is known, otherwise within its interval."""
-    dome = rubber_truth("dome_ball")
-    camera = camera_of()
-    rest, low, high = (
+@pytest.fixture(scope="module")
+def rendered_presses():
+    """The dome at rest and at two levels, in a camera of more pixels, and presses of a ball."""
+    dome, camera = rubber_truth("dome_ball"), camera_of()
+    inflated = [(dome["rest_m"], GAUGE_PA), *zip(dome["level_m"], dome["level_pa"], strict=True)]
+    levels = [
         render("dome", camera, at_rest(shape, FRAMES), dome["triangles"], pressure, seed=k)
-        for k, (shape, pressure) in enumerate(
-            [(dome["rest_m"], GAUGE_PA), *zip(dome["level_m"], dome["level_pa"], strict=True)]
-        )
-    )
-    presses = render(
-        "press", camera, dome["nodes_m"], dome["triangles"], dome["gauge_pressure_pa"], seed=9
-    )
-    known = {"gauge_sigma_pa": 0.01 * GAUGE_PA}
-    too_high = {"atmospheric_pressure_pa": ATMOSPHERE_PA - 1500.0}  # as the levels' own error is
-    for case, pneumatics in enumerate((known, {}, too_high)):
-        sensor = sensor_file(camera, **pneumatics)
-        found = identify(rest, sensor, range(FRAMES), nodes=1000)
-        levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
-        found = with_rubber(found, levels)
-        assert found.rubber.gauge.low < GAUGE_PA < found.rubber.gauge.high
-        saved = write_sensor(found, tmp_path / f"{case}.toml")
-        pipeline = Pipeline.of(load_sensor(tmp_path / f"{case}.toml"))
-        assert saved.pneumatics.gauge_sigma_pa is not None
-        for k in range(len(presses)):
-            estimate = pipeline.process(presses[k], frozenset({"estimate"})).estimate
-            error = estimate.force_n - dome["force_n"][k]
-            size = np.linalg.norm(dome["force_n"][k])
-            if pneumatics is known:
-                assert np.linalg.norm(error) < 0.05 * size
-            else:
-                assert abs(error[2]) < 1.96 * estimate.force_sigma_n[2]
-                assert estimate.force_sigma_n[2] > 0.05 * size
+        for k, (shape, pressure) in enumerate(inflated)
+    ]
+    shapes, gauge_pa = dome["nodes_m"], dome["gauge_pressure_pa"]
+    presses = render("press", camera, shapes, dome["triangles"], gauge_pa, seed=9)
+    return camera, levels, list(zip(presses, dome["force_n"], strict=False))
+
+
+@pytest.mark.parametrize(
+    "pneumatics",
+    [
+        pytest.param({"gauge_sigma_pa": 0.01 * GAUGE_PA}, id="known"),
+        pytest.param({}, marks=pytest.mark.long, id="unknown"),
+        # as the levels' own error is
+        pytest.param({"atmospheric_pressure_pa": ATMOSPHERE_PA - 1500.0}, id="too high"),
+    ],
+)
+def test_force_of_presses_after_levels(rendered_presses, pneumatics, tmp_path):
+    """Force is accurate if the gauge pressure is known, otherwise within its interval."""
+    camera, (rest, *levels), presses = rendered_presses
+    sensor = sensor_file(camera, **pneumatics)
+    found = identify(rest, sensor, range(FRAMES), nodes=1000)
+    found = with_rubber(found, [collect(each, sensor, range(FRAMES)) for each in levels])
+    assert found.rubber.gauge.low < GAUGE_PA < found.rubber.gauge.high
+    saved = write_sensor(found, tmp_path / "dome.toml")
+    assert saved.pneumatics.gauge_sigma_pa is not None
+    pipeline = Pipeline.of(load_sensor(tmp_path / "dome.toml"))
+    for frame, force in presses:
+        estimate = pipeline.process(frame, frozenset({"estimate"})).estimate
+        error, size = estimate.force_n - force, np.linalg.norm(force)
+        if "gauge_sigma_pa" in pneumatics:
+            assert np.linalg.norm(error) < 0.05 * size
+        else:
+            assert abs(error[2]) < 1.96 * estimate.force_sigma_n[2]
+            assert estimate.force_sigma_n[2] > 0.05 * size
 
 
 @pytest.fixture(scope="module")
