@@ -32,14 +32,18 @@ def gaps(sensor):
     return path
 
 
-def test_frames_and_poses_of_a_stopped_stream_end_with_one_error(gaps, sensor):
-    for made in (lambda stream: stream, lambda stream: bv.track(stream, "cylinder", timeout_s=0.6)):
+def test_frames_results_and_poses_of_a_stopped_stream_end_with_one_error(gaps, sensor):
+    tracked = partial(bv.track, object="cylinder", timeout_s=0.6)
+    for made, least_s in ((iter, 1.0), (bv.estimate, 1.0), (tracked, 0.6)):
         with (
             bv.connect(f"replay:{gaps}", sensor) as stream,
-            pytest.raises(StreamStoppedError, match=r"no depth image for [01]\.\d s"),
+            pytest.raises(StreamStoppedError, match=r"no depth image for [01]\.\d s") as error,
         ):
             for _ in made(stream):
                 pass
+        said = str(error.value)
+        assert said.startswith(f"{stream.name}: ") and "timeout_s" in said and "\n" not in said
+        assert least_s <= stream.status().silent_s < GAP_S
 
 
 LONG = {"timeout_s": 2.0 * GAP_S}
