@@ -99,18 +99,14 @@ def test_warning_for_an_endpoint_open_to_other_computers(small_sensor_file, host
     assert done.stderr.count("NOT ENCRYPTED") == warned
 
 
-@pytest.fixture(scope="module")
-def gaps(tmp_path_factory):
-    """A recording whose camera falls silent twice and comes back."""
+def test_watch_reports_an_outage_once_and_continues(small_sensor_file, tmp_path):
+    """The camera falls silent twice and comes back."""
     bag = BagMaker("mcap file")
     for k in range(3 * BEFORE):
         stamp = START + round(1e9 * (0.1 * k + GAP_S * (k // BEFORE)))
         bag.image(stamp, np.zeros((48, 64), np.float32))
-    return f"replay:{bag.write(tmp_path_factory.mktemp('gaps'))}"
-
-
-def test_watch_reports_an_outage_once_and_continues(gaps, small_sensor_file):
-    done = run("watch", "--source", gaps, "--sensor", small_sensor_file, "--json")
+    source = f"replay:{bag.write(tmp_path)}"
+    done = run("watch", "--source", source, "--sensor", small_sensor_file, "--json")
     assert done.exit_code == 0, done.output
     assert sum("no depth image for 1." in line for line in done.stderr.splitlines()) == 2
     assert json.loads(done.stdout)["frames"] > 2 * BEFORE
