@@ -15,7 +15,7 @@ from bubbleviz.membrane import ObjectSurface, RubberMembrane, area_vectors
 from bubbleviz.pose.image_fit import ImageFit
 from bubbleviz.pose.motion import (
     SEARCH_DEVIATION,
-    START_DEVIATION,
+    START_INFORMATION,
     Motion,
     motion_between,
     moved,
@@ -74,9 +74,6 @@ class _Found:
     persistent: np.ndarray  # as of `Solution`
 
 
-_START = np.diag(START_DEVIATION**-2.0)
-
-
 class Solver:
     """Runs the stages."""
 
@@ -96,7 +93,7 @@ class Solver:
         own, options = self._estimator, self._options.image
         model = self._registration.model
         pressed = PressedMembrane(self._membrane, own.bubble.gas, model, options.press)
-        return ImageFit(own.observer, pressed, options)
+        return ImageFit(own.observer, pressed, options, self._registration.precision)
 
     def reset(self) -> None:
         """Drop the earlier pose."""
@@ -123,7 +120,9 @@ class Solver:
         found = self._image_fit(frame, contact, second, predicted, tracking)
         if found is None:
             information = second.surface + second.outline
-            found = _Found(second, predicted, information, np.linalg.inv(information + _START))
+            found = _Found(
+                second, predicted, information, np.linalg.inv(information + START_INFORMATION)
+            )
         motion = found.predicted.corrected(found.fit.T_B_O, found.information)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
         return Solution(first, found.fit, times, motion, found.persistent)
@@ -185,10 +184,8 @@ class Solver:
             if way_m < valid_m:
                 break
         assert step is not None  # there is at least one
-        share = step.per_m4 / self._registration.precision.of_model
-        persistent = share * np.linalg.inv(step.information + _START)
         moved_fit = self._registration.at(contact, fit, T)
-        return _Found(moved_fit, predicted, step.information, persistent)
+        return _Found(moved_fit, predicted, step.information, step.persistent)
 
 
 # Search for initial poses: each face on the patch, at each of several angles about its normal.

@@ -12,10 +12,10 @@ import numpy as np
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster
 from bubbleviz.membrane import area_vectors
-from bubbleviz.pose.motion import about, motion_between, way_at
+from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, way_at
 from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
-from bubbleviz.pose.registration import ContactPoints, Directions
+from bubbleviz.pose.registration import ContactPoints, Directions, Precision
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,8 @@ class ImageStep:
 
     information: np.ndarray  # (6, 6), about small motions in B about the patch's centre
     gradient: np.ndarray  # (6,), of the log-likelihood
-    per_m4: float  # weighted sum of 1/σ² of the pixels per area of membrane
+    # (6, 6), covariance of the pose by model errors, which are correlated from frame to frame
+    persistent: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,10 @@ class ImageFit:
         observer: RangeObserver,
         pressed: PressedMembrane,  # of that object, on the observer's mesh
         options: ImageOptions,
+        precision: Precision,  # of the membrane's position
     ) -> None:
         self._observer, self._pressed, self._options = observer, pressed, options
+        self._precision = precision
         camera = observer.camera
         self._directions = camera.directions[observer.pixel]
         mesh = pressed.mesh
@@ -119,19 +122,24 @@ class ImageFit:
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
+        per_m4 = float(weight.sum()) / predicted.area_m2
+        persistent = np.linalg.inv(information + START_INFORMATION)
+        persistent *= per_m4 / self._precision.of_model
         if before is not None and predicted is not before:
             pushed = J.T @ (weight * predicted.error_of(before)[valid])
             pushed = pushed[:6] - gain @ pushed[6:]
-            squared = float(pushed @ np.linalg.solve(information + known, pushed))
+            by_frame = np.linalg.inv(information + known)
+            error = by_frame @ pushed
+            squared = float(error @ np.linalg.solve(by_frame + persistent, error))
             between = motion_between(before.T_B_O, predicted.T_B_O, contact.center)
             self._adapt_range(way_at(contact.radius_m, between), squared)
-        return ImageStep(information, g, float(weight.sum()) / predicted.area_m2)
+        return ImageStep(information, g, persistent)
 
     def _adapt_range(self, way_m: float, squared: float) -> None:
         """Adapt the range of linear models to the error of one over a motion of the patch's edge.
 
-        `squared` is the pose error that it caused, relative to the pose's standard deviation,
-        squared. That error grows with the square of the motion.
+        `squared` is the pose error that it caused, relative to the pose's standard deviation by
+        noise and model errors, squared. That error grows with the square of the motion.
         """
         share = np.sqrt(max(squared, 1e-12)) / self._options.max_error_share
         reach_m = min(way_m / float(np.sqrt(share)), self._options.step_m)

@@ -198,7 +198,8 @@ class _Bench:
     def __init__(self, pipeline: Pipeline, bank: TruthBank, name: str, grid: Grid) -> None:
         self._pipeline, self._bank, self._grid = pipeline, bank, grid
         self._model = ObjectSurface(study_object(name))
-        self._metrics = PoseMetrics(self._model, precision_of(pipeline.estimator))
+        self._precision = precision_of(pipeline.estimator)
+        self._metrics = PoseMetrics(self._model, self._precision)
 
     def rows(self, press: Press, random: np.random.Generator) -> list[Row]:
         """Rows of one press, from every initial pose."""
@@ -225,7 +226,7 @@ class _Bench:
         contact = contact_points(self._pipeline.mesh, result.estimate, result.patch)
         own, options = self._pipeline.model, ImageOptions()
         pressed = PressedMembrane(own.rubber, own.gas, self._model, options.press)
-        fit = ImageFit(self._pipeline.estimator.observer, pressed, options)
+        fit = ImageFit(self._pipeline.estimator.observer, pressed, options, self._precision)
         image = None if contact is None else fit.predicted(true.T_B_O, contact)
         if image is None:
             return true

@@ -17,6 +17,7 @@ from bubbleviz.pose import (
     PressOptions,
     contact_points,
     moved,
+    precision_of,
 )
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
@@ -175,11 +176,14 @@ def ranges(pipeline, pixels, nodes, triangles):
     return scene.cast_rays(np.hstack([starts, rays]).astype("f4"))["t_hit"].numpy()
 
 
+def image_fit(pipeline, membrane):
+    estimator = pipeline.estimator
+    return ImageFit(estimator.observer, membrane, ImageOptions(), precision_of(estimator))
+
+
 @pytest.fixture(scope="module")
 def image(pipeline, rubber, contact):
-    fit = ImageFit(
-        pipeline.estimator.observer, pressed(pipeline, rubber, "cylinder"), ImageOptions()
-    )
+    fit = image_fit(pipeline, pressed(pipeline, rubber, "cylinder"))
     return fit, fit.predicted(pose(), contact)
 
 
@@ -232,9 +236,7 @@ def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, c
     """With more noise an old linearisation remains valid for longer."""
     every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
     observer, served = pipeline.estimator.observer, []
-    look, fit = (
-        ImageFit(observer, pressed(pipeline, rubber, "cylinder"), ImageOptions()) for _ in range(2)
-    )
+    look, fit = (image_fit(pipeline, pressed(pipeline, rubber, "cylinder")) for _ in range(2))
     noise = np.random.default_rng(0).standard_normal(len(observer.pixel))
     for sigma in (5e-4, 5e-3):
         fit.reset()
@@ -249,7 +251,7 @@ def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, c
 
 def test_failed_press_is_not_retried_nearby(pipeline, rubber, contact):
     membrane = pressed(pipeline, rubber, "cylinder")
-    fit = ImageFit(pipeline.estimator.observer, membrane, ImageOptions())
+    fit = image_fit(pipeline, membrane)
     lost = replace(contact, membrane=np.full_like(contact.membrane, np.nan))
     assert fit.predicted(pose(), lost, valid_m=1e-3) is None
     assert fit.predicted(pose(x=0.0032), contact, valid_m=1e-3) is None  # as nothing has changed
