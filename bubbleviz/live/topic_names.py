@@ -16,6 +16,7 @@ from bubbleviz.recordings import (
     WRENCH,
     Message,
     are_static_poses,
+    begins_as_cdr,
     header_stamp_ns,
     is_called_colour,
     ros2_types,
@@ -97,7 +98,7 @@ def decode(message: Message) -> Any:
     Raises ValueError: the bytes are no message of this type.
     """
     payload = message.payload
-    if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
+    if not begins_as_cdr(payload):
         raise ValueError("a message does not begin with a CDR header")
     try:
         return ros2_types().deserialize_cdr(payload, message.type)

@@ -25,7 +25,7 @@ from bubbleviz.recordings.bag_storage import (
     check_unpacked,
     decompress,
 )
-from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, header_stamp_ns
+from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, begins_as_cdr, header_stamp_ns
 
 UNREADABLE = -1  # in place of the stamp of a message without a header
 MAX_UNREADABLE = 100  # messages at the beginning of a topic that are tried for the first one
@@ -202,11 +202,11 @@ class Messages:
     def header(self, k: int) -> tuple[int, int]:
         """Header stamp of message `k`, ns, and its size; reads no more than the header.
 
-        The stamp is 0 when unset, `UNREADABLE` where the message is shorter than a header.
+        The stamp is 0 when unset, `UNREADABLE` where the message has none.
         """
         with as_input_error(self._bag.path, f"the header of message {k} of {self.topic.name}"):
             begin, size = self._read(k, 16)
-            if len(begin) < 12:
+            if len(begin) < 12 or not (self._bag.ros1 or begins_as_cdr(begin)):
                 return UNREADABLE, size
             return header_stamp_ns(begin, ros1=self._bag.ros1), size
 

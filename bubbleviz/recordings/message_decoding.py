@@ -172,6 +172,11 @@ def wrench_of(message: Any) -> np.ndarray:
     return values
 
 
+def begins_as_cdr(payload: bytes) -> bool:
+    """Whether a message of ROS 2 begins as serialised ones do."""
+    return len(payload) >= 4 and payload[0] == 0 and payload[1] in (0, 1)
+
+
 def header_stamp_ns(payload: bytes, *, ros1: bool) -> int:
     """Time stamp in ns of a serialised message that begins with a header; 0 when unset.
 

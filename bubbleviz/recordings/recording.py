@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -290,10 +291,11 @@ class Recording:
 
 
 def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
-    """Values of message `k`; NaN if it is too short."""
-    if messages.header(k)[0] == UNREADABLE:
-        return np.full(1 if kind == PRESSURE else 6, np.nan)
-    return VALUES[kind](messages.message(k))
+    """Values of message `k`; NaN if it is damaged."""
+    if messages.header(k)[0] != UNREADABLE:
+        with suppress(InputError):
+            return VALUES[kind](messages.message(k))
+    return np.full(1 if kind == PRESSURE else 6, np.nan)
 
 
 _ROS_SUFFIXES = {"", ".mcap", ".db3", ".bag", ".yaml"}

@@ -109,6 +109,23 @@ def test_a_message_without_an_image_is_a_frame_without_data(tmp_path, kind, bad)
         assert recording[5].gas_pressure_pa == 1e5 + 5
 
 
+@pytest.mark.parametrize("kind", ["mcap file", "db3 file"])
+def test_damaged_gas_pressure_leaves_its_frame_without_one(tmp_path, kind):
+    """As when another program publishes on the topic."""
+    bag = BagMaker(kind)
+    for k in range(6):
+        bag.image(START + k * PERIOD, depth_image(k))
+        bag.pressure(START + k * PERIOD, 1e5 + k)
+    row = [k for k, row in enumerate(bag.rows) if row[0] == "/gas"][3]
+    bag.rows[row] = (*bag.rows[row][:3], np.random.default_rng(0).bytes(40))
+    path = bag.write(tmp_path)
+    assert info(path).frames == 6
+    with Recording(path) as recording:
+        np.testing.assert_array_equal(recording[3].depth_m, depth_image(3))
+        assert recording[3].gas_pressure_pa is None
+        assert [recording[k].gas_pressure_pa for k in (0, 1, 5)] == [1e5, 1e5 + 1, 1e5 + 5]
+
+
 @pytest.mark.parametrize("kind", ["mcap file", "db3 file", "bag lz4"])
 def test_an_image_that_lacks_its_last_bytes_is_a_frame_without_data(tmp_path, kind):
     """Fewer bytes missing than the header has, so that the message is longer than the pixels."""
