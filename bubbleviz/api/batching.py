@@ -171,7 +171,7 @@ class BatchSummary(Summary):
         others = [row for row in failed if row.outcome == "failed"]
         first = (others or failed)[0]
         count = f"{len(failed)} of {len(self.rows)} recordings have no result, see {self.table}"
-        raise (SolveError if others else InputError)(f"{count}: {first.error}")
+        raise (SolveError if others else InputError)(f"{count}; the first: {first.error}")
 
 
 @dataclass(frozen=True)

@@ -129,8 +129,8 @@ class PixelModel:
             and (line is None or np.isfinite(line.straighten(bias)[used]).all())
         ):
             raise InputError(
-                f"{path}: the bias, noise or correlation of a pixel is not finite or out of range; "
-                "identify the sensor again"
+                f"{path}: bias or noise of a pixel, or their correlation, is not finite or out of "
+                "range; identify the sensor again"
             )
         return cls(used, bias, noise, correlated, line)
 

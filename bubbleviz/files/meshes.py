@@ -181,7 +181,9 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
             f"{path}: a coordinate of vertex {wrong[0]} is not finite or beyond 10⁹; repair the "
             "mesh"
         )
-    with as_input_error(path, "the mesh", "merge close vertices and export it again"):
+    with as_input_error(
+        path, "the mesh", "merge close vertices, remove stray ones and export it again"
+    ):
         return _merge(vertices, triangles)
 
 

@@ -143,8 +143,8 @@ def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credential
         )
     what = error.verify_message.rstrip(".")
     return (
-        f"the certificate of {host} is not valid: {what}; check the host name and both clocks, or "
-        "renew it"
+        f"the certificate of {host}, or of its authority, is not valid: {what}; check the host "
+        "name and both clocks, or renew the certificate"
     )
 
 

@@ -27,7 +27,7 @@ class FrameColour:
                 return cls(reason="no colour image at this time")
             return cls(found.rgb(), found.camera)
         except InputError:  # the depth image can be used without it
-            return cls(reason="the colour image cannot be read")
+            return cls(reason="the colour image is damaged or in an unknown encoding")
 
     def aligned(self, depth: DepthCamera) -> bool:
         """Whether its pixels are those of the depth image."""

@@ -56,7 +56,10 @@ def test_second_camera_projects_from_its_own_pose():
     [
         (None, "no colour images of this sensor in a known encoding"),
         (lambda lag_s: None, "no colour image at this time"),
-        (partial(colour_image, data=b"nothing"), "the colour image cannot be read"),
+        (
+            partial(colour_image, data=b"nothing"),
+            "the colour image is damaged or in an unknown encoding",
+        ),
         (
             partial(colour_image, camera=ColourCamera()),
             "no intrinsics for a colour image of this size",

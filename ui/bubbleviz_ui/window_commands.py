@@ -132,8 +132,8 @@ def _open_live(
         raise click.UsageError("--session names the sensor files; leave --sensor out")
     if session is not None and colour_delay_s is not None:
         raise click.UsageError(
-            "the session file has colour_delay_s of each sensor; set it there, not by "
-            "--colour-delay"
+            "each sensor of a session has its own colour delay; set colour_delay_s in the session "
+            "file instead of --colour-delay"
         )
     if source is not None:
         live = single(source, sensor or AUTO, colour_delay_s)

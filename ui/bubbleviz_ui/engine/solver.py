@@ -515,9 +515,8 @@ def _sensor_file_remark(current: OpenSource) -> str:
     except InputError:
         return ""
     if found.verdict == "drifted" and model.pixels is None:
-        off = f"{1e3 * found.bias_m:+.2f} mm"
         return (
-            f"the sensor file was never calibrated, and the depth without contact is {off} off; "
+            "the sensor file was never calibrated, and does not fit the depth without contact; "
             "identify the sensor in the Calibration panel"
         )
     contradicts = "frames without contact contradict the sensor file"

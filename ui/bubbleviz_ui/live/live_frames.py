@@ -29,7 +29,7 @@ Listener = Callable[[Result, Pipeline], None]
 
 
 class LiveFrames:
-    """A `FrameSource` of the frames taken from a stream, which keeps only the newest one.
+    """A `FrameSource` of the frames taken from a stream, which keeps those of the last seconds.
 
     Frames are numbered as they are taken, and timed by their arrival, which unlike their stamps is
     monotonic.

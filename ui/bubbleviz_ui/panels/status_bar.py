@@ -48,7 +48,7 @@ TIPS = {
     "latency": "From the time stamp of a live frame (its arrival if the clocks differ) to its "
     "display: median and 95th percentile",
     "render": "Pictures of the 3-D view drawn in the last second",
-    "dropped": "Frames skipped because another one was due or requested",
+    "dropped": "Frames skipped because a newer one was due, or another one requested",
 }
 
 

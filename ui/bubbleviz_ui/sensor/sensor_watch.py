@@ -49,7 +49,10 @@ class SensorWatch(QObject):
         self._files.addPaths([str(path), *written])
         difference = _difference(self._sensor, path)
         if not difference and written != self._written:
-            difference = f"its mesh or pixels have changed on disk; {RELOAD} uses them"
+            change = f"changed on disk; {RELOAD} uses them"
+            if not all(written.values()):
+                change = "been removed; the sensor stays in use"
+            difference = f"its mesh or pixels have {change}"
         if difference != self._difference:
             self._difference = difference
             self.changed.emit(difference)

@@ -108,7 +108,7 @@ class Menus:
         )
         about.setInformativeText(
             f"Python {platform.python_version()}, Qt {qVersion()}, "
-            f"VTK {vtkVersion.GetVTKVersion()}\n3-D view drawn {self._window.view.quality.text}"
+            f"VTK {vtkVersion.GetVTKVersion()}\n3-D quality: {self._window.view.quality.text}"
         )
         about.open()
 
