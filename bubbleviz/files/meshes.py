@@ -207,7 +207,7 @@ def _read_by_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     import trimesh  # takes a fifth of a second
 
     kind = path.suffix.lower()[1:]
-    with path.open("rb") as file:
+    with path.open("rb") as file, np.errstate(invalid="ignore"):  # what is not finite is refused
         mesh = trimesh.load_mesh(file, file_type=kind, process=False, maintain_order=True)
     return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
 

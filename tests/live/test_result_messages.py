@@ -396,7 +396,7 @@ def test_message_without_a_zero(small_sensor_file, small_sensor, tmp_path):
             "held",
             range(80, 84),
             True,
-            "unknown without contact-free frames, within the weather's ±2 kPa",
+            "contact-free frames in a row, so within ±2 kPa by the weather",
         ),
     ):
         path = tmp_path / f"{name}.mcap"

@@ -122,7 +122,7 @@ def test_a_stopped_study_goes_on(sensor, tmp_path):
     first = accuracy_study(sensor, grid, tmp_path).run()
     again = accuracy_study(sensor, grid, tmp_path).run()
     np.testing.assert_equal([*map(asdict, again.rows)], [*map(asdict, first.rows)])  # NaN as NaN
-    with pytest.raises(InputError, match="another study"):
+    with pytest.raises(InputError, match="a study with other settings"):
         accuracy_study(sensor, replace(grid, seed=8), tmp_path).run()
 
 

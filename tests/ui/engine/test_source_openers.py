@@ -162,8 +162,11 @@ def own_camera(sensor, folder):
     return folder / "own.toml", record(folder / "own.mcap", (source[k] for k in range(4)))
 
 
-def test_the_solver_thread_hands_a_sensor_of_another_camera_back(drive, sensor, tmp_path):
+def test_the_solver_thread_hands_a_sensor_of_another_camera_back(
+    drive, sensor, tmp_path, monkeypatch
+):
     """It counts once its answer was delivered, whatever the solver thread does meanwhile."""
+    monkeypatch.setattr(main_window, "file_to_open", lambda *_, **__: None)
     file, recording = own_camera(sensor, tmp_path)
     opening = drive(DentSource).window.controller.opening
     requests = []

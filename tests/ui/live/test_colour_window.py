@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from fakes import SpeckledSource, record, small_sensor
 
-from bubbleviz.recordings import LAG, Message
+from bubbleviz.recordings import LAG, NO_COLOUR, Message
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.live.connection import single
@@ -81,4 +81,4 @@ def test_messages_while_waiting_for_colour(open_bench):
     # no waiting for a source without colour
     none = (replace(frame, find_colour=None) for frame in source)
     connected(live, none, "loop=1", "grey")
-    live.wait(lambda: words(live, "colour") == "Colournocolourimagesinthissource")
+    live.wait(lambda: words(live, "colour") == "Colour" + NO_COLOUR.replace(" ", ""))
