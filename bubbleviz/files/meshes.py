@@ -6,6 +6,7 @@ VTK is only imported for its own formats, as it is installed with the window alo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,8 @@ def _values(body: bytes, kind: np.dtype, count: int, at: int) -> np.ndarray:
 
 _MAX_COORDINATE = 1e9  # in the file's unit, so that squared distances are accurate
 _MAX_DUPLICATES = 64  # average number of vertices within the merge distance; chosen
+_STL_HEAD = 84  # bytes before the first triangle
+_STL_FACET = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
 SUFFIXES = (".ply", ".obj", ".stl", ".vtk", ".vtp")
 
 
@@ -189,10 +192,9 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Polygons of the file, triangulated."""
-    if path.suffix.lower() in (".obj", ".stl"):
-        return _read_by_trimesh(path)
-    if path.suffix.lower() in (".vtk", ".vtp"):
-        return _read_vtk(path)
+    other = {".obj": _read_obj, ".stl": _read_stl, ".vtk": _read_vtk, ".vtp": _read_vtk}
+    if (read := other.get(path.suffix.lower())) is not None:
+        return read(path)
     vertices, polygons = read_ply(path)
     fans = [
         np.stack([p[:, 0], p[:, k], p[:, k + 1]], axis=1)
@@ -202,14 +204,39 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate(fans) if fans else np.zeros((0, 3), dtype=np.int64)
 
 
-def _read_by_trimesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """OBJ and STL, the latter with three separate vertices per triangle."""
-    import trimesh  # takes a fifth of a second
+def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Binary or ASCII STL: three separate vertices per triangle."""
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == _STL_HEAD + count * _STL_FACET.itemsize:
+        vertices = np.frombuffer(data, _STL_FACET, count, _STL_HEAD)["vertices"]
+    elif data.lstrip().startswith(b"solid"):
+        words = [line.split() for line in data.splitlines()]
+        vertices = np.array([each[1:4] for each in words if each[:1] == [b"vertex"]], np.float64)
+    else:
+        raise ValueError(f"not ASCII, and {len(data)} bytes do not match {count} triangles")
+    with np.errstate(invalid="ignore"):  # NaN, which is refused later
+        vertices = vertices.astype(np.float64).reshape(-1, 3)
+    if len(vertices) % 3:
+        raise ValueError("the last triangle has fewer than three vertices")
+    return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
-    kind = path.suffix.lower()[1:]
-    with path.open("rb") as file, np.errstate(invalid="ignore"):  # what is not finite is refused
-        mesh = trimesh.load_mesh(file, file_type=kind, process=False, maintain_order=True)
-    return np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
+
+def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of an OBJ, polygons as fans; other content is ignored."""
+    vertices, triangles = list[list[float]](), list[tuple[int, int, int]]()
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            vertices.append([float(word) for word in words[1:4]])
+        elif words[:1] == ["f"]:
+            named = [int(word.partition("/")[0]) for word in words[1:]]
+            # counted from 1, or backwards from the last vertex
+            corners = [k - 1 if k > 0 else len(vertices) + k for k in named]
+            triangles += [(corners[0], *pair) for pair in pairwise(corners[1:])]
+    if any(len(vertex) < 3 for vertex in vertices):
+        raise ValueError("a vertex has fewer than three coordinates")
+    return np.array(vertices).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3)
 
 
 def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -51,7 +51,7 @@ def test_an_obj_of_polygons_and_negative_numbers(tmp_path):
     (tmp_path / "a.obj").write_text(text)
     vertices, triangles = read_triangles(tmp_path / "a.obj")
     np.testing.assert_array_equal(vertices, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    np.testing.assert_array_equal(triangles, [[0, 1, 2], [2, 3, 0], [0, 1, 2]])
+    np.testing.assert_array_equal(triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2]])
 
 
 @pytest.mark.parametrize("value", [1e30, 1e-30, -1.0, np.nan, np.zeros((0, 0), ">f4")])
