@@ -76,7 +76,7 @@ def test_images_are_read_on_demand():
     [
         (raw(RGB, "rgb8").__dict__ | {"data": RGB.ravel()[:-9]}, "bytes with a row step of 96"),
         (raw(RGB, "rgb8").__dict__ | {"width": 10**7}, "a side"),
-        ({"format": "jpeg", "data": np.frombuffer(b"garbage", np.uint8)}, "not jpeg"),
+        ({"format": "jpeg", "data": np.frombuffer(b"garbage", np.uint8)}, "neither JPEG nor PNG"),
         ({"format": "jpeg", "data": np.frombuffer(encoded(RGB, "jpeg")[:-200], np.uint8)}, "trunc"),
         (
             {
