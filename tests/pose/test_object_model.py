@@ -72,7 +72,7 @@ def test_millimetres_taken_for_metres_are_refused():
     mesh = build_mesh(load_sensor("pico_flexx_75mm"))
     obj = study_object("frustum")
     check_size(obj, mesh)
-    with pytest.raises(InputError, match="if the file is in millimetres"):
+    with pytest.raises(InputError, match="if it is in millimetres"):
         check_size(RigidObject("big", 1e3 * obj.vertices, obj.triangles), mesh)
 
 
