@@ -6,6 +6,7 @@ import signal
 import subprocess
 import tempfile
 import time
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -137,3 +138,10 @@ def eventually():
             time.sleep(0.02)
 
     return wait
+
+
+@pytest.fixture
+def recwarn(recwarn):
+    """Warnings, but not of files that earlier tests left open and are collected meanwhile."""
+    warnings.simplefilter("ignore", ResourceWarning)
+    return recwarn

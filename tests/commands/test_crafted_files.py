@@ -4,7 +4,6 @@ import io
 import json
 import os
 import struct
-import warnings
 import zipfile
 import zlib
 
@@ -36,13 +35,6 @@ def run(*words, says=""):
     in_one_line(done.exit_code, done.stdout, done.stderr, says)
     assert done.exception is None or isinstance(done.exception, SystemExit)
     return done
-
-
-@pytest.fixture
-def recwarn(recwarn):
-    """Warnings, but not of files that earlier tests left open and are collected meanwhile."""
-    warnings.simplefilter("ignore", ResourceWarning)
-    return recwarn
 
 
 def image_message(k, stamp=START, kind="mcap file"):
