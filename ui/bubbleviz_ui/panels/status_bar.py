@@ -282,8 +282,8 @@ class PerformancePopup(QFrame):
         each = 1e3 * view.busy_s / view.render_count if view.render_count else None
         self.drawing.setText(
             f"Drawing: {duration.text(each)} a picture, {count_of(view.render_count, 'picture')},"
-            f" {count_of(self._controller.dropped, 'frame')} skipped because another one was due "
-            "or requested"
+            f" {count_of(self._controller.dropped, 'frame')} skipped because a newer one was due, "
+            "or another one requested"
         )
 
     def _texts(self, line: StageTime) -> tuple[str, ...]:
