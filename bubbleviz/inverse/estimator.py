@@ -216,7 +216,7 @@ class Estimator:
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m):
             nothing = no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m)
             return nothing, Start(final_state=answer.step.state, measured=measured)
-        state, tangent = answer.step.state, answer.step.tangent
+        state, tangent = answer.step.state, answer.step.last_tangent
         touching = state if state.pressure.any() else None
         start = Start(touching, tangent, answer.noise, state, measured, answer.view)
         return self._report(answer), start

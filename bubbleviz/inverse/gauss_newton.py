@@ -218,6 +218,9 @@ class Step:
         does not show motion along the membrane.
     contact : ContactPressure
     tangent : Tangent
+        Of the step.
+    last_tangent : Tangent
+        The last one computed, which may be nearer to the new shape.
     ranges : Ranges
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
@@ -230,6 +233,7 @@ class Step:
     normal_motion_m: float
     contact: ContactPressure
     tangent: Tangent
+    last_tangent: Tangent
     ranges: Ranges
     residual_m: np.ndarray
     solve_ms: float
@@ -411,7 +415,7 @@ class GaussNewton:
             step = self._step(tangent, state, observed, measured_gas, noise, rounds, fit_image)
             if step is None:
                 break
-            state, view, tangent = step.state, observed.view, step.tangent
+            state, view, tangent = step.state, observed.view, step.last_tangent
             solve_ms += step.solve_ms
             large = step.motion_m > self._large_m
             large_steps += selecting and large and step.motion_m < 0.9 * self._max_step_m
@@ -581,14 +585,16 @@ class GaussNewton:
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
-        after, balanced = self._advance(tangent, state, ranges, contact, gas)
+        after, balanced, last = self._advance(tangent, state, ranges, contact, gas)
         motion = after.x - state.x
         residual = observed.error_m - observed.view.jacobian @ motion.ravel()
         residual -= ranges.nuisances.errors_m @ contact.amplitudes
         size = np.maximum(np.linalg.norm(tangent.area_vectors, axis=1), np.finfo(float).tiny)
         along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
         most, normal = float(np.abs(motion).max()), float(np.abs(along).max())
-        return Step(after, balanced, most, normal, contact, tangent, ranges, residual, solve_ms)
+        return Step(
+            after, balanced, most, normal, contact, tangent, last, ranges, residual, solve_ms
+        )
 
     def _ranges(
         self,
@@ -672,8 +678,8 @@ class GaussNewton:
         ranges: Ranges,
         contact: ContactPressure,
         gas: float | None,
-    ) -> tuple[State, bool]:
-        """State after a step, and whether it is an equilibrium.
+    ) -> tuple[State, bool, Tangent]:
+        """State after a step, whether it is an equilibrium, and the last tangent computed.
 
         The shape is moved on to equilibrium under its new pressure where there is one nearby. There
         need not be one under a part of a pressure (the object prescribes positions, not pressures);
@@ -687,14 +693,17 @@ class GaussNewton:
         friction = ranges.nuisances.forces @ contact.amplitudes
         x, balanced = linear, state is self._rest and not contact.motion.any()
         if share == 1.0 and not balanced:
-            x, balanced, _ = self.bubble.equilibrium(tangent, linear, pressure, inside, friction)
+            x, balanced, tangent = self.bubble.equilibrium(
+                tangent, linear, pressure, inside, friction
+            )
             balanced = balanced and float(np.abs(x - linear).max()) <= self._large_m
         if not balanced:
             x = linear
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
         image_errors = contact.amplitudes[-len(IMAGE_ERRORS) :]
-        return State(x, pressure, contact.support, inside, friction, image_errors), balanced
+        after = State(x, pressure, contact.support, inside, friction, image_errors)
+        return after, balanced, tangent
 
     def _tangent_at(self, state: State, gas: float | None, last: Tangent | None) -> Tangent:
         """Tangent near a state: the last one where it is near enough."""
