@@ -27,7 +27,7 @@ from bubbleviz.membrane import (
 
 _FORCE_TOLERANCE = 1e-3
 """Tolerance of equilibrium: residual force at a node over the gas load on a mean nodal area."""
-_NEWTON, _FRESH = 10, 2
+_NEWTON, _FRESH = 16, 2
 """Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
 tangent."""
 
@@ -322,7 +322,7 @@ class Bubble(ABC):
                 return x, True, tangent
             if not size < 1e3:
                 break
-            if size > 0.3 * last:
+            if size > 0.6 * last:
                 if fresh == _FRESH:
                     break
                 tangent = self.linearised(x, pressure, gas)
