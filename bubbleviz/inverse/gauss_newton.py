@@ -451,7 +451,7 @@ class GaussNewton:
             elif large_steps == _MAX_LARGE_STEPS:
                 break
             else:
-                selecting = large
+                selecting = large or first_guess
         implausible = stalled == _MAX_STALLED or noise > IMPLAUSIBLE_MISFIT
         return FailedFrame("implausible" if implausible else "not_converged", state)
 

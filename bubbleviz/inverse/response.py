@@ -120,10 +120,10 @@ class LinearisedRubber(Tangent):
         variants: Sequence[RubberMembrane] = (),
     ) -> None:
         self._membrane, self._variants = membrane, variants
-        self.x, self._moving, self._nodes = x, membrane.moving, len(x)
+        self.x, self._nodes = x, len(x)
         self.area_vectors = membrane.volume_gradient(x)
         self._factor = factoriser.factor(membrane.tangent(x, pressure_pa).data)
-        self._a = self.area_vectors[self._moving].ravel()
+        self._a = self.area_vectors.ravel()
         self._beta, self.with_gas = gas_stiffness, gas_stiffness != 0.0
         self._normal = _Columns(self._nodes, 1)
         self._tangential = _Columns(self._nodes, 2)
@@ -142,35 +142,28 @@ class LinearisedRubber(Tangent):
 
     def motion(self, force: np.ndarray) -> np.ndarray:
         """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""
-        right = force[self._moving].reshape(len(self._a), -1)
-        out = self._factor.solve(right)
+        out = self._factor.solve(force.reshape(len(self._a), *force.shape[2:]))
         if self._beta:
-            out -= np.outer(self._by_gas, self._gas_share(self._by_gas) * (self._a @ out))
-        motion = np.zeros_like(force)
-        motion[self._moving] = out.reshape(-1, *force.shape[1:])
-        return motion
+            share = self._gas_share(self._by_gas) * (self._a @ out)
+            out -= np.multiply.outer(self._by_gas, share)
+        return out.reshape(force.shape)
 
     def adjoint(self, force: np.ndarray) -> np.ndarray:
         """Adjoint of the response to pressures, for forces (n, 3): aᵀ Sᵀ f, (n,)."""
-        right = force[self._moving].ravel()
-        out = self._factor.solve(right, transposed=True)
+        out = self._factor.solve(force.ravel(), transposed=True)
         if self._beta:
             by_gas = self._by_gas_transposed
             out -= self._gas_share(by_gas) * (self._a @ out) * by_gas
-        adjoint = np.zeros(self._nodes)
-        adjoint[self._moving] = np.einsum(
-            "ij,ij->i", out.reshape(-1, 3), self.area_vectors[self._moving]
-        )
-        return adjoint
+        return np.einsum("ij,ij->i", out.reshape(-1, 3), self.area_vectors)
 
     @cached_property
     def _by_gas(self) -> np.ndarray:
-        """K⁻¹ a, (3f,)."""
+        """K⁻¹ a, (3n,)."""
         return self._factor.solve(self._a)
 
     @cached_property
     def _by_gas_transposed(self) -> np.ndarray:
-        """K⁻ᵀ a, (3f,)."""
+        """K⁻ᵀ a, (3n,)."""
         return self._factor.solve(self._a, transposed=True)
 
     def _gas_share(self, by_gas: np.ndarray) -> float:
@@ -353,7 +346,10 @@ class RubberBubble(Bubble):
         self.tension_n_per_m = membrane.mean_tension
         rest = membrane.mesh.nodes
         self._rest_volume = membrane.volume(rest)
-        self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa))
+        rows = (3 * membrane.moving[:, None] + np.arange(3)).ravel()
+        self._factoriser = Factoriser(
+            membrane.tangent(rest, membrane.gauge_pressure_pa), rows=rows
+        )
 
     def area_vectors(self, x: np.ndarray) -> np.ndarray:
         return self.membrane.volume_gradient(x)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,9 +42,11 @@ class Factoriser:
     ----------
     pattern : sparse array
         A matrix of that pattern, in CSC with sorted indices; its values do not matter.
+    rows : int array, optional
+        Places of its unknowns in the vectors that are solved for; the others stay 0.
     """
 
-    def __init__(self, pattern: sparse.csc_array) -> None:
+    def __init__(self, pattern: sparse.csc_array, rows: np.ndarray | None = None) -> None:
         size = pattern.shape[0]
         data = np.arange(1.0, pattern.nnz + 1.0)
         numbered = sparse.csc_array((data, pattern.indices, pattern.indptr), shape=(size, size))
@@ -57,6 +58,7 @@ class Factoriser:
         permuted.sort_indices()
         self._places = permuted.data.astype(np.int64) - 1
         self._indices, self._indptr = permuted.indices, permuted.indptr
+        self._rows = self._order if rows is None else rows[self._order]
 
     def factor(self, data: np.ndarray) -> Factor:
         """Factorise the matrix of the pattern with these data (nnz,).
@@ -65,21 +67,19 @@ class Factoriser:
         """
         shape = (len(self._order), len(self._order))
         matrix = sparse.csc_array((data[self._places], self._indices, self._indptr), shape=shape)
-        return Factor(symmetric_lu(matrix, "NATURAL"), self._order)
+        return Factor(symmetric_lu(matrix, "NATURAL"), self._rows)
 
 
 class Factor:
-    """A factorised matrix K."""
+    """A factorised matrix K, whose unknowns are the `rows` of vectors in their order."""
 
-    def __init__(self, lu: SuperLU, order: np.ndarray) -> None:
-        self._lu, self._order = lu, order
+    def __init__(self, lu: SuperLU, rows: np.ndarray) -> None:
+        self._lu, self._rows = lu, rows
 
     def solve(self, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
         """K⁻¹ b, or K⁻ᵀ b, for one (3f,) or several (3f, k) right sides."""
-        permuted = right[self._order]
-        out = np.empty_like(right)
-        solve = partial(self._lu.solve, trans="T") if transposed else self._lu.solve
-        out[self._order] = solve(permuted)
+        out = np.zeros_like(right)
+        out[self._rows] = self._lu.solve(right.take(self._rows, axis=0), "T" if transposed else "N")
         return out
 
     def solve_with(
