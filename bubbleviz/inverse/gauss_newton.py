@@ -359,9 +359,10 @@ class GaussNewton:
            the image cannot be of this membrane, if the shape leaves its surroundings (`length_m`),
            or if large steps hardly reduce the misfit.
         2. Step: solve for contact pressure and nuisances, on a support that is selected anew as
-           long as steps are large. After a small step the support is kept, as the solution could
-           alternate between two supports for ever. Errors of the whole image are fitted only near
-           the solution, where they cannot explain errors of the linearisation.
+           long as steps are large, and after a first guess of the noise factor. After a small step
+           the support is kept, as the solution could alternate between two supports for ever.
+           Errors of the whole image are fitted only near the solution, where they cannot explain
+           errors of the linearisation.
         3. Once the shape has converged, select the support again, until it is complete.
         4. Update the noise factor, by which the image is weighted, from the residual of each step
            to an equilibrium; repeat from 1 until noise and solution agree, so that the result does

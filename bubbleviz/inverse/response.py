@@ -30,6 +30,9 @@ _FORCE_TOLERANCE = 1e-3
 _NEWTON, _FRESH = 16, 2
 """Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
 tangent."""
+_SLOW = 0.6
+"""A step that leaves more than this share of the residual is followed by one with a new tangent,
+whose factorisation takes as long as some fifteen steps."""
 
 
 class Tangent(ABC):
@@ -315,7 +318,7 @@ class Bubble(ABC):
                 return x, True, tangent
             if not size < 1e3:
                 break
-            if size > 0.6 * last:
+            if size > _SLOW * last:
                 if fresh == _FRESH:
                     break
                 tangent = self.linearised(x, pressure, gas)
@@ -347,9 +350,7 @@ class RubberBubble(Bubble):
         rest = membrane.mesh.nodes
         self._rest_volume = membrane.volume(rest)
         rows = (3 * membrane.moving[:, None] + np.arange(3)).ravel()
-        self._factoriser = Factoriser(
-            membrane.tangent(rest, membrane.gauge_pressure_pa), rows=rows
-        )
+        self._factoriser = Factoriser(membrane.tangent(rest, membrane.gauge_pressure_pa), rows=rows)
 
     def area_vectors(self, x: np.ndarray) -> np.ndarray:
         return self.membrane.volume_gradient(x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -79,7 +80,8 @@ class Factor:
     def solve(self, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
         """K⁻¹ b, or K⁻ᵀ b, for one (3f,) or several (3f, k) right sides."""
         out = np.zeros_like(right)
-        out[self._rows] = self._lu.solve(right.take(self._rows, axis=0), "T" if transposed else "N")
+        solve = partial(self._lu.solve, trans="T") if transposed else self._lu.solve
+        out[self._rows] = solve(right.take(self._rows, axis=0))
         return out
 
     def solve_with(
