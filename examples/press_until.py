@@ -47,14 +47,17 @@ class PrintedRobot:
 def press_until(stream: LiveStream, robot: Robot, force_n: float) -> FrameResult | None:
     """Move on while the force is below `force_n`; the frame that ended it, None if none came.
 
-    A frame without a number to trust ends it, too: nobody presses on blindly. When the camera sends
-    no more the robot is stopped, and `StreamStoppedError` says so.
+    It stops when the upper end of the force's 95 % interval reaches the limit: images of a moving
+    membrane are a few frames apart, and the true force may be larger than the estimate. A frame
+    without a number to trust ends it, too: nobody presses on blindly. When the camera sends no more
+    the robot is stopped, and `StreamStoppedError` says so.
     """
     last = None
     try:
         for last in bv.estimate(stream):
             known = last.status in ("ok", "no_contact")
-            if not known or last.force_magnitude_n >= force_n:
+            highest_n = last.force_magnitude_n + last.force_magnitude_half_width_n
+            if not (known and highest_n < force_n):  # nor where the interval is not known
                 break
             if last.age_s < LATEST_S:
                 robot.move(SPEED_M_PER_S, VALID_S)

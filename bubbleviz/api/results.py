@@ -133,8 +133,11 @@ class FrameResult:
 
     @property
     def force_magnitude_half_width_n(self) -> float:
-        """Half of the 95 % interval of the magnitude, N; NaN without contact."""
-        return self.estimate.force_half_width_n
+        """Half of the 95 % interval of the magnitude, N.
+
+        0 without contact, NaN with the solver `paper`.
+        """
+        return 0.0 if self.status == "no_contact" else self.estimate.force_half_width_n
 
     @property
     def torque_nm(self) -> np.ndarray:
