@@ -92,9 +92,9 @@ class Estimate:
         Its part by friction, N; 0 for the linear membrane, None for the paper's solver.
     force_n : (3,) array or None
         The sum of `nodal_force_n`, N.
-    force_sigma_n : (3,) array or None
-        Its standard deviation by noise, friction, material and model error; None for the paper's
-        solver.
+    wrench_covariance : (6, 6) array or None
+        Of that force, N, and its torque about the origin of B, N·m, by noise, friction, material
+        and model error; None for the paper's solver.
     gas_law_pa : float or None
         p_v by the gas law for the shape, Pa.
     resolution_m : float or None
@@ -125,7 +125,7 @@ class Estimate:
     nodal_force_n: np.ndarray | None = None
     friction_n: np.ndarray | None = None
     force_n: np.ndarray | None = None
-    force_sigma_n: np.ndarray | None = None
+    wrench_covariance: np.ndarray | None = None
     gas_law_pa: float | None = None
     resolution_m: float | None = None
     reason: str = ""
@@ -147,6 +147,21 @@ class Estimate:
     def status_text(self) -> str:
         """Status, and the reason if there is one."""
         return f"{self.status}: {self.reason}" if self.reason else self.status
+
+    @property
+    def force_sigma_n(self) -> np.ndarray | None:
+        """Standard deviation of `force_n`, (3,), N; None for the paper's solver."""
+        covariance = self.wrench_covariance
+        return None if covariance is None else np.sqrt(np.diag(covariance)[:3])
+
+    def torque_sigma_about(self, point_m: np.ndarray) -> np.ndarray:
+        """Standard deviation of the torque about a point (3,) in B, (3,), N·m.
+
+        NaN for the paper's solver.
+        """
+        if self.wrench_covariance is None:
+            return np.full(3, np.nan)
+        return _torque_sigma(self.wrench_covariance, point_m)
 
     @property
     def force_half_width_n(self) -> float:
@@ -303,10 +318,22 @@ class Traction:
 
     def torque_sigma_about(self, point_m: np.ndarray) -> np.ndarray:
         """Standard deviation of the torque about a point (3,) in B, (3,), N·m."""
-        x, y, z = self.center_m - point_m
-        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        J = np.hstack([arm, np.eye(3)])
-        return np.sqrt(np.diag(J @ self.wrench_covariance @ J.T))
+        return _torque_sigma(self.wrench_covariance, point_m - self.center_m)
+
+
+def wrench_about(point_m: np.ndarray) -> np.ndarray:
+    """Matrix (6, 6) that takes force and torque about the origin to those about a point (3,)."""
+    x, y, z = point_m
+    matrix = np.eye(6)
+    matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]  # τ − point × F
+    return matrix
+
+
+def _torque_sigma(covariance: np.ndarray, point_m: np.ndarray) -> np.ndarray:
+    """σ (3,) of the torque about a point (3,), from the covariance (6, 6) about the origin."""
+    J = wrench_about(point_m)[3:]
+    sigma: np.ndarray = np.sqrt(np.diag(J @ covariance @ J.T))
+    return sigma
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,11 @@ class FrameResult:
         return self._numbers("torque_nm")
 
     @property
+    def torque_sigma_nm(self) -> np.ndarray:
+        """Standard deviation of `torque_nm`, (3,), N·m; NaN with the solver `paper`."""
+        return self._numbers("torque_sigma_nm")
+
+    @property
     def center_of_pressure_m(self) -> np.ndarray:
         """Pressure-weighted centre of the patch, (3,), m; NaN without contact."""
         return self._numbers("center_of_pressure_m")

@@ -532,18 +532,16 @@ class ContactProblem:
         across = slope @ pressures
         return np.block([[pressures, across.T], [across, amplitude_cov + across @ slope.T]])
 
-    def variance(self, nodes: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Of a force (3,), linear in those unknowns with coefficients (s + a, 3), N²."""
+    def covariance_of(self, nodes: np.ndarray, unit: np.ndarray) -> np.ndarray:
+        """Of q quantities, linear in those unknowns with coefficients (s + a, q), (q, q)."""
         if not np.isin(nodes, self._nodes).all():
             self._restrict_to(nodes)
-        amplitude_cov, by_amplitudes = self._ranges.nuisance_covariance, force[len(nodes) :]
+        amplitude_cov, by_amplitudes = self._ranges.nuisance_covariance, unit[len(nodes) :]
         hessian = part(self._hessian, np.searchsorted(self._nodes, nodes))
-        unit = (
-            force[: len(nodes)]
-            + self._by_nuisances[self._position[nodes]] @ amplitude_cov @ by_amplitudes
-        )
-        variance: np.ndarray = (unit * solve(hessian, unit, assume_a="pos")).sum(axis=0)
-        return variance + (by_amplitudes * (amplitude_cov @ by_amplitudes)).sum(axis=0)
+        by_nuisances = self._by_nuisances[self._position[nodes]]
+        by_pressures = unit[: len(nodes)] + by_nuisances @ amplitude_cov @ by_amplitudes
+        covariance: np.ndarray = by_pressures.T @ solve(hessian, by_pressures, assume_a="pos")
+        return covariance + by_amplitudes.T @ amplitude_cov @ by_amplitudes
 
     def misfit_gradient(self, nodes: np.ndarray, ranges_m: np.ndarray) -> np.ndarray:
         """Gradient of the misfit by pressures of nodes (s,), for residuals (k,), 1/Pa."""

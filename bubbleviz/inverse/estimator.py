@@ -249,7 +249,7 @@ class Estimator:
             nodal_force_n=force,
             friction_n=friction,
             force_n=force.sum(axis=0),
-            force_sigma_n=answer.sigma_n,
+            wrench_covariance=answer.wrench_covariance,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise),
             seen_share=answer.visible_share,
@@ -271,6 +271,6 @@ def no_estimate(
         np.nan,
         displacement_3d_m=np.zeros((len(zero), 3)),
         force_n=three,
-        force_sigma_n=three,
+        wrench_covariance=np.full((6, 6), np.nan),
         reason=reason,
     )

@@ -39,7 +39,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.resolution import sampled, universal_threshold
 from bubbleviz.inverse.response import Bubble, Tangent
 from bubbleviz.membrane import Gas, parts_with
-from bubbleviz.result import Status
+from bubbleviz.result import Status, wrench_about
 
 CONVERGED_MOTION, TANGENT_REUSE, LARGE_MOTION = 0.05, 0.2, 0.5
 """Motions of the nodes over the mesh edge. A frame has converged when a step moves it by less than
@@ -262,8 +262,8 @@ class SolvedFrame:
         Whether its shape contradicts the measured p_v.
     contact : (n,) bool array
         Nodes under significant contact pressure, see `significant_contact`.
-    sigma_n : (3,) array
-        Standard deviation of its force, N.
+    wrench_covariance : (6, 6) array
+        Of its force, N, and its torque about the origin of B, N·m.
     visible_share : float
         Share of the contact area visible to the camera; NaN without contact.
     solve_ms : float
@@ -276,7 +276,7 @@ class SolvedFrame:
     misfit: Misfit
     contradicts_gas: bool
     contact: np.ndarray
-    sigma_n: np.ndarray
+    wrench_covariance: np.ndarray
     visible_share: float
     solve_ms: float
 
@@ -552,8 +552,11 @@ class GaussNewton:
         misfit = self.observer.misfit(observed.observation, observed.view.block, step.residual_m)
         contradicts = self._contradicts(step.state.gas, gas)
         contact = significant_contact(self.mesh, step.contact)
-        sigma, share = self._sigma(step, contact), self._visible_share(observed, contact)
-        return SolvedFrame(step, last, noise, misfit, contradicts, contact, sigma, share, solve_ms)
+        covariance = self._wrench_covariance(step, contact)
+        share = self._visible_share(observed, contact)
+        return SolvedFrame(
+            step, last, noise, misfit, contradicts, contact, covariance, share, solve_ms
+        )
 
     def _visible_share(self, observed: _Linearisation, contact: np.ndarray) -> float:
         """Share of the area of nodes (n,) bool whose facets are visible."""
@@ -736,30 +739,34 @@ class GaussNewton:
         linear = step.residual_m + step.image_error_m
         beyond = np.nan_to_num(exact[observed.view.block] - linear)
         nodes = step.contact.nodes
-        force = self._unit_forces(step, touching, nodes)
+        force = self._unit_wrenches(step, touching, nodes)[:, :3]
         change = self._change(step, beyond) @ force
-        return bool((change**2 <= step.contact.problem.variance(nodes, force)).all())
+        variance = np.diag(step.contact.problem.covariance_of(nodes, force))
+        return bool((change**2 <= variance).all())
 
-    def _sigma(self, step: Step, contact: np.ndarray) -> np.ndarray:
-        """Standard deviation of the force (3,) due to noise, nuisances, material and model, N.
+    def _wrench_covariance(self, step: Step, contact: np.ndarray) -> np.ndarray:
+        """Covariance (6, 6) of the wrench due to noise, nuisances, material and model.
 
         The support is uncertain by one node: its neighbours may touch, too.
         """
         if not contact.any():
-            return np.zeros(3)
-        problem, force = step.contact.problem, self._unit_forces(step, contact, step.contact.nodes)
+            return np.zeros((6, 6))
+        nodes, problem = step.contact.nodes, step.contact.problem
+        unit = self._unit_wrenches(step, contact, nodes)
         by_material = [
-            self._change(step, step.ranges.jacobian @ motion) @ force
+            self._change(step, step.ranges.jacobian @ motion) @ unit
             for motion in step.tangent.by_material.T
         ]
-        unknowns = np.concatenate(
-            [step.contact.pressure[step.contact.nodes], step.contact.amplitudes]
-        )
-        model = MODEL_ERROR * np.linalg.norm(unknowns @ force)
+        unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
+        push = np.where(contact, step.contact.pressure, 0.0)[:, None]
+        push = push * self.bubble.area_vectors(step.state.x)
+        model = _model_covariance(step.state.x, push, unknowns @ unit, self._friction)
         around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
-        force = self._unit_forces(step, problem.with_neighbours(contact), around)
-        variance = problem.variance(around, force)
-        return np.sqrt(variance + np.square(by_material).sum(axis=0) + model**2)
+        unit = self._unit_wrenches(step, problem.with_neighbours(contact), around)
+        covariance = model + problem.covariance_of(around, unit)
+        for change in by_material:
+            covariance += np.outer(change, change)
+        return covariance
 
     def _change(self, step: Step, ranges_m: np.ndarray) -> np.ndarray:
         """Change of pressures and amplitudes (s + a,) for a change of the ranges (k,)."""
@@ -769,11 +776,37 @@ class GaussNewton:
         change[count:] += step.ranges.amplitudes(ranges_m)
         return change
 
-    def _unit_forces(self, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """Force of unit pressures of nodes (s,) and unit amplitudes, (s + a, 3), on `counted`."""
-        push = -self.bubble.area_vectors(step.state.x) * counted[:, None]
-        friction = step.ranges.nuisances.forces[counted].sum(axis=0).T
-        return np.concatenate([push[nodes], friction])
+    def _unit_wrenches(self, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """Force, and torque about the origin of B, on the nodes `counted` (n,) bool, (s + a, 6).
+
+        For unit pressures of nodes (s,) and unit amplitudes.
+        """
+        x, push = step.state.x, -self.bubble.area_vectors(step.state.x) * counted[:, None]
+        loads, at = step.ranges.nuisances.forces[counted].swapaxes(1, 2), x[counted][:, None]
+        by_pressures = np.hstack([push[nodes], np.cross(x[nodes], push[nodes])])
+        by_amplitudes = np.hstack([loads.sum(axis=0), np.cross(at, loads).sum(axis=0)])
+        return np.concatenate([by_pressures, by_amplitudes])
+
+
+def _model_covariance(
+    x: np.ndarray, push: np.ndarray, wrench: np.ndarray, friction: float
+) -> np.ndarray:
+    """Covariance (6, 6) of a wrench (6,) by errors of the model.
+
+    Those of the force act at the centre of the normal forces `push` (n, 3) on nodes at `x` (n, 3),
+    in every direction alike; so do those of the torque about it. The torque about the mean normal
+    hardly changes the shape, and what the fit finds of it depends on how friction is distributed:
+    for objects that stick it is off by as much as the prior of friction allows.
+    """
+    load = np.linalg.norm(push, axis=1)
+    center, normal = load @ x / load.sum(), push.sum(axis=0) / np.linalg.norm(push.sum(axis=0))
+    arm = np.linalg.norm(np.cross(x - center, normal), axis=1)
+    spin = friction * np.sqrt((load @ arm**2) * load.sum())
+    size = np.linalg.norm((wrench_about(center) @ wrench).reshape(2, 3), axis=1)
+    sigma = np.column_stack([np.diag(MODEL_ERROR * np.repeat(size, 3)), np.zeros(6)])
+    sigma[3:, 6] = spin * normal
+    back = wrench_about(-center) @ sigma
+    return back @ back.T
 
 
 def _contact_blocks(observed: _Linearisation, pressure: np.ndarray) -> int:

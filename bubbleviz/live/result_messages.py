@@ -178,11 +178,11 @@ def _wrench(_: ResultMessages, header: Any, result: Result) -> Any:
 
 
 def _wrench_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
-    """Standard deviations of the force; those of the torque are unknown, NaN."""
     estimate = result.trusted_estimate
     if estimate is None or estimate.force_sigma_n is None:
         return None
-    return make_wrench(header, np.concatenate([estimate.force_sigma_n, np.full(3, np.nan)]))
+    torque = estimate.torque_sigma_about(np.zeros(3))
+    return make_wrench(header, np.concatenate([estimate.force_sigma_n, torque]))
 
 
 def _markers(messages: ResultMessages, header: Any, result: Result) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import Frame, force_of
-from bubbleviz.result import Estimate, Patch, Result
+from bubbleviz.result import Estimate, Patch, Result, wrench_about
 
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
@@ -27,7 +27,8 @@ def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("frame", "time_s", "status", "gas_pressure_change_pa", "threshold_pa"), ()),
-    **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n", "torque_nm"),
+    **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n"),
+    **by_axis("torque_nm", "torque_sigma_nm"),
     "measured_force_n": (),
     **by_axis("wrench_n"),
     **by_axis("center_of_pressure_m"),
@@ -86,6 +87,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "normal_force_n": patch.force_n - np.nan_to_num(patch.tangential_force_n),
         "tangential_force_n": patch.tangential_force_n,
         "torque_nm": patch.torque_nm,
+        "torque_sigma_nm": estimate.torque_sigma_about(patch.center_of_pressure_m),
         "measured_force_n": np.nan,
         "wrench_n": force_of(result.frame.wrench),
         "center_of_pressure_m": patch.center_of_pressure_m,
@@ -191,7 +193,8 @@ def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
     # missing in files of version 0.2
     defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}
     values = {key: np.full(frames, value) for key, value in defaults.items()}
-    values |= {"wrench_n": np.full((frames, 3), np.nan)} | arrays
+    values |= {key: np.full((frames, 3), np.nan) for key in ("wrench_n", "torque_sigma_nm")}
+    values |= arrays
     shapes: dict[str, tuple[int, ...]] = {
         **{key: (len(names),) if names else () for key, names in COLUMNS.items()},
         **{key: (nodes, *shape) for key, shape in NODAL_FIELDS.items()},
@@ -216,7 +219,13 @@ def _result_of(values: dict[str, Any]) -> Result:
     optional = {
         key: None if np.isnan(values[key]) else values[key] for key in ("kappa", "gas_pressure_pa")
     }
+    # correlations of force and torque are not in the file
+    at_center = wrench_about(-np.nan_to_num(values["center_of_pressure_m"]))
+    by_force = at_center[:, :3] * values["force_sigma_n"]
+    covariance = by_force @ by_force.T
+    covariance[3:, 3:] += np.diag(values["torque_sigma_nm"] ** 2)
     values |= optional | {
+        "wrench_covariance": covariance,
         "index": values["frame"],
         "depth_m": np.empty((0, 0), np.float32),
         "wrench": np.append(values["wrench_n"], np.full(3, np.nan)),

@@ -77,7 +77,7 @@ def test_result_has_every_documented_key(result):
         "patch_mask": (frames, height, width), "residual_rms_m": (frames,),
         "kkt_residual": (frames,), "solve_ms": (frames,), "total_ms": (frames,),
         "patch_level": (frames, nodes), "displacement_3d_m": (frames, nodes, 3),
-        "force_sigma_n": (frames, 3), "measured_force_n": (frames,),
+        "force_sigma_n": (frames, 3), "torque_sigma_nm": (frames, 3), "measured_force_n": (frames,),
         "normal_force_n": (frames, 3), "tangential_force_n": (frames, 3), "torque_nm": (frames, 3),
         "patch_area_interval_m2": (frames, 2), "kappa": (frames,), "seen_share": (frames,),
         "wrench_n": (frames, 3), "gas_pressure_pa": (frames,), "iterations": (frames,),

@@ -12,7 +12,7 @@ from tests.oracles.stuck_press import Motion
 from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
 from tests.shear.drag import Eyes, press, sensor, stuck
 
-PRODUCTS = frozenset({"estimate"})
+PRODUCTS = frozenset({"patch"})
 DOME = mesh_cap(spherical_cap(0.045, 0.02), 800)
 CAMERA = camera_of(320)
 
@@ -59,10 +59,13 @@ def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist)
     """The ground truth is on a separate mesh, with friction not proportional to pressure."""
     truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
     frame, size = eyes.see(truth), np.linalg.norm(truth.force_n)
-    estimate = eyes.pipeline.process(frame, PRODUCTS).estimate
+    result = eyes.pipeline.process(frame, PRODUCTS)
+    estimate, center = result.estimate, result.patch.center_of_pressure_m
     error = estimate.force_n - truth.force_n
     assert np.linalg.norm(error) < 0.05 * size
     assert (np.abs(error) < 1.96 * estimate.force_sigma_n).all()
+    off = np.abs(result.patch.torque_nm - truth.torque_nm(center))
+    assert (off < 1.96 * estimate.torque_sigma_about(center)).all()
     np.testing.assert_allclose(estimate.force_n, estimate.nodal_force_n.sum(axis=0))
     frictionless = Pipeline.of(sensor(1000), options=EstimatorOptions(friction=0.0))
     without = frictionless.process(frame, PRODUCTS).estimate
@@ -118,6 +121,9 @@ def test_friction_on_rubber_by_another_solver(name, noise_m, identified, tmp_pat
     sigma = np.array([each.result.estimate.force_sigma_n for each in run])
     inside = (np.abs(run.force_n - true) < 1.96 * sigma).all(axis=1)
     assert inside.mean() >= 0.9
+    off = np.array([each.torque_nm for each in run]) - truth["torque_nm"]
+    sigma = np.array([each.torque_sigma_nm for each in run])
+    assert (np.abs(off) < 1.96 * sigma).all(axis=1).mean() >= 0.9
     if name == "ball_drag1":
         _assert_tracked(presses, truth["object_position_m"], identified, tmp_path)
 
