@@ -75,8 +75,13 @@ class Bag:
             raise
         if not any(topic.count for topic in self.topics):
             self.close()
-            what = "ends before its first message" if self.note else "has no messages"
-            raise InputError(f"{self.path}: the recording {what}; record or copy it again")
+            raise InputError(
+                f"{self.path}: the recording ends before its first message; copy it again if the "
+                "original is complete, else record again"
+                if self.note
+                else f"{self.path}: the recording has no messages; record again while the depth "
+                "camera publishes"
+            )
 
     def close(self) -> None:
         self._storages = []
@@ -129,8 +134,8 @@ class Bag:
             lost = f"; {storage.lost_bytes / 1e3:.3g} kB after it are lost"
             self.note = self.note or (
                 f"{file.name} ends early, as after an interrupted recording or copy: read up to "
-                f"its last complete chunk{lost if storage.lost_bytes else ''}; copy it again if "
-                "the original is complete"
+                f"its last complete chunk or message{lost if storage.lost_bytes else ''}; copy it "
+                "again if the original is complete"
             )
         return storage
 
@@ -151,8 +156,9 @@ class Bag:
         files = sorted(f for f in self.path.iterdir() if f.suffix.lower() in (".mcap", ".db3"))
         if not files:
             raise InputError(
-                f"{self.path}: no recording in this folder; give one with metadata.yaml, .mcap or "
-                ".db3 files, or convert a folder of depth images first (bubbleviz convert)"
+                f"{self.path}: no recording in this folder; give a folder with .mcap or .db3 "
+                "files, a .bag file itself, or convert a folder of depth images first (bubbleviz "
+                "convert)"
             )
         return files
 

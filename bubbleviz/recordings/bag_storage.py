@@ -71,9 +71,12 @@ class LazyChunk:
         crc: int = 0,  # CRC-32 of the decompressed bytes, 0 for none; checked once all are there
     ) -> None:
         if codec not in _DECOMPRESSORS:
-            raise ValueError(f"unknown compression {codec[:20]!r}")
+            raise ValueError(f"compression {codec[:20]!r} is none of {', '.join(_DECOMPRESSORS)}")
         if size > MAX_SIZE:
-            raise ValueError(f"a chunk of {size} bytes is above the limit of {MAX_SIZE}")
+            raise ValueError(
+                f"a chunk of {size} bytes is above the limit of {MAX_SIZE} bytes: it is damaged, "
+                "or was recorded with too large a chunk size"
+            )
         self.size = size
         self._packed, self._piece = packed, _FIRST_PIECE
         self._inflater = _DECOMPRESSORS[codec]()
@@ -148,7 +151,7 @@ def decompress(data: bytes) -> bytes:
         out = zstd.ZstdDecompressor().decompress(data, MAX_SIZE)
         if len(out) < MAX_SIZE:
             return out
-    raise ValueError(f"a compressed message is above the limit of {MAX_SIZE} bytes")
+    raise ValueError(f"a message decompresses to {MAX_SIZE} bytes or more, which is not plausible")
 
 
 def check_unpacked(folder: Path) -> None:
@@ -161,7 +164,8 @@ def check_unpacked(folder: Path) -> None:
                 if left < 0:
                     raise InputError(
                         f"{folder}: its files would fill more than half of the free disk space "
-                        f"when unpacked; free space in {tempfile.gettempdir()}, or set TMPDIR"
+                        f"when unpacked; free space in {tempfile.gettempdir()}, or set TMPDIR to a "
+                        "folder on a larger disk"
                     )
 
 
@@ -218,7 +222,7 @@ class Ros1Storage:
                 opcode = Header.read(data).get_uint8("op")
                 size = read_uint32(data)
                 if size > MAX_SIZE:
-                    raise ValueError(f"a message of {size} bytes is above the limit of {MAX_SIZE}")
+                    raise ValueError(f"a message of {size} bytes is not plausible")
                 if opcode == RecordType.CONNECTION:
                     read_bytes(data, size)
             if opcode != RecordType.MSGDATA:
@@ -253,7 +257,7 @@ class SqliteStorage:
         with self._database.blob_open("main", "messages", "data", offset, False) as blob:
             size = blob.length()
             if size > MAX_SIZE:
-                raise ValueError(f"a message of {size} bytes is above the limit of {MAX_SIZE}")
+                raise ValueError(f"a message of {size} bytes is not plausible")
             return bytes(blob.read(size if limit is None else min(limit, size))), size
 
 
@@ -354,7 +358,7 @@ class McapStorage:
             opcode, length, *_ = _MESSAGE.unpack_from(head)
             size = length - (_MESSAGE.size - 9)  # the length counts from the channel id
             if opcode != _MESSAGE_OP or not 0 <= size <= MAX_SIZE:
-                raise ValueError("the index does not point to a message")
+                raise ValueError("the index does not point to a message of plausible size")
             if limit is not None:
                 return head[_MESSAGE.size :][:size], size
             payload = data.read(size)
@@ -406,7 +410,7 @@ class McapStorage:
             if opcode in (_MESSAGE_OP, _CHUNK_OP, _INDEX_OP):
                 end = walked
         if not cut and walked != stop:
-            raise ValueError("a record is cut short")
+            raise ValueError("a record is damaged or cut short")
         if cut and self._places:  # its last chunk may lack some indexes
             self._places[-1].index_offsets.clear()
         for number, (start, indexes) in enumerate(self._places):
@@ -450,8 +454,8 @@ class McapStorage:
             rows.extend((min(log, 2**63 - 1), number, at))
             if len(rows) > 3 * _MAX_MESSAGES:
                 raise InputError(
-                    f"{self._name}: more than {_MAX_MESSAGES:,} messages on a topic without an "
-                    "index; run mcap recover to add one"
+                    f"{self._name}: a topic has more than {_MAX_MESSAGES:,} messages that no index "
+                    "lists; run mcap recover on this file and open the copy"
                 )
 
 

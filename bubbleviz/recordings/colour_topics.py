@@ -155,11 +155,17 @@ def colour_camera(
     """Colour camera from camera info and poses, with a note on what is missing or assumed."""
     remarks = []
     if intrinsics is None:
-        remarks.append("no intrinsics for this image size")
+        remarks.append("no calibrated camera info of this image size")
     elif not own:
-        remarks.append("no colour camera info for this image size; using the depth camera's")
+        remarks.append(
+            "no camera info of this image size is named like the colour topic; using the depth "
+            "camera's"
+        )
     if T_D_C is None:
-        remarks.append(f"pose not known from {STATIC_TRANSFORMS}; assuming the depth camera's pose")
+        remarks.append(
+            f"no pose relative to the depth camera (in ROS from {STATIC_TRANSFORMS}); assuming the "
+            "depth camera's pose"
+        )
     pose = np.eye(4) if T_D_C is None else T_D_C
     placed = T_D_C is not None
     return ColourCamera(intrinsics, pose, "; ".join(remarks), own=own, placed=placed)

@@ -50,9 +50,10 @@ def find_contact_free(source: FrameSource, progress: Progress = quiet) -> Contac
         if pressure_end < end:
             end, ended_by = pressure_end, "pressure"
     if end < MIN_FRAMES:
+        what = "gas pressure" if ended_by == "pressure" else "depth"
         raise InputError(
-            f"{source.name}: depth or gas pressure changes already at frame {end}; record at least "
-            f"{MIN_FRAMES} frames before contact, or choose contact-free frames"
+            f"{source.name}: the {what} changes already at frame {end} (from 0); record at least "
+            f"{MIN_FRAMES} frames before contact, or choose contact-free frames yourself"
         )
     return ContactFree(range(end), depth_score, pressure_score, ended_by)
 
@@ -62,7 +63,7 @@ def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.
     if len(source) < MIN_FRAMES:
         raise InputError(
             f"{source.name}: only {count_of(len(source), 'frame')}, too few to find contact-free "
-            f"ones; record at least {MIN_FRAMES}"
+            f"ones; record at least {MIN_FRAMES} without contact"
         )
     tiles, pressures = [], []
     for k in range(len(source)):

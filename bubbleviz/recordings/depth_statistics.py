@@ -225,10 +225,14 @@ def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:
                 "depth images: they differ in size; give frames of one camera and resolution"
             )
         stack = np.stack(images).astype(np.float32, copy=False) if images else np.empty((0, 0, 0))
-    if stack.ndim != 3 or len(stack) < MIN_FRAMES:
+    if stack.ndim != 3:
         raise InputError(
-            f"depth images: shape {stack.shape}; give at least {MIN_FRAMES} contact-free images as "
-            "(frames, height, width)"
+            f"depth images: an array of shape {stack.shape}; give one of shape (frames, height, "
+            "width)"
+        )
+    if len(stack) < MIN_FRAMES:
+        raise InputError(
+            f"depth images: only {len(stack)}; give at least {MIN_FRAMES} without contact"
         )
     return stack
 

@@ -75,7 +75,8 @@ def find_depth(bag: Bag, name: str | None = None) -> Topic:
             f"{' or '.join(DEPTH_ENCODINGS)}"
         )
     raise InputError(
-        f"{bag.path}: no topic with depth images or point clouds; record the depth camera"
+        f"{bag.path}: no topic with depth images or point clouds has messages; record the depth "
+        "camera's topic"
         if name is None
         else f"{bag.path}: no depth images or point clouds on topic {name}; choose another topic "
         "from bubbleviz info"
@@ -112,7 +113,7 @@ def first_of_type(bag: Bag, kind: str, name: str | None = None, near: str = "") 
     if name is not None and not topics:
         raise InputError(
             f"{bag.path}: no {kind} messages on topic {name}; choose a topic of this type from "
-            "bubbleviz info"
+            "bubbleviz info, or none"
         )
     return topics[0] if topics else None
 
@@ -130,7 +131,8 @@ def find_intrinsics(
     found = nearest_info(infos, images.name, size)
     if not found:
         return "", None
-    with as_input_error(bag.path, f"the camera info on {found}"):
+    remedy = "correct the camera's calibration and record again"
+    with as_input_error(bag.path, f"the camera info on {found}", remedy):
         return found, decode_intrinsics(infos[found])
 
 

@@ -208,9 +208,7 @@ class HeldFrames:
 
     def __init__(self, frames: Sequence[Frame], name: str = "") -> None:
         if not frames:
-            raise InputError(
-                f"{name or 'frames'}: no frames; give at least one, or wait for a depth image"
-            )
+            raise InputError(f"{name or 'list of frames'}: no frames; give at least one")
         one = f"frame {frames[0].index}" if len(frames) == 1 else f"{len(frames)} frames"
         self.name = name or one
         self._frames = tuple(frames)

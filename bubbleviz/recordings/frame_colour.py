@@ -27,7 +27,7 @@ class FrameColour:
                 return cls(reason="no colour image at this time")
             return cls(found.rgb(), found.camera)
         except InputError:  # the depth image can be used without it
-            return cls(reason="the colour image is damaged or in an unknown encoding")
+            return cls(reason="the colour image cannot be read or decoded")
 
     def aligned(self, depth: DepthCamera) -> bool:
         """Whether its pixels are those of the depth image."""
@@ -51,7 +51,7 @@ class Texture:
         camera = placed(colour.camera, depth)
         if colour.rgb is None or camera is None:
             nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)
-            why = colour.reason or "no intrinsics for a colour image of this size"
+            why = colour.reason or "the intrinsics of the colour camera are not known"
             return cls(colour, *nothing, why)
         T, own = camera.T_B_C, camera.intrinsics
         points = (nodes_m - T[:3, 3]) @ T[:3, :3]

@@ -69,7 +69,10 @@ class ImageFolder:
         self._series = {kind: each for kind, each in given.items() if each is not None}
         found = [path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES]
         if not found:
-            raise InputError(f"{folder}: no depth images; put {', '.join(SUFFIXES)} files into it")
+            raise InputError(
+                f"{folder}: no depth images; put {', '.join(SUFFIXES)} files into it, or choose "
+                "another folder"
+            )
         self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
         if times_s is not None:
             stamps = times_s
@@ -82,8 +85,8 @@ class ImageFolder:
             raise InputError(f"{folder}: {images} but {times}; give one time for each image")
         if not (np.abs(stamps) < 1e-9 * MAX_STAMP_NS).all():
             raise InputError(
-                f"{folder}: a time is not finite or not plausible; give the times in s since 1970 "
-                "or since the start"
+                f"{folder}: a time is beyond ±2³¹ s; give the times in s since 1970 or since the "
+                "start (file names may also be in ns)"
             )
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
@@ -145,7 +148,7 @@ class ImageFolder:
             if number in files:
                 raise InputError(
                     f"{path}: this colour image has the same number as {files[number].name}; "
-                    "remove one"
+                    "remove or renumber one"
                 )
             files[number] = path
         numbers = [_number(path.stem) for path in self._files]
@@ -153,7 +156,7 @@ class ImageFolder:
         if not frames:
             raise InputError(
                 f"{folder}: no JPEG or PNG has the same last number in its name as a depth image; "
-                "rename these files, or remove this folder"
+                "add or rename colour images, or remove this folder"
             )
         stamps = [self._stamp_ns(k) for k in frames]
 
@@ -213,7 +216,7 @@ class ImageFolder:
             raise InputError(
                 f"{self._files[0]}: the median depth {middle:.4g} m is not between "
                 f"{MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m; correct the unit (--metres-per-unit), the "
-                "depth of a pixel value of 1"
+                "depth in m of a pixel value of 1"
             )
 
     def _stamps(self) -> np.ndarray:
@@ -295,7 +298,8 @@ class _Camera(BaseModel):
 def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
     if not (np.abs(table[:, 0]) < 1e-9 * MAX_STAMP_NS).all() or np.any(np.diff(table[:, 0]) <= 0.0):
         raise InputError(
-            f"{path}: the times do not increase or are not in s; correct the first column"
+            f"{path}: the first column does not increase or is beyond ±2³¹ s; give times in s, in "
+            "order"
         )
     return Series([round(1e9 * t) for t in table[:, 0]], table[:, 1:].__getitem__)
 
@@ -306,7 +310,8 @@ def _columns(path: str | Path, count: int) -> np.ndarray:
             rows = [row for row in csv.reader(file) if row]
         if rows and not _is_number(rows[0][0]):
             rows = rows[1:]
-        table = np.array([[float(value) for value in row[:count]] for row in rows])
+        padded = [(row + ["nan"] * count)[:count] for row in rows]  # short rows are refused below
+        table = np.array([[float(value) for value in row] for row in padded])
     if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
         raise InputError(
             f"{path}: no rows, or a row without {count} finite numbers; write {count} numbers, "
@@ -337,7 +342,8 @@ def _size(shape: Sequence[int]) -> str:
 
 
 def _read(path: Path) -> np.ndarray:
-    with as_input_error(path, "the image", "export it again"), path.open("rb") as file:
+    remedy = "correct that, or export it again as PNG, TIFF or .npy"
+    with as_input_error(path, "the image", remedy), path.open("rb") as file:
         if path.suffix.lower() == ".npy":
             return read_npy(file, path.stat().st_size)
         with warnings.catch_warnings():
@@ -352,5 +358,5 @@ def _read(path: Path) -> np.ndarray:
 
 
 def _read_colour(path: Path) -> EncodedImage:
-    with as_input_error(path, "the colour image", "export it again"):
+    with as_input_error(path, "the colour image", "correct that, or export it again"):
         return EncodedImage(_COLOUR_ENCODINGS[path.suffix.lower()], path.read_bytes())

@@ -84,9 +84,12 @@ def _decode_compressed(message: Any) -> np.ndarray:
 
     encoding, data = encoding_of(message), bytes(message.data)
     if COMPRESSED not in message.format or encoding not in DEPTH_ENCODINGS:
-        raise ValueError(f"format is {message.format[:60]!r}, not depth in 16UC1 or 32FC1")
+        raise ValueError(f"format is {message.format[:60]!r}, not {COMPRESSED} of 16UC1 or 32FC1")
     if "rvl" in message.format.lower():
-        raise ValueError("depth is compressed by RVL, but only PNG is supported")
+        raise ValueError(
+            "depth is compressed by RVL, but only PNG is supported (compressedDepth.format of the "
+            "publisher)"
+        )
     try:
         _, quant_a, quant_b = _CONFIGURATION.unpack_from(data)
         size = _PNG_SIZE.unpack_from(data, _CONFIGURATION.size + 16)
@@ -209,7 +212,7 @@ def decode_cloud(message: Any, camera: Intrinsics | None) -> np.ndarray:
         z = points[:, 2].reshape(int(message.height), int(message.width)).astype(np.float32)
         return metres(z, 1.0)
     if camera is None:
-        raise ValueError("an unorganised point cloud needs intrinsics (camera info)")
+        raise ValueError("an unorganised point cloud needs intrinsics (calibrated camera info)")
     return project_points(points, camera)
 
 

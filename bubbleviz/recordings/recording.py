@@ -239,14 +239,15 @@ class Recording:
         self._images = self.bag.messages(self.depth_topic)
         if len(self._images) == 0:
             raise InputError(
-                f"{self.path}: its index lists no depth images; record or copy it again"
+                f"{self.path}: the index lists no messages on {self.depth_topic.name}; rebuild it "
+                "(mcap recover, rosbag reindex), or copy or record again"
             )
         first = self._images.first(has_data)
         self.size = self._size_of(first, info_topic)  # width and height of the depth images, pixels
         if 4 * math.prod(self.size) > MAX_SIZE:
             raise InputError(
-                f"{self.path}: images of {self.size[0]}×{self.size[1]} pixels are implausible; "
-                "record or copy it again"
+                f"{self.path}: images of {self.size[0]}×{self.size[1]} pixels (the first one) are "
+                "not plausible; copy or record again"
             )
         # encoding of the depth images; `points` where they are point clouds
         self.encoding = encoding_of(first)
@@ -256,9 +257,7 @@ class Recording:
         stamps, log_ns = stamps[arrived], log_ns[arrived]
         looped = bool(stamps.all()) and begins_again(stamps)
         if looped:
-            what = (
-                "its stamps begin again, as of a looped replay: frames and other data are matched"
-            )
+            what = "stamps of depth images begin again, as in a looped replay: all data are matched"
             self.bag.note = "; ".join(filter(None, (self.bag.note, f"{what} by log times")))
         self._by_log = looped or not stamps.all()
         if self._by_log:

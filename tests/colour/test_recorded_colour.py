@@ -125,7 +125,7 @@ def test_missing_camera_info_is_reported(tmp_path):
     with Recording(bag.write(tmp_path)) as recording:
         camera = recording.colour.camera
     assert camera.intrinsics is None
-    assert "no intrinsics" in camera.remark
+    assert "no calibrated camera info" in camera.remark
     assert "assuming the depth camera's pose" in camera.remark
     np.testing.assert_array_equal(camera.T_D_C, np.eye(4))
 
@@ -177,4 +177,4 @@ def test_info_lists_the_colour_images(tmp_path):
     assert (facts.colour.width, facts.colour.height, facts.colour.images) == (32, 24, 3)
     said = facts.to_text()
     assert "32 × 24 pixels, rgb8, /cam/color/image_raw; 3 images, 15.00 Hz" in said
-    assert "no colour camera info for this image size; using the depth camera's" in said
+    assert "no camera info of this image size is named like the colour topic" in said

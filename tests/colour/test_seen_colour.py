@@ -58,11 +58,11 @@ def test_second_camera_projects_from_its_own_pose():
         (lambda lag_s: None, "no colour image at this time"),
         (
             partial(colour_image, data=b"nothing"),
-            "the colour image is damaged or in an unknown encoding",
+            "the colour image cannot be read or decoded",
         ),
         (
             partial(colour_image, camera=ColourCamera()),
-            "no intrinsics for a colour image of this size",
+            "the intrinsics of the colour camera are not known",
         ),
     ],
 )

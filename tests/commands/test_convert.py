@@ -191,7 +191,7 @@ def test_colour_images_in_a_folder_are_matched_by_number(told, tmp_path):
     ("names", "says"),
     [
         (["c_7.png"], "no JPEG or PNG has the same last number in its name as a depth image"),
-        (["c_1.png", "d_01.jpg"], "has the same number as c_1.png; remove one"),
+        (["c_1.png", "d_01.jpg"], "has the same number as c_1.png; remove or renumber"),
     ],
 )
 def test_colour_images_that_do_not_fit_are_refused(names, says, tmp_path):

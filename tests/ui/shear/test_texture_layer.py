@@ -96,4 +96,4 @@ def test_colour_image_on_the_membrane_and_in_the_images_panel(drive, sensor):
     driver.seek(1)
     assert "no colour image at this time" not in view_texts(driver) and cell.text == "Colour"
     driver.seek(FRAMES - 1)
-    assert "the colour image is damaged or in an unknown encoding" in view_texts(driver)
+    assert "the colour image cannot be read or decoded" in view_texts(driver)
