@@ -66,7 +66,7 @@ def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
         if name == "face":
             polygons = next((columns[key] for key in _FACES if key in columns), None)
     if vertices is None or polygons is None:
-        raise ValueError("no vertices or no faces")
+        raise ValueError("no vertices, or no faces with vertex_indices")
     sizes = np.array([len(p) for p in polygons], dtype=int)
     groups = [
         np.array([polygons[i] for i in np.flatnonzero(sizes == s)], dtype=np.int64)
@@ -88,7 +88,7 @@ def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
     """Whether the file is ASCII (then all values are read as doubles), and its elements."""
     formats = [_ORDERS.get(words[1]) for words in lines if words[0:1] == ["format"] and words[1:]]
     if not formats or formats[0] is None:
-        raise ValueError("the format line is missing or unknown")
+        raise ValueError("the format line of its header is missing or unknown")
     order, elements = formats[0], list[_Element]()
     for words in lines:
         if words[:1] == ["element"] and len(words) == 3:
@@ -169,10 +169,12 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """
     path = Path(path)
     if not exists(path) or not path.is_file():
-        raise InputError(f"{path}: no such mesh file; check the path")
+        raise InputError(
+            f"{path}: no such mesh file, or no access to it; check path and permissions"
+        )
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown mesh format; export one of {', '.join(SUFFIXES)}")
-    with as_input_error(path, "the mesh", "export it again"):
+    with as_input_error(path, "the mesh", "correct that, or export it again"):
         vertices, triangles = _read(path)
         if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             raise ValueError("a triangle refers to a missing vertex")
@@ -181,8 +183,8 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     wrong = np.flatnonzero(~(np.abs(vertices) < _MAX_COORDINATE).all(axis=1))
     if len(wrong):
         raise InputError(
-            f"{path}: a coordinate of vertex {wrong[0]} is not finite or beyond 10⁹; repair the "
-            "mesh"
+            f"{path}: a coordinate of vertex {wrong[0]} (from 0) is not finite or beyond ±10⁹; "
+            "repair or rescale the mesh"
         )
     with as_input_error(
         path, "the mesh", "merge close vertices, remove stray ones and export it again"
@@ -218,7 +220,7 @@ def _read_stl(path: Path) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(invalid="ignore"):  # NaN, which is refused later
         vertices = vertices.astype(np.float64).reshape(-1, 3)
     if len(vertices) % 3:
-        raise ValueError("the last triangle has fewer than three vertices")
+        raise ValueError("the number of vertices is not a multiple of three")
     return vertices, np.arange(len(vertices)).reshape(-1, 3)
 
 
@@ -253,7 +255,7 @@ def _read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
     reader.Update()
     surface = reader.GetOutput()
     if errors or not hasattr(surface, "GetPolys"):
-        raise ValueError("damaged or of another format")
+        raise ValueError("damaged, or no VTK PolyData")
     split = vtkTriangleFilter()
     split.SetInputData(surface)
     split.PassLinesOff()

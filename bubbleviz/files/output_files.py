@@ -113,7 +113,9 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
                     "would be deleted; move that away, or choose another folder"
                 )
     if not parent_exists:
-        raise InputError(f"{path}: folder {path.parent} does not exist; create it first")
+        raise InputError(
+            f"{path}: {path.parent} is not an existing folder; create it, or choose another"
+        )
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: folder {path.parent} is not writable; choose another folder")
 
@@ -224,14 +226,14 @@ def _discard(temporary: Path) -> None:
 
 def _exists(path: Path) -> InputError:
     return InputError(
-        f"{path}: exists already; choose another name, or allow overwriting (--overwrite)"
+        f"{path}: exists already; choose another name, or delete it first (commands: --overwrite)"
     )
 
 
 def cannot_write(path: Path, error: Exception) -> InputError:
     """InputError for a failure to write `path`."""
     reason = getattr(error, "strerror", None) or error
-    return InputError(f"{path}: cannot be written ({reason}); choose another place")
+    return InputError(f"{path}: cannot be written ({reason}); correct that or choose another path")
 
 
 # Tables: on the terminal, as CSV and as JSON.
@@ -242,7 +244,7 @@ def create_folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            f"{path}: the folder cannot be created ({error.strerror or error}); choose another"
+            f"{path}: the folder cannot be created ({error.strerror or error}); choose another path"
         ) from error
     return path
 

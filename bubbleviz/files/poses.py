@@ -25,7 +25,9 @@ def parse_pose(text: str) -> np.ndarray:
     except ValueError:
         numbers = []
     if len(numbers) != 7:
-        raise InputError(f'pose "{text}": give seven numbers, x y z in m and qx qy qz qw')
+        raise InputError(
+            f'pose "{text}": give seven numbers, x y z in m and the unit quaternion qx qy qz qw'
+        )
     try:
         return pose_matrix(np.array(numbers))
     except InputError as error:
@@ -40,7 +42,10 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     if np.abs(position).max() > _MAX_DISTANCE_M:
         raise InputError("a coordinate is beyond ±2 m; give x y z in metres, not millimetres")
     if not is_unit(quaternion):
-        raise InputError("the quaternion is not of unit length; normalise qx qy qz qw")
+        raise InputError(
+            "the quaternion qx qy qz qw is not of unit length; divide it by its length, or give "
+            "0 0 0 1 for no rotation"
+        )
     return transform(position, quaternion)
 
 

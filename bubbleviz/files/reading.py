@@ -32,7 +32,7 @@ def as_input_error(
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read
-            reason = "a size in it is implausible, or memory is full"
+            reason = "a size in it is damaged, or too little memory is free"
         if isinstance(error, KeyError):
             reason = f"no entry {reason}"
         if isinstance(error, RecursionError):
@@ -57,7 +57,7 @@ def read_npy(file: IO[bytes], size: int) -> np.ndarray:
         warnings.simplefilter("ignore")  # of headers written by Python 2
         version = np.lib.format.read_magic(file)
         if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"its .npy version {version[0]}.{version[1]} is not supported")
+            raise ValueError(f"its .npy version is {version[0]}.{version[1]}, not 1.0 or 2.0")
         header = "read_array_header_1_0" if version == (1, 0) else "read_array_header_2_0"
         shape, _, dtype = getattr(np.lib.format, header)(file)
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > min(size, MAX_ARRAY_BYTES):
@@ -77,7 +77,7 @@ def read_npz(path: str | Path) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(path) as archive:
         members = [each for each in archive.infolist() if each.filename.endswith(".npy")]
         if sum(each.file_size for each in members) > MAX_ARRAY_BYTES:
-            raise ValueError(f"its arrays together are larger than {MAX_ARRAY_BYTES >> 20} MiB")
+            raise ValueError(f"its arrays together exceed the limit of {MAX_ARRAY_BYTES >> 20} MiB")
         return {each.filename.removesuffix(".npy"): _member(archive, each) for each in members}
 
 
