@@ -47,7 +47,7 @@ class Status:
             return self.problem or "waiting for the first depth image"
         if self.state == "live" or self.silent_s is None:
             return ""
-        return "; ".join(filter(None, (f"nothing for {self.silent_s:.1f} s", self.problem)))
+        return "; ".join(filter(None, (f"no image for {self.silent_s:.1f} s", self.problem)))
 
 
 def status_of(link: Link, silent_s: float | None, problem: str = "") -> Status:
@@ -284,10 +284,16 @@ class LiveStream:
         """The error to raise about a source without a depth image, with the reason if known."""
         reason = self.source.problem  # with its remedy
         if not reason and self.counters.problem:
-            reason = f"{self.counters.problem}; correct its publisher, or choose a topic by depth="
+            reason = (
+                f"the last problem was {self.counters.problem}; correct its publisher, or choose a "
+                "topic by ?depth="
+            )
         elif not reason and self.source.topics:
-            reason = f"{self.offered}; check that the camera publishes, or choose a topic by depth="
-        reason = reason or f"{self.offered}; check the address or file"
+            reason = (
+                f"{self.offered}; check that depth images are among them and the camera publishes, "
+                "or choose a topic by ?depth="
+            )
+        reason = reason or f"{self.offered}; check that the camera publishes, and address or file"
         return InputError(f"--source {self.uri}: no depth image arrived: {reason}")
 
     @property

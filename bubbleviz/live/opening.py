@@ -185,7 +185,7 @@ class SensorPlace(_Strict):
     @model_validator(mode="after")
     def _unit(self) -> SensorPlace:
         if not is_unit(self.quaternion_xyzw):
-            raise ValueError("quaternion_xyzw is not of unit length; normalise it")
+            raise ValueError("quaternion_xyzw is not of unit length; divide it by its length")
         return self
 
     @property

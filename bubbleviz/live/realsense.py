@@ -192,8 +192,8 @@ class RealSenseLive(LiveSource):
             raise RuntimeError("no 16-bit depth stream in this file; choose another file")
         width, height = self._size
         raise RuntimeError(
-            f"no depth stream of {width}×{height} pixels at {self._rate} Hz; change rate=, or "
-            "choose the sensor file of this camera"
+            f"no depth stream of {width}×{height} pixels at {self._rate} Hz; change rate=, connect "
+            "it by USB 3, or choose the sensor file of this camera"
         )
 
     def _profiles(self, device: Any, stream: str) -> Iterator[tuple[Any, Any]]:
@@ -308,13 +308,13 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
     if Path(uri.place).suffix.lower() in FILES:
         file = Path(uri.place)
         if not file.is_file():
-            raise uri.refusal(f"{file}: no such file; check the path")
+            raise uri.refusal(f"{file}: no such file, or no access to it; check the path")
         return RealSenseLive(sdk, file=file, loop=uri.options.loop, prefix=prefix)
     found = serials(sdk)
     if not found:
         raise uri.refusal(
-            "no RealSense camera on this computer; plug one in, or give a .bag or .db3 file of "
-            "the RealSense viewer"
+            "no RealSense camera on this computer, or no access to it; plug one in, check its USB "
+            "permissions (udev rules), or give a .bag or .db3 file of the RealSense viewer"
         )
     if uri.place and uri.place not in found:
         raise uri.refusal(

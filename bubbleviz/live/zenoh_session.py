@@ -38,7 +38,7 @@ class Credentials:
         """
         for file in filter(None, (self.ca, self.cert, self.key, self.login)):
             if not Path(file).is_file():
-                raise InputError(f"{file}: no such file; check the path")
+                raise InputError(f"{file}: no such file, or no access to it; check the path")
         tls, side = "transport/link/tls", "connect" if connects else "listen"
         found: dict[str, Any] = {
             f"{tls}/root_ca_certificate": self.ca,
@@ -110,8 +110,8 @@ def _certificates(link: socket.socket, host: str, given: Credentials) -> str:
             context.load_cert_chain(given.cert, given.key)
     except ssl.SSLError:
         return (
-            "ca, cert or key is not a certificate or key in PEM form, or cert and key do not "
-            "match; correct the files"
+            "the file of ca=, cert= or key= is not in PEM form, or cert= and key= do not match; "
+            "correct these files"
         )
     try:
         secure = context.wrap_socket(link, server_hostname=host)
@@ -151,7 +151,7 @@ def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credential
 def _other_side(error: OSError, host: str, given: Credentials) -> str:
     reason = str(getattr(error, "reason", "")).replace("_", " ").lower()
     if "alert" not in reason:
-        return f"{host} breaks off the TLS handshake; use tcp/ if it does not encrypt"
+        return f"{host} does not complete the TLS handshake; use tcp/ if it does not encrypt"
     if given.cert is None:
         return (
             f"{host} refuses the TLS connection ({reason}); if it asks for a certificate of this "

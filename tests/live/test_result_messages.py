@@ -257,7 +257,7 @@ def test_diagnostics_have_state_and_counters(pipeline, pressed):
         "ok": 0,
         "implausible": 2,
         "waiting for the first depth image": 1,
-        "stale, nothing for 3.0 s": 3,
+        "stale, no image for 3.0 s": 3,
     }
 
 

@@ -259,7 +259,7 @@ def test_two_sensors_are_recorded_into_one_file_with_separate_topics(
     [
         ("schema_version = 2", "schema_version"),
         ('colour = "red"', "colour"),
-        ("quaternion_xyzw = [1.0, 1.0, 0.0, 0.0]", "normalise"),
+        ("quaternion_xyzw = [1.0, 1.0, 0.0, 0.0]", "unit length"),
         ("speed = 1", "speed"),
         ("= =", "the TOML file cannot be read"),
     ],

@@ -173,7 +173,7 @@ def test_hanging_robot_is_stale_and_recovers(small_sensor, eventually):
         assert stream.take(30.0) is not None
         os.kill(process.pid, signal.SIGSTOP)
         eventually(lambda: stream.status().state == "stale")
-        assert "nothing for" in stream.status().text
+        assert "no image for" in stream.status().text
         os.kill(process.pid, signal.SIGCONT)
         stream.take()
         assert stream.take(30.0) is not None
