@@ -114,7 +114,7 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
                 )
     if not parent_exists:
         raise InputError(
-            f"{path}: {path.parent} is not an existing folder; create it, or choose another"
+            f"{path}: folder {path.parent} does not exist; create it, or choose another"
         )
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: folder {path.parent} is not writable; choose another folder")
