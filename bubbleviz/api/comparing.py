@@ -103,7 +103,7 @@ class Comparison(SavedSummary):
             by = f"first contact: {Path(self.other).name} shifted {abs(self.shift_s):.3f} s {way}"
         contact = count_of(facts["contact_frames"], "frame")
         lines = [f"compared  {count_of(facts['frames'], 'frame')}, aligned by {by}"]
-        differences = "differences in these:" if facts["contact_frames"] else "no differences"
+        differences = "differences in these:" if facts["contact_frames"] else "none to compare"
         lines += [f"contact   {contact} with contact in either; {differences}"]
         for label, name, factor, unit in (
             ("|ΔF|", "force_difference_n", 1.0, "N"),
@@ -207,8 +207,8 @@ def compare(
     if not np.isfinite(found.force_difference_n).any():
         raise InputError(
             f"{names[0]}, {names[1]}: at no time do both have a trusted force; use --align "
-            f"{'time' if align == 'contact' else 'contact'}, or look up the status of the frames "
-            "with bubbleviz estimate --csv"
+            f"{'time' if align == 'contact' else 'contact'}, or look up the status of their frames "
+            "in a table by bubbleviz estimate --csv"
         )
     if out is not None:
         found.save(out, overwrite=overwrite)

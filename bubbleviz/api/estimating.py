@@ -165,7 +165,7 @@ def estimate(
         solving |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
         return _watched(frames, sensor, timeout_s, out, csv, **solving)
     if csv is not None and out is None:
-        raise InputError(f"{csv}: a CSV is written only together with RESULT.npz; set out as well")
+        raise InputError(f"{csv}: a CSV is written only with a RESULT.npz; set out as well")
     _check_outputs(out, csv, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
@@ -348,8 +348,8 @@ def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) ->
 
     if not isinstance(frames.source, Recording):
         raise InputError(
-            f"{frames.name}: shear needs the colour images of a ROS recording; open one, or leave "
-            "out shear"
+            f"{frames.name}: shear needs the colour images of a ROS recording; open one (save a "
+            "simulation first), or leave out shear"
         )
     source = frames.source
     return watch_recorded_texture(
@@ -440,7 +440,7 @@ def _check_any_data(run: Run, any_depth: bool) -> None:
         )
     raise InputError(
         f"{name}: too few depth pixels lie on the membrane in every frame; "
-        "uncover the camera, or choose its sensor file"
+        "uncover the camera, or choose the sensor file of this camera"
     )
 
 

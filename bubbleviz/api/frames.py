@@ -76,7 +76,7 @@ class Frames(Sequence[Frame]):
             chosen = self.chosen[index]
         except IndexError:
             raise IndexError(
-                f"frame {index}: {self.name} has frames 0 to {len(self) - 1}"
+                f"frame {index}: {self.name} has {count_of(len(self), 'frame')}, counted from 0"
             ) from None
         return self.source[chosen]
 
@@ -296,7 +296,9 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
             return info(opened)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
-        raise InputError(f"{source.name}: not a ROS recording, the only kind for info; give one")
+        raise InputError(
+            f"{source.name}: info needs a ROS recording; save these frames as one, or give another"
+        )
     times = source.times_s
     gaps, period = find_gaps(times), usual_step(np.diff(times))
     pressures = source.gas_pressures_pa()
@@ -325,7 +327,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
 
 def _intrinsics_text(camera: Intrinsics | None) -> str:
     if camera is None:
-        return "none recorded for images of this size"
+        return "no calibrated camera info of this image size"
     return (
         f"fx {camera.fx:.2f}, fy {camera.fy:.2f}, cx {camera.cx:.2f}, cy {camera.cy:.2f} "
         f"pixels, distortion {camera.distortion_model}"

@@ -60,7 +60,8 @@ class RecordSummary(Summary):
             if isinstance(count, int) and count and name not in ("received", "frames", "skipped")
         }
         if problems:
-            lines.append(f"notes   {counted(problems)}; {self.counters['problem']}".rstrip("; "))
+            last = self.counters["problem"]
+            lines.append(f"notes   {counted(problems)}" + (f"; the last: {last}" if last else ""))
         return "\n".join(lines)
 
 
@@ -170,7 +171,7 @@ def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
     if not status.messages:
         offered = stream.offered
         raise InputError(
-            f"--source {source}: no message arrived ({offered}), so nothing was written; check the "
+            f"--source {source}: no message arrived ({offered}), so nothing was written; check "
             "address or file, and that the sensor publishes"
         )
 

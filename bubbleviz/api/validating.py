@@ -187,7 +187,8 @@ def validate(
     name = run.context["recording"]
     if not np.isfinite(measured).any():
         raise InputError(
-            f"{name}: no frame has a wrench; record it, or name its topic with --wrench"
+            f"{name}: no frame has a wrench; record the wrench sensor together with the depth "
+            "camera, or name its topic with --wrench"
         )
     try:
         found = compare_with_wrench(run.times_s, run.force_n, measured)
