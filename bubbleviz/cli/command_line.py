@@ -143,7 +143,11 @@ class AllCommands(OneLineErrors):
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(bubbleviz.__version__)
-@click.option("--fresh", is_flag=True, help="Open the window without its last session.")
+@click.option(
+    "--fresh",
+    is_flag=True,
+    help="Open the window; neither restore its last session nor save this one.",
+)
 @click.pass_context
 def main(context: click.Context, fresh: bool) -> Any:
     """Calibrate, watch and debug Soft-bubble tactile sensors.

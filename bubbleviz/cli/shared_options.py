@@ -36,7 +36,7 @@ friction_option = click.option(
     "--friction",
     metavar="MU",
     type=click.FloatRange(0.0),
-    help="Expected coefficient of friction (default 1); 0: no friction.",
+    help="Expected coefficient of friction on the exact membrane (default 1); 0: no friction.",
 )
 kappa_option = click.option(
     "--kappa",
@@ -44,7 +44,7 @@ kappa_option = click.option(
     help="Threshold of the patch relative to the mean contact pressure; automatic by default.",
 )
 frames_option = click.option(
-    "--frames", help="Frames A to B−1, as A:B or A:B:STEP; all by default."
+    "--frames", help="Frames A to B−1, counted from 0, as A:B or A:B:STEP; all by default."
 )
 zero_gas_option = click.option(
     "--zero-gas/--no-zero-gas",
@@ -75,7 +75,7 @@ duration_option = click.option(
     "--duration",
     "duration_s",
     type=click.FloatRange(0.0, min_open=True),
-    help="Time until it stops, s; by default until ^C or the end of the source.",
+    help="Time after which the command ends, s; by default at ^C or the end of the source.",
 )
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing files.")
 json_option = click.option(
@@ -100,8 +100,8 @@ def publish_options(command: _F) -> _F:
         (
             "login",
             "FILE",
-            "File with lines user:password: the accounts that may connect, or the one to log in "
-            "with.",
+            "File with lines user:password: the accounts that may connect (--listen), or first "
+            "the one to log in with (--connect).",
         ),
         ("key", "FILE", "Private key of --cert."),
         ("cert", "FILE", "Own certificate, for tls/HOST:PORT."),
@@ -110,7 +110,7 @@ def publish_options(command: _F) -> _F:
             "FILE",
             "Certificate of the authority that signed the peer's certificate, for tls/HOST:PORT.",
         ),
-        ("connect", "ENDPOINT", "Publish through this router."),
+        ("connect", "ENDPOINT", "Publish through this router, such as tcp/HOST:7447."),
         (
             "listen",
             "ENDPOINT",

@@ -26,7 +26,7 @@ sensor_option = click.option(
     "--sensor", default=SYNTHETIC_SENSOR, show_default=True, help="Sensor file or preset."
 )
 seed_option = click.option(
-    "--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise."
+    "--seed", type=click.IntRange(0), default=7, help="Seed of poses and noise (default 7)."
 )
 
 
@@ -34,7 +34,7 @@ def report_options(function: Callable[..., None]) -> Callable[..., None]:
     options = [
         click.option("--out", type=click.Path(path_type=Path), help="Folder for the report."),
         click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units."),
-        click.option("--quick", is_flag=True, help="A few cases, about a minute."),
+        click.option("--quick", is_flag=True, help="Run only a few cases, about a minute."),
     ]
     return functools.reduce(lambda f, option: option(f), reversed(options), function)
 

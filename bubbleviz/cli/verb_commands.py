@@ -69,20 +69,24 @@ def doctor(as_json: bool) -> None:
 
 @click.command()
 @option("--sensor", required=True, help="Sensor file or preset.")
-@option("--object", required=True, help="Mesh file or preset of the object.")
+@option(
+    "--object",
+    required=True,
+    help="Preset or mesh file of the object, in m (in mm if its name ends in _mm).",
+)
 @option("--pose", help='Pose T_B_O of the object, "x y z qx qy qz qw" (m, unit quaternion).')
 @option(
     "--path",
     "path_file",
     type=PATH,
-    help="CSV with a pose for each frame (columns x_m … qw), instead of --pose.",
+    help="CSV with a pose for each frame (columns x_m,y_m,z_m,qx,qy,qz,qw), instead of --pose.",
 )
 @option("--frames", type=click.IntRange(1), default=1, help="Number of frames at --pose.")
 @option(
     "--rate", "rate_hz", type=click.FloatRange(0.01, 1e4), default=30.0, help="Frames per second."
 )
 @_number("--noise-sigma", "noise_sigma_m", help="Noise: standard deviation of range, m.")
-@_number("--noise-relative", help="Noise: standard deviation of range over range.")
+@_number("--noise-relative", help="Noise: standard deviation of range divided by range.")
 @_number(
     "--noise-correlation",
     "noise_correlation_px",
@@ -98,8 +102,16 @@ def doctor(as_json: bool) -> None:
     "tension (default otherwise).",
 )
 @_number("--friction", metavar="MU", help="Coefficient of friction; needs the exact membrane.")
-@_number("--drag-m", metavar="M", help="After the press, drag the object along x of B, m.")
-@_number("--twist-rad", metavar="RAD", help="After the drag, twist it about its z axis, rad.")
+@_number(
+    "--drag-m",
+    metavar="M",
+    help="After the press at --pose, drag the object along x of B, m; needs 10 --frames or more.",
+)
+@_number(
+    "--twist-rad",
+    metavar="RAD",
+    help="After press and drag, twist the object about its z axis, rad; needs 10 --frames or more.",
+)
 @_number("--drag", "drag_mm", hidden=True)
 @_number("--twist", "twist_deg", hidden=True)
 @option("--texture", is_flag=True, help="Print a speckle on the membrane, and add colour images.")
@@ -285,12 +297,13 @@ def convert(**options: Any) -> None:
 @option(
     "--held-press/--no-held-press",
     default=True,
-    help="Without levels, determine λ and gauge pressure from a press held still in REC (default).",
+    help="Without --level, determine the pre-stretch λ and the gauge pressure from a press held "
+    "still in REC (default).",
 )
 @hidden_alias("--press/--no-press", "held_press", default=True)
 @option("--object", help="Known object pressed in REC, for validation: mesh file or preset.")
 @option("--pose", help='Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).')
-@option("--pressed", metavar="A:B", help="Frames A to B−1 in which the object is held still.")
+@option("--pressed", metavar="A:B", help="Frames A to B−1 in which that object is held still.")
 @json_option
 def identify(**options: Any) -> None:
     """Make a sensor file from contact-free frames.
@@ -418,7 +431,7 @@ def record(as_json: bool, **options: Any) -> None:
 @out_option("Recording of messages and results.", required=False)
 @duration_option
 @solver_option
-@option("--object", help="Object to track: mesh file or preset.")
+@option("--object", help="Object to track: preset, or mesh file in m (name ends in _mm: mm).")
 @zero_gas_option
 @hidden_alias("--zero/--no-zero", "zero_gas", default=True)
 @shear_option
