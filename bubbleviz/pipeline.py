@@ -151,7 +151,7 @@ class Pipeline:
             estimator: Estimator = plugged(model, self.options)
             return estimator
         names = ", ".join([*SOLVER_NAMES, *plugin_names("solvers")])
-        raise InputError(f"{self.options.solver}: no such solver; choose one of {names}")
+        raise InputError(f"--solver {self.options.solver}: no such solver; choose one of {names}")
 
     def process(
         self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None

@@ -38,7 +38,7 @@ def load_object(
         shipped = {p.stem: p for p in sorted(presets_folder("objects").glob("*.*"))}
         if path.suffix.lower() in SUFFIXES or path.stem not in shipped:
             known = ", ".join(shipped)
-            missing = "file; check its path" if path.suffix else "object; give a mesh file"
+            missing = "file; give an existing one" if path.suffix else "object; give a mesh file"
             raise InputError(f"{name}: no such {missing}, or one of: {known}")
         path = shipped[path.stem]
     vertices, triangles = object_mesh(path, unit)

@@ -119,7 +119,7 @@ class Camera(_Section):
                 "position_m is more than 2 m from the bubble; give metres, not millimetres"
             )
         if not is_unit(self.quaternion_xyzw):
-            raise ValueError("quaternion_xyzw is not of unit length; normalise it")
+            raise ValueError("quaternion_xyzw is not of unit length; divide it by its length")
         return self
 
     @property
@@ -269,7 +269,7 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
     """
     path = Path(path)
     if path.suffix != ".toml":
-        raise InputError(f"{path}: a sensor file ends in .toml; rename it")
+        raise InputError(f"{path}: not a name of a sensor file; give one that ends in .toml")
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
         # Files appear in reverse order: the sensor file last, after the files that it names.

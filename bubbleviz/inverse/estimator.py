@@ -159,7 +159,8 @@ class Estimator:
         if len(self.mesh.nodes) > MAX_NODES:
             raise InputError(
                 f"the mesh of the sensor file has {len(self.mesh.nodes):,} nodes, more than "
-                f"{MAX_NODES:,}; identify the sensor again, with --nodes 1000"
+                f"{MAX_NODES:,}; coarsen it (membrane.nodes, or its mesh file), or identify the "
+                "sensor again, with --nodes 1000"
             )
         self.observer, self.bubble = observer, bubble
         self.options = options or EstimatorOptions()

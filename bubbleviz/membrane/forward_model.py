@@ -231,7 +231,10 @@ class ForwardModel:
 
     def __init__(self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas) -> None:
         if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
-            raise InputError(f"tension {tension_n_per_m} N/m: give a finite number above 0")
+            raise InputError(
+                f"tension {tension_n_per_m} N/m: not a finite number above 0; correct tension or "
+                "gauge pressure in the sensor file"
+            )
         self.mesh, self.tension, self.gas = mesh, tension_n_per_m, gas
         self._finder = GapFinder(mesh)
         self._laplacian = cotangent_laplacian(mesh)

@@ -511,9 +511,11 @@ def _check_frame(mesh: MembraneMesh, facing: np.ndarray) -> None:
         )
     offset, width = float(rim[:, 2].mean()), float(np.ptp(rim[:, :2], axis=0).max())
     if abs(offset) > 0.1 * width:
-        raise InputError(f"the rim lies at z = {offset:.4g} m; move the mesh so that it is at 0")
+        raise InputError(
+            f"the rim lies at z = {offset:.4g} m; move the mesh so that its rim lies at z = 0"
+        )
     if mesh.cap_volume() < -1e-3 * width**3:
-        raise InputError("the dome points to -z; turn the mesh so that +z points out")
+        raise InputError("the dome points to -z; turn the mesh so that the dome points to +z")
 
 
 def _place(point: np.ndarray) -> str:

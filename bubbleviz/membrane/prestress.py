@@ -48,7 +48,8 @@ def disc_map(mesh: MembraneMesh) -> np.ndarray:
     edges = disc[mesh.triangles[:, 1:]] - disc[mesh.triangles[:, :1]]
     if not (np.linalg.det(edges) > 0.0).all():
         raise InputError(
-            "membrane mesh: triangles are too distorted to map the mesh to a disc; remesh it evenly"
+            "membrane mesh: triangles are too distorted to map the mesh to a disc; remesh it "
+            "evenly, or identify the sensor again"
         )
     return disc
 

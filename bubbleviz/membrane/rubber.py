@@ -365,7 +365,10 @@ def shear_stiffness(tension_n_per_m: float, prestretch: float) -> float:
     Raises InputError: λ is not above 1, or γ0 not above 0.
     """
     if not (np.isfinite(tension_n_per_m) and tension_n_per_m > 0.0):
-        raise InputError(f"tension {tension_n_per_m} N/m: give a finite number above 0")
+        raise InputError(
+            f"tension {tension_n_per_m} N/m: not a finite number above 0; correct tension or gauge "
+            "pressure in the sensor file"
+        )
     if not (np.isfinite(prestretch) and prestretch > 1.0):
         raise InputError(f"prestretch {prestretch}: give a finite number above 1, or leave it out")
     return tension_n_per_m / (1.0 - prestretch**-6)

@@ -98,7 +98,9 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
         try:
             poses[int(row["frame"])] = pose_columns(row)
         except (TypeError, ValueError) as error:
-            raise InputError(f"{path}: line {line}: {error}; correct it") from None
+            raise InputError(
+                f"{path}: line {line}: a value is missing or not a number ({error}); correct it"
+            ) from None
     return poses
 
 

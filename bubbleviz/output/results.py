@@ -210,7 +210,7 @@ def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
             raise ValueError(f"{key} has {found}, not {expected} of {kind}")
         known = values[key][np.isfinite(values[key])] if values[key].dtype.kind == "f" else 0.0
         if (np.abs(known) > _LARGEST).any():
-            raise ValueError(f"{key} has numbers above {_LARGEST:g}")
+            raise ValueError(f"{key} has numbers beyond ±{_LARGEST:g}")
     return [_result_of({key: values[key][k] for key in per_frame}) for k in range(frames)]
 
 
@@ -287,7 +287,7 @@ class ResultWriter:
         if patch.pixel_mask is None:
             raise ValueError("the result lacks the product pixel_mask")
         if patch.pixel_mask.shape != self._shape or self._count == self._frames:
-            raise ValueError("wrong mask size, or more frames than announced")
+            raise ValueError("internal error: wrong mask size, or more frames than announced")
         self._count += 1
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
         fields = nodal_fields(result, self._mesh)
@@ -297,7 +297,9 @@ class ResultWriter:
     def finish(self, rows: Sequence[dict[str, Any]], **provenance: str) -> None:
         """Write the remaining arrays: nodal fields, rows of the frames, and provenance texts."""
         if self._count != self._frames:
-            raise ValueError(f"{self._count} frames added, {self._frames} announced")
+            raise ValueError(
+                f"internal error: {self._count} frames added, {self._frames} announced"
+            )
         self._masks.close()
         nodal = (self._frames, len(self._mesh.nodes))
         for (name, more), spool in zip(self._fields.items(), self._spools, strict=True):

@@ -70,7 +70,7 @@ class Mp4Writer:
         except OSError as error:
             raise self._failure(str(error)) from error
         if self._encoder.returncode:
-            raise self._failure(f"it ended with code {self._encoder.returncode}")
+            raise self._failure(f"ended with code {self._encoder.returncode}")
 
     def abandon(self) -> None:
         """Kill the encoder; its output is invalid."""
@@ -104,8 +104,8 @@ class Mp4Writer:
         message = re.sub(r"\[[^\]]*\]", "", first).strip() or default
         reason = " ".join(message.split())[:200]
         return InputError(
-            f"{self._path}: ffmpeg cannot write it ({reason}); check ffmpeg, folder "
-            "and picture size"
+            f"{self._path}: ffmpeg cannot write the video ({reason}); check free space, folder, "
+            "picture size and the installation of imageio-ffmpeg"
         )
 
 
@@ -121,7 +121,7 @@ def open_mp4(
     """
     path = Path(path)
     if path.suffix.lower() != ".mp4":
-        raise InputError(f"{path}: a video ends in .mp4; rename it")
+        raise InputError(f"{path}: not a name of a video; give one that ends in .mp4")
     if not 0.0 < fps <= 1000.0:
         raise InputError(f"{path}: {fps:g} pictures per second; choose above 0, up to 1000")
     with whole_file(path) as temporary, tempfile.TemporaryFile() as messages:

@@ -24,9 +24,9 @@ def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
     bubble = float(np.ptp(mesh.nodes, axis=0).max())
     if size > _LARGEST * bubble:
         raise InputError(
-            f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; scale "
-            "the mesh or, if it is in millimetres, end the file's name in _mm (or set its unit: "
-            "Pose panel, pose --unit mm)"
+            f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; crop or "
+            "scale the mesh or, if it is in millimetres, end the file's name in _mm (or set its "
+            "unit: Pose panel, pose --unit mm)"
         )
 
 

@@ -39,7 +39,10 @@ class DepthNoise:
             )
         if bad:
             most = "below 1" if bad[0] in ("correlation_frames", "holes", "outliers") else "finite"
-            raise InputError(f"noise {bad[0]} = {getattr(self, bad[0])}: give 0 or more, {most}")
+            option = " (--noise-sigma)" if bad[0] == "absolute_m" else ""
+            raise InputError(
+                f"noise {bad[0]} = {getattr(self, bad[0])}{option}: give 0 or more, {most}"
+            )
 
     def apply(self, range_m: np.ndarray, seed: int, index: int) -> np.ndarray:
         """Noisy copy of a range image (H, W), m; NaN where there is no return."""

@@ -41,9 +41,9 @@ def press_path(
             "(--frames)"
         )
     if not abs(drag_m) <= _MAX_DRAG_M:
-        raise InputError(f"drag {drag_m:g} m: give at most {_MAX_DRAG_M:g} m either way")
+        raise InputError(f"drag {drag_m:g} m: give at most ±{_MAX_DRAG_M:g} m (--drag-m)")
     if not abs(twist_rad) <= _MAX_TWIST_RAD:
-        raise InputError(f"twist {twist_rad:g} rad: give at most π rad (180°) either way")
+        raise InputError(f"twist {twist_rad:g} rad: give at most ±π rad, ±180° (--twist-rad)")
     t = np.arange(frames) / (frames - 1)
     above = max(touching_height(obj, T_B_O, mesh) - T_B_O[2, 3], 0.0) + _CLEARANCE_M
     poses = np.tile(T_B_O, (frames, 1, 1))

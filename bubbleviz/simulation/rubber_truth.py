@@ -176,7 +176,9 @@ class LinearPresses(Presses):
         gas = Gas.of(self.pneumatics, self.mesh)
         contact = ForwardModel(self.mesh, self.tension_n_per_m, gas).press(obj, T_B_O)
         if contact.rim_penetration_m > 1e-6:
-            raise InputError(f"{obj.name} cuts into the clamped rim; raise it or move it inward")
+            raise InputError(
+                f"{obj.name} cuts into the clamped rim; raise the object or move it inward"
+            )
         return self.mesh, contact
 
 

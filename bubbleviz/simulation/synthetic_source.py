@@ -257,7 +257,7 @@ class SyntheticSource:
         if contact.rim_penetration_m > 1e-6:
             raise InputError(
                 f"frame {index}: {self.obj.name} cuts {contact.rim_penetration_m:.2g} m into the"
-                " clamped rim; raise it or move it inward"
+                " clamped rim; raise the object or move it inward"
             )
         if not contact.converged:
             raise SolveError(

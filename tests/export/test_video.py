@@ -71,7 +71,7 @@ def test_refusals_before_the_work(tmp_path):
 
 
 def test_errors_of_the_encoder_are_quoted(tmp_path):
-    said = r"cannot write it \(invalid width x height \(20000x2\)\); check"
+    said = r"cannot write the video \(invalid width x height \(20000x2\)\); check"
     with pytest.raises(InputError, match=said):
         write(tmp_path / "a.mp4", [np.zeros((2, 20_000, 3), np.uint8)] * 30, 30.0)
     assert not list(tmp_path.iterdir())
