@@ -78,10 +78,7 @@ def test_without_hard_links(tmp_path, monkeypatch):
 
 
 def test_a_missing_folder_and_a_full_disk_are_input_errors(tmp_path):
-    with (
-        pytest.raises(InputError, match="not an existing folder"),
-        whole_file(tmp_path / "no" / "out"),
-    ):
+    with pytest.raises(InputError, match="does not exist"), whole_file(tmp_path / "no" / "out"):
         pass
     with pytest.raises(InputError, match="No space left"), whole_file(tmp_path / "out"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
