@@ -447,8 +447,8 @@ def _check_any_data(run: Run, any_depth: bool) -> None:
 _REASONS: dict[PoseStatus, str] = {
     "no_contact": "nothing touches the membrane; choose frames with contact",
     "few_points": "the contact patch has fewer points than a pose needs; press deeper",
-    "no_data": "the depth image does not show this sensor's membrane; check the sensor file, the "
-    "gas pressure and the unit of depth",
+    "no_data": "no trusted estimate of the membrane; check the sensor file, the gas pressure and "
+    "the unit of depth, and uncover the camera",
     "lost": "the object does not fit the contact; check --object, --unit and --init",
 }
 

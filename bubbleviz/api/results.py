@@ -720,7 +720,7 @@ def _unit(name: str) -> dict[str, str]:
 
 
 def _missing(library: str, extra: str = "notebook") -> InputError:
-    return InputError(f"{library} is not installed; run {how_to_install(extra)}")
+    return InputError(f"{library} cannot be imported; run {how_to_install(extra)}")
 
 
 OneBlasThread = partial(threadpool_limits, limits=1, user_api="blas")

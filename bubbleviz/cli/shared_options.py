@@ -75,7 +75,7 @@ duration_option = click.option(
     "--duration",
     "duration_s",
     type=click.FloatRange(0.0, min_open=True),
-    help="Time after which the command ends, s; by default at ^C or the end of the source.",
+    help="Duration from the first message on, s; by default until ^C or the end of the source.",
 )
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing files.")
 json_option = click.option(

@@ -92,8 +92,8 @@ def doctor(as_json: bool) -> None:
     "noise_correlation_px",
     help="1/e distance of the noise's correlation, pixels; 0 (default): white noise.",
 )
-@_number("--holes", help="Fraction of pixels without a return, 0 to 1.")
-@_number("--outliers", help="Fraction of pixels with a grossly wrong depth, 0 to 1.")
+@_number("--holes", help="Fraction of pixels without a return, from 0 to below 1.")
+@_number("--outliers", help="Fraction of pixels with a grossly wrong depth, 0 to below 1.")
 @option("--seed", type=click.IntRange(0), default=0, help="Seed of the noise.")
 @option(
     "--model",

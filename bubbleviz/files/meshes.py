@@ -174,7 +174,7 @@ def read_triangles(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
         )
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown mesh format; export one of {', '.join(SUFFIXES)}")
-    with as_input_error(path, "the mesh", "correct that, or export it again"):
+    with as_input_error(path, "the mesh", "export it again"):
         vertices, triangles = _read(path)
         if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
             raise ValueError("a triangle refers to a missing vertex")

@@ -20,7 +20,9 @@ MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 p
 
 @contextmanager
 def as_input_error(
-    path: str | Path, what: str, remedy: str = "correct that, or copy or record the file again"
+    path: str | Path,
+    what: str,
+    remedy: str = "copy the recording again, or record again without that problem",
 ) -> Iterator[None]:
     """Convert any exception that a damaged file causes in a reader to InputError."""
     try:
@@ -37,6 +39,8 @@ def as_input_error(
             reason = f"no entry {reason}"
         if isinstance(error, RecursionError):
             reason = "it is nested too deeply"
+        if isinstance(error, PermissionError):
+            remedy = "allow reading it"
         raise InputError(f"{path}: {what} cannot be read ({reason}); {remedy}") from error
 
 

@@ -62,7 +62,7 @@ def _first_problem(error: ValidationError, kind: str) -> str:
         return f"{key}: unknown key; correct its spelling or remove it"
     if problem["type"] == "missing":
         return f"{key}: missing; add it"
-    message = problem["msg"].removeprefix("Value error, ")
+    message = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if isinstance(problem["input"], dict):  # an entire section
         return f"{key}: {message}"
     return f"{key} = {problem['input']!r}: {message}{_unit_of(key)}"

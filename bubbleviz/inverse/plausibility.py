@@ -40,7 +40,7 @@ STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
         "camera, or check the sensor file",
         "not_converged": "the solver did not converge; look at the residual in the window, or try "
         "another --solver",
-        "implausible": "depths are far from this membrane; check sensor file and unit of depth",
+        "implausible": "depths do not fit this membrane; check sensor file and unit of depth",
     }
 )
 """Default reason of each status."""
@@ -61,8 +61,8 @@ def reason_against_gas(change_pa: float, gas: Gas, *, measured: bool = True) -> 
             "contact can change it; correct the sensor file, or check the pressure sensor"
         )
     return (
-        f"such a shape would change the gas pressure by {change}, more than contact can; check "
-        "sensor file and unit of depth"
+        f"this image's shape would change the gas pressure by {change}, more than contact can; "
+        "check sensor file and unit of depth"
     )
 
 

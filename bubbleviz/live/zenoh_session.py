@@ -279,8 +279,8 @@ def _no_session(options: SessionOptions, error: Exception) -> InputError:
     quoted = re.search(r'msg: "(.*?)"?\}?\)?$', text)
     reason = (quoted.group(1) if quoted else text).strip().rstrip("!.")[:160]
     return InputError(
-        f"{options.text}: no Zenoh session ({reason}); check port, credentials and address, such "
-        f"as {ROUTER}"
+        f"{options.text}: no Zenoh session ({reason}); check address, such as {ROUTER}, and "
+        "credentials, and to listen that the port is free"
     )
 
 

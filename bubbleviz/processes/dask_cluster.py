@@ -63,7 +63,7 @@ def _client(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError as error:
         raise InputError(
-            f"--scheduler {address}: the package distributed is not installed; run "
+            f"--scheduler {address}: the package distributed cannot be imported; run "
             f"{how_to_install('cluster')}, or leave --scheduler out"
         ) from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # replaced by InputError

@@ -342,7 +342,7 @@ def _size(shape: Sequence[int]) -> str:
 
 
 def _read(path: Path) -> np.ndarray:
-    remedy = "correct that, or export it again as PNG, TIFF or .npy"
+    remedy = "export it again as PNG, TIFF or .npy"
     with as_input_error(path, "the image", remedy), path.open("rb") as file:
         if path.suffix.lower() == ".npy":
             return read_npy(file, path.stat().st_size)
@@ -358,5 +358,5 @@ def _read(path: Path) -> np.ndarray:
 
 
 def _read_colour(path: Path) -> EncodedImage:
-    with as_input_error(path, "the colour image", "correct that, or export it again"):
+    with as_input_error(path, "the colour image", "export it again"):
         return EncodedImage(_COLOUR_ENCODINGS[path.suffix.lower()], path.read_bytes())

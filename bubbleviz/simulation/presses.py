@@ -37,8 +37,7 @@ def press_path(
     """
     if frames < _MIN_FRAMES:
         raise InputError(
-            f"{frames} frames are too few for drag and twist; give at least {_MIN_FRAMES} "
-            "(--frames)"
+            f"--frames {frames}: too few for drag and twist; give at least {_MIN_FRAMES}"
         )
     if not abs(drag_m) <= _MAX_DRAG_M:
         raise InputError(f"drag {drag_m:g} m: give at most ±{_MAX_DRAG_M:g} m (--drag-m)")

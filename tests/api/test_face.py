@@ -408,7 +408,7 @@ def test_a_table_and_a_dataset(estimated):
 
 def test_without_pandas_one_sentence_says_what_to_install(estimated, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(bv.InputError, match=r"pandas is not installed; run .*\[notebook\]"):
+    with pytest.raises(bv.InputError, match=r"pandas cannot be imported; run .*\[notebook\]"):
         estimated.table()
 
 

@@ -240,7 +240,7 @@ def test_untrusted_result_of_the_other_sensor_is_shown(open_bench):
     connect_played(bench, far)
     buttons = lambda: [button.text() for button in bench.window.live.sensors]  # noqa: E731
     bench.wait(lambda: buttons() == ["● left", "● right: implausible"])
-    assert "far from this membrane" in bench.window.live.sensors[1].toolTip() or (
+    assert "do not fit this membrane" in bench.window.live.sensors[1].toolTip() or (
         "from any shape" in bench.window.live.sensors[1].toolTip()
     )
     bench.wait_for_redraw()
