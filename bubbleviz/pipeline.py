@@ -314,7 +314,7 @@ class Pipeline:
         if self.estimator.solver_name != RUBBER:
             default = f" (the default, as sensor {self.model.sensor.name} has no prestretch)"
             raise InputError(
-                f"solver {self.estimator.solver_name}{'' if self.options.solver else default}: "
+                f"solver {self.options.solver or self.estimator.solver_name + default}: "
                 "cannot estimate shear; choose --solver rubber"
             )
         return TractionEstimator(self.estimator, self._colour_camera, self._traction_options)

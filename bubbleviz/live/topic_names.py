@@ -103,4 +103,6 @@ def decode(message: Message) -> Any:
     try:
         return ros2_types().deserialize_cdr(payload, message.type)
     except (Exception, MemoryError) as error:  # rosbags allocates the sizes it reads
-        raise ValueError(f"a message is damaged: it cannot be decoded as {message.type}") from error
+        raise ValueError(
+            f"a message cannot be decoded as {message.type}: it is damaged or of another type"
+        ) from error

@@ -138,8 +138,8 @@ def _untrusted(error: ssl.SSLCertVerificationError, host: str, given: Credential
     if error.verify_code in UNTRUSTED:
         signer = f"ca={given.ca}" if given.ca else "an authority that this computer trusts"
         return (
-            f"the certificate of {host} is not signed by {signer}; give that of its authority as "
-            "ca="
+            f"the certificate of {host} is not signed by {signer}; give the certificate of its "
+            "authority as ca="
         )
     what = error.verify_message.rstrip(".")
     return (

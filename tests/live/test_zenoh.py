@@ -335,7 +335,7 @@ def test_refused_and_unreachable_endpoints_are_distinguished(
             eventually(lambda: waits.source.link == "up")
             assert waits.source.problem == ""
             signed = "the certificate of localhost is not signed by"
-            give = "give that of its authority as ca="
+            give = "give the certificate of its authority as ca="
             assert refusal(at) == f"{signed} an authority that this computer trusts; {give}"
             assert refusal(at, ca=other) == f"{signed} ca={other}; {give}"
             assert "not valid for '127.0.0.1'" in refusal(f"tls/127.0.0.1:{port}", ca=ca)

@@ -57,7 +57,7 @@ def test_rejected_certificate_is_reported_in_dialog_and_bar(open_bench, certific
     place, own = f"tls/localhost:{free_port()}", Credentials(cert=cert, key=key)
     source = f"zenoh:{place}?ca={other}"
     why = "refused: the certificate of localhost is not signed by "
-    why += f"ca={other}; give that of its authority as ca= ({source})"
+    why += f"ca={other}; give the certificate of its authority as ca= ({source})"
     with open_session(SessionOptions("robot", listen=place, credentials=own)):
         for sensor in (sensor_file(bench.folder), AUTO):
             dialog = opened(bench, sensor)
