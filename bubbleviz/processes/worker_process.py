@@ -89,7 +89,9 @@ class WorkerProcess:
         except (EOFError, OSError):
             self._process.join()
             kind, value = "died", None
-            detail = f"the process ended with code {self._process.exitcode}"
+            code = self._process.exitcode
+            signalled = f" (killed by signal {-code})" if code < 0 else ""
+            detail = f"the process ended with code {code}{signalled}"
         elapsed = 1e3 * (time.perf_counter() - self._sent_s)
         if kind == "hung":
             detail = f"no answer within {limit_s:.0f} s"

@@ -82,7 +82,10 @@ class ImageFolder:
             stamps = self._stamps()
         if len(stamps) != len(self._files):
             images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
-            raise InputError(f"{folder}: {images} but {times}; give one time for each image")
+            raise InputError(
+                f"{folder}: {images} but {times}; give one time for each image (--times, or "
+                "times.csv in the folder)"
+            )
         if not (np.abs(stamps) < 1e-9 * MAX_STAMP_NS).all():
             raise InputError(
                 f"{folder}: a time is beyond ±2³¹ s; give the times in s since 1970 or since the "

@@ -87,7 +87,10 @@ def test_frames_are_solved_in_the_process_and_counted_locally(process, pipeline,
 
 @pytest.mark.parametrize(
     ("how", "words"),
-    [(signal.SIGKILL, "the process ended with code -9"), (signal.SIGSTOP, "no answer for 1 s")],
+    [
+        (signal.SIGKILL, "the process ended with code -9 (killed by signal 9)"),
+        (signal.SIGSTOP, "no answer for 1 s"),
+    ],
 )
 def test_crashed_or_hanging_process_loses_no_frame(process, frames, how, words):
     pid = process.pid
