@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
+from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic, SourceUri
 from bubbleviz.recordings import IMAGE, Frame, FrameMessages, Message, distortion_of, ros2_types
 from bubbleviz.wording import how_to_install
@@ -56,8 +57,12 @@ class RealSenseLive(LiveSource):
             before, again = time.monotonic(), False
             try:
                 again = self._stream(deliver, played)
+            except InputError as error:
+                self.problem = str(error)
             except RuntimeError as error:  # the SDK raises nothing else
-                self.problem = " ".join(str(error).split())[:160]
+                camera = "reconnect the camera, or close other programs that use it"
+                remedy = camera if self._file is None else "choose another file"
+                self.problem = f"{' '.join(str(error).split())[:160]}; {remedy}"
             if again or (self._file is not None and self._loop and not self.problem):
                 played += 1
                 continue
@@ -181,7 +186,7 @@ class RealSenseLive(LiveSource):
         for device in context.query_devices():
             if self._serial in (None, device.get_info(number)):
                 return device
-        raise RuntimeError("the camera is not connected; plug it in")
+        raise InputError("the camera is not connected; plug it in")
 
     def _depth_profile(self, sensor: Any) -> Any:
         """Stream profile: depth as requested, or as recorded."""
@@ -189,9 +194,9 @@ class RealSenseLive(LiveSource):
             if profile.format() == self._sdk.format.z16:
                 return profile
         if self._file is not None:
-            raise RuntimeError("no 16-bit depth stream in this file; choose another file")
+            raise InputError("no 16-bit depth stream in this file; choose another file")
         width, height = self._size
-        raise RuntimeError(
+        raise InputError(
             f"no depth stream of {width}×{height} pixels at {self._rate} Hz; change rate=, connect "
             "it by USB 3, or choose the sensor file of this camera"
         )
