@@ -128,6 +128,7 @@ class Numbers:
     gas_measured_pa: float = NOTHING  # measured gas pressure minus the reference pressure P0
     # residual_m, solve_ms, total_ms: as in `Estimate` and `Result.times_ms`
     residual_m: float = NOTHING
+    peak_pa: float = NOTHING  # largest contact pressure
     solve_ms: float = NOTHING
     total_ms: float = NOTHING
     # force_n, area_m2: magnitude of the force; area of the patch
@@ -164,6 +165,8 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
         if estimate.trusted:
             known["residual_m"] = estimate.residual_rms_m
             known["force_half_width_n"] = estimate.force_half_width_n
+            if estimate.status == "ok":
+                known["peak_pa"] = float(estimate.contact_pressure_pa.max(initial=0.0))
             if estimate.status == "no_contact":
                 known["gas_law_pa"] = 0.0
             elif estimate.gas_law_pa is None:

@@ -72,7 +72,9 @@ def drive(qtbot, new_window, sensor, press):
         driver.open("press", open_source, sensor, **at)
         driver.window.show()
         driver.wait(lambda: driver.window.controller.result is not None)
-        driver.wait_until_shown() if not playing else None
+        if not playing:
+            driver.wait_until_shown()
+            driver.wait_until_solved_ahead()
         return driver
 
     return make

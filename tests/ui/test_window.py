@@ -2,11 +2,10 @@
 
 import os
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from fakes import FRAMES, DentSource, record, small_sensor
+from fakes import DentSource, record, small_sensor
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import (
@@ -69,35 +68,6 @@ def test_contact_is_drawn_at_its_place_for_each_threshold_and_solver(drive):
     assert driver.state.frame == CONTACT
     assert len(driver.pipeline.mesh.nodes) != nodes
     assert driver.result.patch.area_m2 > 0.0
-
-
-class Outlier(DentSource):
-    """The dent, with an early frame as deep as the last."""
-
-    def __getitem__(self, index):
-        return replace(super().__getitem__(FRAMES - 1 if index == 6 else index), index=index)
-
-
-def test_one_outlier_does_not_extend_the_colour_scale(drive):
-    driver = drive(Outlier, frame=5)
-
-    def end_pa():
-        high = driver.window.scene.layers["membrane"].actor.mapper.scalar_range[1]
-        return driver.state.units.pressure.to_si(high)
-
-    def peak_pa(frame):
-        driver.seek(frame)
-        peak = float(driver.result.estimate.contact_pressure_pa.max())
-        assert end_pa() >= peak
-        return peak
-
-    usual, outlier = peak_pa(5), peak_pa(6)
-    assert outlier > 2.0 * usual
-    peak_pa(5)
-    assert end_pa() < outlier
-    peaks = [peak_pa(frame) for frame in range(7, FRAMES)]
-    peak_pa(5)
-    assert end_pa() >= sorted([usual, outlier, *peaks])[-3]
 
 
 def test_each_layer_draws_something_and_can_be_hidden(drive):

@@ -100,6 +100,11 @@ class Driver:
         self.wait(lambda: self.shows_cursor_frame() and controller.cold_solved)
         self.wait_for_redraw()
 
+    def wait_until_solved_ahead(self):
+        """Wait until the solver is idle: the scales cover the recording."""
+        self.wait(lambda: not self.window.controller.worker.busy)
+        self.wait_for_redraw()
+
     def wait_for_redraw(self):
         count = self.window.view.render_count
         self.window.view.refresh()

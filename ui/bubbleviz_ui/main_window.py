@@ -126,7 +126,7 @@ class MainWindow(QMainWindow):
         self.hint = HintBar(self)
         self.view = View(self, quality)
         state.cloud_decimation = quality.cloud_decimation
-        self.scene = Scene(self.view, state.units, state.settings)
+        self.scene = Scene(self.view, state)
         self.status = StatusBar(state.units)
         self.layers = LayersPanel(state)
         self.kappa = KappaPanel(state)
@@ -135,7 +135,7 @@ class MainWindow(QMainWindow):
         self.compare = ComparePanel(state, controller)
         self.plots = PlotsPanel(state, controller)
         self.hover = Hover(controller)
-        self.images = ImagesPanel(state, controller, self.hover)
+        self.images = ImagesPanel(state, controller, self.hover, self.scene.scales)
         self.tools = ViewTools(state, controller, self.view, self.scene)
         self.pointing = Pointing(state, self.view, self.scene, self.hover)
         self.undo_stack = QUndoStack(self)
@@ -398,6 +398,7 @@ class MainWindow(QMainWindow):
         self.state.frozen_changed.connect(self._show_title)
         self.state.connection_changed.connect(self._on_connection)
         self.state.settings_changed.connect(self._on_settings)
+        self.state.history_changed.connect(self.view.refresh)  # the scales may have changed
 
     def _play_range(self, frames: tuple[int, int]) -> None:
         """Loop over a range dragged on the timeline."""

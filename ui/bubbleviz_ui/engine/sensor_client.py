@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -19,6 +19,7 @@ from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import FrameHistory, grown
 from bubbleviz_ui.model.messages import RateMeter
+from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 
@@ -28,6 +29,8 @@ TARGET_WAIT_S = 0.004
 """Target time between a result and its drawing; above 0, so that the window never waits for it."""
 GAIN = 0.4  # of the integral control of the delay
 MAX_DELAY_S = 0.1  # longer delays are noticeable
+SAMPLED_FRAMES = 16
+"""Frames of a recording solved in advance, so that its scales stay the same during playback."""
 
 
 class RequestDelay:
@@ -75,6 +78,7 @@ class SensorClient(QObject):
         self._cold_solved: Frame | None = None
         self._shown_demand = self.demand
         self._delay = RequestDelay()
+        self._unscaled: tuple[int, ...] = ()
         self.worker.failed.connect(self._on_failed)
 
     @property
@@ -153,6 +157,18 @@ class SensorClient(QObject):
         function = partial(self.solver.patch, result, demand)
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
 
+    def scale_to(self, frames: Sequence[int], then: Callable[[], None] = lambda: None) -> None:
+        """Extend the scales to frames in idle time, instead of those chosen before; then call."""
+        self._unscaled = tuple(frames)
+        if not self._unscaled:
+            then()
+            return
+        demand = Demand(PATCH, options=self._options)
+        function = partial(self.solver.analyse, self._unscaled, demand, cached_only=False)
+        take = partial(self._take_extremes, self._unscaled, then)
+        # a frame that cannot be solved is reported when it is shown
+        self.worker.submit(function, take, failed=lambda _: then(), key="scale")
+
     def forget_pose(self) -> None:
         """Remove the pose from the shown result, as another object or initial pose is used."""
         if self.result is not None and self.result.pose is not None:
@@ -195,11 +211,23 @@ class SensorClient(QObject):
                 self.solver.wrench_bias, partial(self.worker.has_more_urgent, "wrench")
             )
             self.worker.submit(function, self._take_wrench_bias, key="wrench")
+        if opened.facts.frames > 1 and not opened.facts.grows:
+            last = opened.facts.frames - 1
+            self.scale_to(sorted({round(k) for k in np.linspace(0, last, SAMPLED_FRAMES)}))
         self.opened_source.emit(opened)
 
     def _take_wrench_bias(self, bias_n: np.ndarray) -> None:
         self.history.wrench_bias_n = bias_n
         self._state.history_changed.emit()
+
+    def _take_extremes(
+        self, frames: tuple[int, ...], then: Callable[[], None], numbers: list[Numbers]
+    ) -> None:
+        for frame, known in zip(frames, numbers, strict=False):
+            self.history.extremes.include(frame, known)
+        self._state.history_changed.emit()
+        if frames is self._unscaled:
+            self.scale_to(frames[len(numbers) :], then)
 
     def _take_frame(self, requested_s: float, solved: Solved) -> None:
         now = time.perf_counter()

@@ -19,7 +19,7 @@ from bubbleviz.progress import Cancelled
 OPEN = "open"
 KEYS = (
     OPEN, "object", "reference", "patch", "frame", "newest", "cold_solve", "compare", "wrench",
-    "analyse",
+    "scale", "analyse",
 )  # fmt: skip
 """Jobs of the solver thread, most urgent first."""
 PROGRESS_EVERY_S = 0.05

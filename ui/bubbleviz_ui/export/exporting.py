@@ -114,16 +114,18 @@ class VideoExport(QObject):
         self._cold_solving: Frame | None = None
         self._pictures: Queue[np.ndarray] = Queue(MAX_QUEUED)
         self._before = self._state.frame
-        self._active = True
+        self._active, self._scaled = True, False
         self._picture_written.connect(self._draw_next, Qt.ConnectionType.QueuedConnection)
         controller.shown.connect(self._draw_next)
         self._state.set_playing(False)
-        QTimer.singleShot(0, self._draw_next)
+        # solves all frames, as the scales must not change in the video
+        QTimer.singleShot(0, lambda: controller.client.scale_to(frames, self._on_scaled))
 
     def end(self) -> None:
         """Stop drawing and restore the cursor."""
         if self._active:
             self._active = False
+            self._controller.client.scale_to(())
             self._controller.shown.disconnect(self._draw_next)
             self._state.seek(self._before)
 
@@ -148,12 +150,18 @@ class VideoExport(QObject):
             except Empty:
                 continue
 
+    def _on_scaled(self) -> None:
+        self._scaled = True
+        self._draw_next()
+
     def _draw_next(self, _: object = None) -> None:
         """Draw the next frame once its cold solve is shown, else request that.
 
         Returns at once while the queue is full.
         """
-        if not self._active or self._drawn == len(self._frames) or self._pictures.full():
+        if not (self._active and self._scaled) or self._pictures.full():
+            return
+        if self._drawn == len(self._frames):
             return
         wanted, result = self._frames[self._drawn], self._controller.result
         if result is None or result.frame.index != wanted:

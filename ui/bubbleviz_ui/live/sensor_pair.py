@@ -61,7 +61,7 @@ class SensorPair(QObject):
         if run is None or len(run.frames) < 2 or self.second is not None:
             return
         if self.drawing is None:
-            self.drawing = SecondScene(self._view, state.units, self._scene.ranges)
+            self.drawing = SecondScene(self._view, state.units, self._scene.scales)
         sensor, frames = run.session.sensors[1].sensor, run.frames[1]
         self.second = second = SensorClient(state)
         second.extra_products = self._controller.client.extra_products
@@ -238,9 +238,11 @@ class SensorPair(QObject):
 
         Not before the selected one has a result, as the colour bars are of the previous source.
         """
-        result = None if self.second is None else self.second.result
-        if self.drawing is None or result is None or self._controller.result is None:
+        second, drawing = self.second, self.drawing
+        if second is None or drawing is None:
             return
-        self.drawing.show(result, self._state.settings)
+        if second.result is None or self._controller.result is None:
+            return
+        drawing.show(second.result, self._state.settings, second.history)
         if self._selected_silent:
             self._view.refresh()

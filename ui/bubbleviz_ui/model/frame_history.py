@@ -37,6 +37,35 @@ UNKNOWN, FREE, CONTACT, UNTRUSTED = -1, 0, 1, 2
 _FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
 
 
+OUTLIERS, OUTLIER_RATIO = 2, 1.5
+"""So many frames whose largest pressure exceeds that of all others by this ratio are outliers."""
+
+
+class Extremes:
+    """Largest values of all frames computed so far, for scales."""
+
+    def __init__(self) -> None:
+        self.residual_m = self.force_n = 0.0
+        self._peaks_pa: dict[int, float] = {}  # The highest, by frame
+
+    @property
+    def usual_peak_pa(self) -> float:
+        """Largest contact pressure of all frames except outliers; 0 without contact."""
+        peaks = sorted(self._peaks_pa.values())
+        if len(peaks) <= OUTLIERS:
+            return peaks[-1] if peaks else 0.0
+        return max(peak for peak in peaks if peak <= OUTLIER_RATIO * peaks[0])
+
+    def include(self, frame: int, known: Numbers) -> None:
+        """Include a frame."""
+        self.residual_m = float(np.fmax(self.residual_m, known.residual_m))
+        self.force_n = float(np.fmax(self.force_n, known.force_n))
+        if known.peak_pa > 0.0:
+            self._peaks_pa[frame] = known.peak_pa
+            highest = sorted(self._peaks_pa, key=self._peaks_pa.__getitem__)[-1 - OUTLIERS :]
+            self._peaks_pa = {frame: self._peaks_pa[frame] for frame in highest}
+
+
 class FrameHistory:
     """Numbers of the frames computed so far."""
 
@@ -51,6 +80,7 @@ class FrameHistory:
         self.wrench_bias_n: np.ndarray | None = None
         self._untouched = np.zeros(frames, bool)
         self._outdated = np.zeros(frames, bool)
+        self.extremes = Extremes()
 
     def __len__(self) -> int:
         return len(self.contact)
@@ -67,6 +97,7 @@ class FrameHistory:
 
     def record(self, frame: int, known: Numbers, *, patch: bool) -> None:
         """Record the numbers of a frame; those of its patch only if `patch`."""
+        self.extremes.include(frame, known)
         self._put(frame, known, ("gas_measured_pa", "total_ms", "latency_ms"))
         self._has[frame] |= _FRAME
         self._wrench[frame] = known.wrench_n

@@ -265,18 +265,20 @@ class Settings(_SettingsBase):
     section_flipped: bool = _setting(
         False, "other side", "Show the part on the other side of the plane"
     )
-    # pressure_max_pa, residual_max_m: Upper ends of the colour ranges; None: from the frames shown
-    # so far, see `GrowingRanges`
+    # pressure_max_pa, residual_max_m: Upper ends of the colour scales; None: from all frames
+    # computed so far, see `Scales`
     pressure_max_pa: float | None = _setting(
         None,
         "Maximum pressure",
-        "Pressure at the top of the colour scale; lowest value: automatic",
+        "Pressure at the top of the colour scale, which a click on its bar locks; lowest value: "
+        "automatic",
         high=1e6, step=1e3, unit="pressure", lowest="automatic",
     )  # fmt: skip
     residual_max_m: float | None = _setting(
         None,
         "Maximum residual ±",
-        "Residual at the ends of the colour scale; lowest value: automatic",
+        "Residual at the ends of the colour scale, in the view and in the images; lowest value: "
+        "automatic",
         high=0.1, step=1e-4, unit="length", lowest="automatic",
     )  # fmt: skip
     # Object to register: preset or mesh file; None: no object

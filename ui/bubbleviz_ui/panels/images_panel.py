@@ -27,7 +27,7 @@ from bubbleviz_ui.panels.plot_host import HEADING, Part, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.theme import NODE
-from bubbleviz_ui.view3d.colours import residual_colours, rounded_up
+from bubbleviz_ui.view3d.colours import Scales, residual_colours, rounded_up
 
 # One image with its colour scale and the marked pixel.
 
@@ -115,14 +115,18 @@ class ImageCell:
         ends: tuple[float, float] | None,
         units: Units,
         why: str = "",
+        scale: float | None = None,
     ) -> None:
-        """Show an image (H, W) in SI with a colour range `ends`, or the reason for none."""
+        """Show an image (H, W) in SI with a colour range, or the reason for none.
+
+        The range is ± `scale`, or grows with the `ends` of the images shown.
+        """
         if image is None:
             self.clear()
             lines = [self.picture.title, *textwrap.wrap(why, LINE_LETTERS)]
             self._write("<br>".join(lines) if why else f"{self.picture.title}: {DASH}")
             return
-        low, high = self._range(ends)
+        low, high = self._range(ends) if scale is None else (-scale, scale)
         unit = None if self.picture.unit is None else self.picture.unit(units)
         self.show(image, low, high)
         self._scale = (low, high, unit)
@@ -235,9 +239,12 @@ HEADER = 65
 class ImagesPanel(QWidget):
     """Chosen images in a grid; the place under the mouse is marked in all images and in 3-D."""
 
-    def __init__(self, state: SessionState, controller: Controller, hover: Hover) -> None:
+    def __init__(
+        self, state: SessionState, controller: Controller, hover: Hover, scales: Scales
+    ) -> None:
         super().__init__()
         self.setObjectName("images")
+        self._scales, self._residual_max_m = scales, math.nan
         self._state, self._controller, self._hover = state, controller, hover
         self._host = PlotHost(self._make, spacing=4)
         self._host.seen.connect(self._draw)
@@ -254,6 +261,7 @@ class ImagesPanel(QWidget):
         watch_controls(self)
         state.source_changed.connect(self._on_source)
         state.settings_changed.connect(self._on_settings)
+        state.history_changed.connect(self._on_history)
 
     def _lay_out(self) -> None:
         header, text = QWidget(), QWidget()
@@ -272,6 +280,11 @@ class ImagesPanel(QWidget):
         self._arrange()
         self._draw()
         self._on_hover(self._hover.place)
+
+    def _on_history(self) -> None:
+        """Redraw if another frame has changed the scale of the residual."""
+        if self._scales.of(self._state.settings).residual_m != self._residual_max_m:
+            self._draw()
 
     def _on_shown(self, _: object) -> None:
         if not self._state.playing:
@@ -332,6 +345,7 @@ class ImagesPanel(QWidget):
         if result is not None and result.patch is not None:
             mask = result.patch.pixel_mask
             images |= {"patch": mask} if mask is not None else {}
+        self._residual_max_m = self._scales.of(self._state.settings).residual_m
         for name in self._state.settings.images:
             cell = self.cells[name]
             if isinstance(cell, ColourCell):
@@ -339,7 +353,8 @@ class ImagesPanel(QWidget):
                 continue
             ends = inspection.ends.get(name)
             why = (inspection.no_flow or inspection.reference) if name == "flow" else ""
-            cell.draw(images.get(name), ends, self._state.units, why)
+            scale = self._residual_max_m if name == "residual" else None
+            cell.draw(images.get(name), ends, self._state.units, why, scale)
 
     def _on_mouse(self, place: QPointF) -> None:
         for name in self._state.settings.images:

@@ -36,7 +36,7 @@ class SecondMembrane(QObject):
             return
         self._aligned, state = aligned, self._controller.state
         if self._drawing is None:
-            self._drawing = SecondScene(self._view, state.units, self._scene.ranges)
+            self._drawing = SecondScene(self._view, state.units, self._scene.scales)
         if aligned is None:
             self._drawing.hide()
             self._scene.place(np.eye(4), np.empty((0, 3)), None)
@@ -53,5 +53,6 @@ class SecondMembrane(QObject):
         if shown is None or aligned is None or self._drawing is None:
             return
         k = int(np.abs(aligned.times_s - shown.frame.time_s).argmin())
-        self._drawing.show(aligned.run[k].result, self._controller.state.settings)
+        result, settings = aligned.run[k].result, self._controller.state.settings
+        self._drawing.show(result, settings, aligned.history)
         self._view.refresh()

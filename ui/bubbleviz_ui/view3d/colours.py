@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from matplotlib import colormaps
 
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.frame_history import FrameHistory
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
@@ -69,8 +69,6 @@ def lookup_table(values: np.ndarray) -> Any:
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
 """Smallest end of the pressure scale over the gauge pressure, so that noise stays dark."""
-OUTLIERS = 2
-"""Frames with the highest pressures that do not extend the scale of other frames."""
 RESIDUAL_TIMES_RMS = 3.0  # covers 99.7 % of Gaussian noise
 SMALLEST_FORCE_N = 2.0
 SMALLEST_RESIDUAL_M = 1e-4  # noise of a depth camera
@@ -91,72 +89,45 @@ def rounded_up(value: float) -> float:
     return next(step for step in STEPS if step * power >= value * (1 - 1e-9)) * power
 
 
-class GrowingRanges:
-    """Scales that grow with the data and never shrink, so that colours stay comparable.
+class Scales:
+    """Scales of all sensors in the view: one for all frames, so that colours are comparable.
 
-    The pressure scale covers the frames being shown, and all previous ones except the two highest.
-    All sensors of a view share the scales. Ends are round numbers in the displayed units.
+    They cover the frames computed so far except outliers, and of a live source the one shown. Ends
+    are round numbers in the displayed units.
     """
 
     def __init__(self, units: Units) -> None:
-        self._units = units
-        self._ranges = Ranges(1e3, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
-        self._peaks_pa: dict[tuple[object, int], float] = {}
-        self._shown_pa: dict[object, float] = {}
+        self._units, self._least_pa = units, 1e3
+        self._shown: dict[object, tuple[FrameHistory, Result]] = {}
 
     def set_sensor(self, sensor: Sensor) -> None:
-        """Reset for another source; frames shown of other sensors stay covered."""
-        start = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
-        self._ranges = Ranges(start, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N)
-        self._peaks_pa = {}
+        """Set the sensor, whose gauge pressure gives the smallest scale."""
+        self._least_pa = rounded_up(PRESSURE_SHARE * sensor.pneumatics.gauge_pressure_pa)
 
-    def include(self, sensor_key: object, result: Result) -> None:
-        """Extend the scales to the result shown of a sensor."""
-        pressure, residual, force = 0.0, 0.0, 0.0
-        estimate, patch = result.trusted_estimate, result.trusted_patch
-        if estimate is not None:
-            residual = RESIDUAL_TIMES_RMS * estimate.residual_rms_m
-            if estimate.status == "ok":
-                pressure = float(estimate.contact_pressure_pa.max(initial=0.0))
-        if patch is not None:
-            force = float(np.linalg.norm(patch.force_n))
-        ranges, self._shown_pa[sensor_key] = self._ranges, pressure
-        self._ranges = Ranges(
-            _grown(
-                ranges.pressure_pa,
-                self._peak_without_outliers((sensor_key, result.frame.index), pressure),
-            ),
-            _grown(ranges.residual_m, residual),
-            _grown(ranges.force_n, force),
-        )
+    def show(self, sensor_key: object, history: FrameHistory, result: Result) -> None:
+        """Cover the frames of a sensor, of which one is shown."""
+        self._shown[sensor_key] = history, result
 
     def forget(self, sensor_key: object) -> None:
-        """Drop the result shown of a sensor."""
-        self._shown_pa.pop(sensor_key, None)
+        """Drop the frames of a sensor."""
+        self._shown.pop(sensor_key, None)
 
     def of(self, settings: Settings) -> Ranges:
         """Current scales."""
-        pressure = self._ranges.pressure_pa
-        for shown in self._shown_pa.values():
-            pressure = _grown(pressure, shown)
-        units, ranges = self._units, self._ranges
+        pressure_pa, residual_m, force_n = self._least_pa, SMALLEST_RESIDUAL_M, SMALLEST_FORCE_N
+        for history, result in self._shown.values():
+            seen, estimate = history.extremes, result.trusted_estimate
+            pressure_pa = max(pressure_pa, seen.usual_peak_pa)
+            if result.frame.arrival_ns and estimate is not None and estimate.status == "ok":
+                pressure_pa = max(pressure_pa, float(estimate.contact_pressure_pa.max()))
+            residual_m = max(residual_m, RESIDUAL_TIMES_RMS * seen.residual_m)
+            force_n = max(force_n, seen.force_n)
+        units = self._units
         return Ranges(
-            settings.pressure_max_pa or _round_in(units.pressure, pressure),
-            settings.residual_max_m or _round_in(units.length, ranges.residual_m),
-            ranges.force_n,
+            settings.pressure_max_pa or _round_in(units.pressure, pressure_pa),
+            settings.residual_max_m or _round_in(units.length, residual_m),
+            rounded_up(force_n),
         )
-
-    def _peak_without_outliers(self, frame: tuple[object, int], peak_pa: float) -> float:
-        """Highest pressure of all frames except the `OUTLIERS` highest, Pa."""
-        if math.isfinite(peak_pa):
-            self._peaks_pa[frame] = max(peak_pa, self._peaks_pa.get(frame, 0.0))
-        highest = sorted(self._peaks_pa.items(), key=itemgetter(1))[-1 - OUTLIERS :]
-        self._peaks_pa = dict(highest)
-        return highest[0][1] if len(highest) > OUTLIERS else 0.0
-
-
-def _grown(end: float, value: float) -> float:
-    return rounded_up(value) if math.isfinite(value) and value > end else end
 
 
 def _round_in(unit: Unit, si: float) -> float:

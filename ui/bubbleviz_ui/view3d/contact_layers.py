@@ -63,13 +63,14 @@ class MembraneLayer(Layer):
         self._hatching.SetPickable(False)
         draw_in_front(self._hatching, -90.0)
         draw_hatched(self._hatching)
-        self._bar = ColourBar(canvas.view, self._table, "contact pressure", upper=True)
+        self.bar = self._bar = ColourBar(
+            canvas.view, self._table, "contact pressure", "pressure_max_pa", upper=True
+        )
 
     def draw(self, picture: Picture) -> None:
         """Update colours, opacity and hatching; the surface itself is shared."""
-        unit = self.canvas.units.pressure
-        high = unit.from_si(picture.ranges.pressure_pa)
-        self._bar.set_range(0.0, high, unit)
+        end_pa, unit = picture.ranges.pressure_pa, self.canvas.units.pressure
+        high = self._bar.set_range(end_pa, unit, picture.settings)
         self.actor.mapper.scalar_range = (0.0, high)
         self.actor.prop.opacity = picture.settings.membrane_opacity
         estimate = picture.result.estimate

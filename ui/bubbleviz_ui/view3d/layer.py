@@ -17,6 +17,7 @@ from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.colours import Ranges
 from bubbleviz_ui.view3d.render_view import LIGHTS, View
+from bubbleviz_ui.view3d.text import ColourBar
 
 # The displayed surface: one VTK mesh shared by membrane, wireframe, contour and rim.
 
@@ -165,6 +166,7 @@ class Layer:
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
         self.actors: list[Any] = []  # Main one first
+        self.bar: ColourBar | None = None
         self._visible, self._drawn = True, True
 
     @property

@@ -1,4 +1,4 @@
-"""Probing with the mouse over the 3-D view."""
+"""Probing with the mouse over the 3-D view, and locking of its colour scales."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from bubbleviz_ui.view3d.scene import Scene
 
 EVERY_MS = 30
 """Picking takes some ms, and there are hundreds of mouse moves per second."""
+LOCK_TIP = "Click to lock this scale, again to let it follow the data"
 
 
 class Pointing(QObject):
@@ -22,7 +23,9 @@ class Pointing(QObject):
         self._at = (0.0, 0.0)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(self._pick)
+        self._view = view
         view.mouse_moved.connect(self._on_moved)
+        view.clicked.connect(self._on_clicked)
         view.mouse_left.connect(self._on_left)
         state.playing_changed.connect(self._on_playing)
         hover.changed.connect(scene.mark)
@@ -33,8 +36,16 @@ class Pointing(QObject):
 
     def _on_moved(self, x: float, y: float) -> None:
         self._at = (x, y)
+        self._view.setToolTip(LOCK_TIP if self._scene.bar_at(x, y) is not None else "")
         if self._enabled and not self._due.isActive():
             self._due.start()
+
+    def _on_clicked(self, x: float, y: float) -> None:
+        """Lock the scale of a colour bar, or let it follow the data again."""
+        bar = self._scene.bar_at(x, y)
+        if bar is not None:
+            locked = getattr(self._state.settings, bar.setting) is not None
+            self._state.change(**{bar.setting: None if locked else bar.end})
 
     def _on_playing(self) -> None:
         if not self._enabled:

@@ -15,10 +15,12 @@ from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.model.frame_history import FrameHistory
 from bubbleviz_ui.model.registry import LAYERS
+from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.view3d.colours import GrowingRanges
+from bubbleviz_ui.view3d.colours import Scales
 from bubbleviz_ui.view3d.contact_layers import (
     ComparedLayer,
     ContourLayer,
@@ -35,7 +37,7 @@ from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, Surface
 from bubbleviz_ui.view3d.object_layers import FitLayer, ObjectLayer, ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.sensor_layers import AxesLayer, CloudLayer, FrustumLayer, RimLayer
-from bubbleviz_ui.view3d.text import MIN_HEIGHT, WIDTH, AnchoredText
+from bubbleviz_ui.view3d.text import MIN_HEIGHT, WIDTH, AnchoredText, ColourBar
 from bubbleviz_ui.view3d.tools import (
     DIRECTIONS,
     Picker,
@@ -79,10 +81,10 @@ class DrawnLayers:
         self,
         view: View,
         units: Units,
-        ranges: GrowingRanges,  # Colour scales
+        scales: Scales,
         names: frozenset[str] = frozenset(LAYERS),  # Layers to create
     ) -> None:
-        self.surface, self._ranges = Surface(units), ranges
+        self.surface, self._scales = Surface(units), scales
         canvas = Canvas(view, self.surface, units)
         self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
         for layer in self.by_name.values():
@@ -97,20 +99,20 @@ class DrawnLayers:
         for layer in self.by_name.values():
             layer.set_sensor(sensor, mesh)
 
-    def draw(self, result: Result, settings: Settings) -> None:
-        """Draw a result."""
-        self._ranges.include(self, result)
+    def draw(self, result: Result, settings: Settings, history: FrameHistory) -> None:
+        """Draw a result, with scales for all frames of its history."""
+        self._scales.show(self, history, result)
         self._draw(result, settings)
 
     def hide(self) -> None:
         """Remove the picture, and its influence on the scales."""
         self._picture = None
-        self._ranges.forget(self)
+        self._scales.forget(self)
 
     def _update_scale(self) -> None:
-        """Redraw if the other sensor has changed the scales."""
+        """Redraw if another frame or sensor has changed the scales."""
         drawn = self._picture
-        if drawn is not None and drawn.ranges != self._ranges.of(drawn.settings):
+        if drawn is not None and drawn.ranges != self._scales.of(drawn.settings):
             self._draw(drawn.result, drawn.settings)
 
     def _draw(self, result: Result, settings: Settings) -> None:
@@ -119,7 +121,7 @@ class DrawnLayers:
             shape = self.surface.shape_of(result.estimate, settings.exaggeration)
         if shape is not None:
             self.surface.draw(shape)
-        self._picture = picture = Picture(result, shape, self._ranges.of(settings), settings)
+        self._picture = picture = Picture(result, shape, self._scales.of(settings), settings)
         for name, layer in self.by_name.items():
             layer.set_visible(name in settings.layers)
             if name in settings.layers:
@@ -139,11 +141,11 @@ MARGIN = 1.0
 class Scene:
     """Draws the results of a sensor in the view, and moves the camera."""
 
-    def __init__(self, view: View, units: Units, settings: Settings) -> None:
-        self._view = view
-        self._settings = settings
-        self.ranges = GrowingRanges(units)
-        self._drawn = DrawnLayers(view, units, self.ranges)
+    def __init__(self, view: View, state: SessionState) -> None:
+        self._view, self._state = view, state
+        self._settings = state.settings
+        self.scales = Scales(state.units)
+        self._drawn = DrawnLayers(view, state.units, self.scales)
         self.layers = self._drawn.by_name
         self._surface = self._drawn.surface
         self.object, self.fit = self._drawn.layer(ObjectLayer), self._drawn.layer(FitLayer)
@@ -155,7 +157,7 @@ class Scene:
         self._sensor: Sensor | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
         self.marks = ProbeMarks(view)
-        self._text = AnchoredText(view, units)
+        self._text = AnchoredText(view, state.units)
         view.pointer_props += [*self.marks.actors, self._text.actor]
         cut = [actor for layer in self.layers.values() if layer.clipped for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
@@ -170,7 +172,7 @@ class Scene:
         self._result = None
         self._bounds = _bounds(mesh, sensor, self._others_m)
         self._drawn.set_sensor(sensor, mesh)
-        self.ranges.set_sensor(sensor)
+        self.scales.set_sensor(sensor)
         self.marks.set_camera(np.array(sensor.camera.position_m))
         self._fit_unless_moved()
 
@@ -213,7 +215,7 @@ class Scene:
         """Draw a result."""
         self._result, self._settings = result, settings
         self.section.apply(settings)
-        self._drawn.draw(result, settings)
+        self._drawn.draw(result, settings, self._state.history)
         # known bounds, as VTK would compute them from every point of every layer
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -259,6 +261,11 @@ class Scene:
         """Drawn position (3,) in B of the node of a probed place; None without a place."""
         return self._surface.drawn_node(place) if place is not None else None
 
+    def bar_at(self, x: float, y: float) -> ColourBar | None:
+        """Colour bar at a position of the view, or None."""
+        bars = (layer.bar for layer in self.layers.values())
+        return next((bar for bar in bars if bar is not None and bar.contains(x, y)), None)
+
     def pick(self, x: float, y: float) -> np.ndarray | None:
         """Point (3,) in B, without exaggeration, at a position of the view, or None."""
         point = self._picker.at(x, y)
@@ -293,13 +300,13 @@ SECOND_LAYERS = frozenset({"membrane", "contour", "cloud", "force", "rim"})
 class SecondScene:
     """Draws the results of a second sensor in the view, with the scales of the first.
 
-    `ranges`: Scales of the scene, which has the colour bars.
+    `scales`: Those of the scene, which has the colour bars.
     """
 
-    def __init__(self, view: View, units: Units, ranges: GrowingRanges) -> None:
+    def __init__(self, view: View, units: Units, scales: Scales) -> None:
         self._view = view
         before = set(view.renderer.GetViewProps())
-        self._drawn = DrawnLayers(view, units, ranges, SECOND_LAYERS)
+        self._drawn = DrawnLayers(view, units, scales, SECOND_LAYERS)
         made = [prop for prop in view.renderer.GetViewProps() if prop not in before]
         self._assembly = _assembled(view, made)
         self._assembly.SetVisibility(False)
@@ -320,9 +327,9 @@ class SecondScene:
         """Whether it is drawn."""
         return bool(self._assembly.GetVisibility())
 
-    def show(self, result: Result, settings: Settings) -> None:
+    def show(self, result: Result, settings: Settings, history: FrameHistory) -> None:
         """Draw a result with the next render."""
-        self._drawn.draw(result, settings)
+        self._drawn.draw(result, settings, history)
         self._assembly.SetVisibility(True)
 
     def hide(self) -> None:

@@ -209,7 +209,9 @@ class CloudLayer(Layer):
             **view.quality.points,
         )
         actor.ForceOpaqueOn()  # avoids VTK's slow translucent pass
-        self._bar = ColourBar(view, self._table, "residual", upper=False)
+        self.bar = self._bar = ColourBar(
+            view, self._table, "residual", "residual_max_m", upper=False
+        )
         view.follow_theme(self._take_colours)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -229,7 +231,7 @@ class CloudLayer(Layer):
             self.actor.prop.point_size = DOT + 1 if sparse else DOT
         by_residual = picture.settings.cloud_colour == "residual"
         if by_residual and result.cloud_residual_m is not None:
-            self._colour_by_residual(result.cloud_residual_m, picture.ranges.residual_m)
+            self._colour_by_residual(result.cloud_residual_m, picture)
         else:
             self._colour(result if picture.settings.cloud_colour == "patch" else None)
         self._poly.Modified()
@@ -245,11 +247,10 @@ class CloudLayer(Layer):
         self._plain = colours.cloud
         self._table.values = residual_colours(colours.cloud)
 
-    def _colour_by_residual(self, residual_m: np.ndarray, high_m: float) -> None:
-        unit = self.canvas.units.length
-        high = unit.from_si(high_m)
+    def _colour_by_residual(self, residual_m: np.ndarray, picture: Picture) -> None:
+        end_m, unit = picture.ranges.residual_m, self.canvas.units.length
+        high = self._bar.set_range(end_m, unit, picture.settings, signed=True)
         _fill(self._poly.point_data[self.RESIDUAL], unit.from_si(1.0) * residual_m)
-        self._bar.set_range(-high, high, unit)
         self.actor.mapper.scalar_range = (-high, high)
         self._use(self.RESIDUAL, direct=False)
 

@@ -12,6 +12,7 @@ from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.diagnostics import Probed
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
@@ -146,9 +147,12 @@ def left_of_bars(width: float) -> float:
 
 
 class ColourBar:
-    """Colour bar in the upper or lower half of the view's right edge."""
+    """Colour bar in the upper or lower half of the view's right edge; a click locks its scale.
 
-    def __init__(self, view: View, table: Any, quantity: str, *, upper: bool) -> None:
+    `setting`: Of its upper end; None there: not locked.
+    """
+
+    def __init__(self, view: View, table: Any, quantity: str, setting: str, *, upper: bool) -> None:
         bar = vtkScalarBarActor()
         bar.SetLookupTable(table)
         bar.SetTitle(quantity)
@@ -161,13 +165,28 @@ class ColourBar:
         view.renderer.AddViewProp(bar)
         self._view, self._bar, self._upper = view, bar, upper
         self._table, self._quantity = table, quantity
+        self.setting, self.end = setting, math.nan
         view.rendering.connect(self._fit)
 
-    def set_range(self, low: float, high: float, unit: Unit) -> None:
-        """Set the range, and the unit in the title."""
-        self._bar.SetTitle(f"{self._quantity}\n({unit.symbol})")
+    def set_range(
+        self, end: float, unit: Unit, settings: Settings, *, signed: bool = False
+    ) -> float:
+        """Set the upper end, SI, and the title; returns the end in displayed units."""
+        self.end, high = end, unit.from_si(end)
+        low = -high if signed else 0.0
+        locked = "" if getattr(settings, self.setting) is None else ", locked"
+        self._bar.SetTitle(f"{self._quantity}\n({unit.symbol}){locked}")
         if tuple(self._table.scalar_range) != (low, high):
             self._table.scalar_range = (low, high)
+        return high
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether it is visible at a position in the view, Qt pixels."""
+        left, bottom = self._bar.GetPosition()
+        across = x / self._view.width() - left
+        up = 1.0 - y / self._view.height() - bottom
+        inside = 0.0 <= across <= self._bar.GetWidth() and 0.0 <= up <= self._bar.GetHeight()
+        return inside and bool(self._bar.GetVisibility())
 
     def _fit(self) -> None:
         """Adapt size and number of labels to the view."""

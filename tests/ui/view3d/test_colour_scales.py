@@ -1,0 +1,141 @@
+"""One colour scale for a recording, locked by a click on its bar."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fakes import FRAMES, DentSource
+from PySide6.QtCore import QPoint, Qt
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
+from window_driver import CTRL, hover, view_texts, vtk_props
+
+from bubbleviz_ui.export.exporting import KINDS
+
+
+class LongSource(DentSource):
+    """160 frames, of which `deep` have the dent of the last one of `DentSource`."""
+
+    def __init__(self, sensor, deep, usual=7):
+        super().__init__(sensor)
+        self._deep, self._usual = deep, usual
+        self.times_s = np.arange(160) / 30.0
+
+    def __getitem__(self, index):
+        like = FRAMES - 1 if index in self._deep else min(index, self._usual)
+        frame = super().__getitem__(like)
+        return replace(frame, index=index, time_s=float(self.times_s[index]))
+
+
+def scale(driver, quantity="pressure"):
+    """Upper end of a colour bar, displayed unit."""
+    (bar,) = (
+        prop
+        for prop in vtk_props(driver)
+        if isinstance(prop, vtkScalarBarActor) and quantity in prop.GetTitle()
+    )
+    return bar.GetLookupTable().GetRange()[1]
+
+
+def peak_kpa(driver, frame):
+    driver.seek(frame)
+    return 1e-3 * float(driver.result.estimate.contact_pressure_pa.max())
+
+
+def test_one_scale_for_all_frames_of_a_recording(drive):
+    driver = drive(DentSource, frame=0)
+    ends = {scale(driver)}
+    for frame in range(FRAMES):
+        peak = peak_kpa(driver, frame)
+        ends.add(scale(driver))
+    assert len(ends) == 1 and ends.pop() >= peak
+
+
+def test_outliers_do_not_change_the_scale(drive):
+    outlier = 77
+    driver = drive(lambda sensor: LongSource(sensor, {outlier}), frame=0)
+    end = scale(driver)
+    usual = [peak_kpa(driver, frame) for frame in (8, 9, 76)]
+    assert peak_kpa(driver, outlier) > end >= max(usual) and scale(driver) == end
+    assert peak_kpa(driver, 78) <= end == scale(driver)
+
+
+def test_scale_is_the_same_in_all_frames_of_a_video(drive, tmp_path):
+    """Although the frames solved ahead have a smaller pressure."""
+    deep = range(75, 80)
+    driver = drive(lambda sensor: LongSource(sensor, deep, usual=0), frame=0)
+    before, window, seen = scale(driver), driver.window, []
+    window.view.rendered.connect(lambda: seen.append((window.controller.result, scale(driver))))
+    out = tmp_path / "press.mp4"
+    driver.choose(picture_size=(320, 240))
+    seen.clear()
+    (video,) = (kind for kind in KINDS if kind.is_video)
+    window.exporting.start(video, range(70, 80), out)
+    driver.wait(lambda: not window.exporting.busy)
+    drawn = {result.frame.index: end for result, end in seen if result.frame.index >= 70}
+    assert set(drawn) == set(range(70, 80)) and len(set(drawn.values())) == 1
+    assert drawn[70] > before and out.stat().st_size > 1000
+
+
+def place_of_bar(driver, quantity):
+    """Middle of a colour bar in the view."""
+    (bar,) = (
+        prop
+        for prop in vtk_props(driver)
+        if isinstance(prop, vtkScalarBarActor) and quantity in prop.GetTitle()
+    )
+    (x, y), view = bar.GetPosition(), driver.window.view
+    x, y = x + 0.5 * bar.GetWidth(), y + 0.5 * bar.GetHeight()
+    return QPoint(round(x * view.width()), round((1.0 - y) * view.height()))
+
+
+@pytest.mark.parametrize(("quantity", "unit"), [("pressure", "kPa"), ("residual", "mm")])
+def test_a_click_on_the_bar_locks_its_scale(drive, sensor, quantity, unit):
+    driver = drive(DentSource, frame=6)
+    driver.choose(layers=frozenset({"membrane", "cloud"}))
+    driver.wait_until_solved_ahead()
+    end, title = scale(driver, quantity), {"pressure": "contact pressure"}.get(quantity, quantity)
+    at, view = place_of_bar(driver, quantity), driver.window.view
+    hover(view, QPoint(5, 5))
+    assert not view.toolTip()
+    hover(view, at)
+    assert "lock" in view.toolTip()
+    assert f"{title}\n({unit})" in view_texts(driver)
+    driver.bot.mouseClick(view, Qt.MouseButton.LeftButton, pos=at)
+    driver.wait(lambda: f"{title}\n({unit}), locked" in view_texts(driver))
+    # another recording has the same scale, although its own would be smaller
+    calm = lambda sensor: LongSource(sensor, set(), usual=0)  # noqa: E731
+    driver.open("calm", calm, sensor)
+    driver.wait(lambda: driver.state.facts.frames == 160)
+    driver.wait_until_solved_ahead()
+    assert scale(driver, quantity) == end
+    driver.bot.mouseClick(view, Qt.MouseButton.LeftButton, pos=at)
+    driver.wait(lambda: f"{title}\n({unit})" in view_texts(driver))
+    driver.wait_for_redraw()
+    assert quantity == "residual" or scale(driver) < end
+    driver.key(Qt.Key.Key_Z, CTRL)
+    driver.wait_for_redraw()
+    assert scale(driver, quantity) == end
+
+
+def test_residual_has_the_same_scale_in_images_and_in_the_view(drive):
+    driver = drive(DentSource, frame=6)
+    driver.window.resize(1280, 800)
+    driver.choose(layers=frozenset({"membrane", "cloud"}), images=frozenset({"residual"}))
+    driver.show("images")
+    panel = driver.window.images
+    driver.wait(lambda: bool(panel.cells) and panel.cells["residual"].image is not None)
+    driver.wait_until_solved_ahead()
+
+    def ends():
+        """Ends of the legend of the residual image, mm."""
+        legend = panel.cells["residual"].text.partition("<br>")[2]
+        low, *_, high, unit = re.sub("<[^>]*>", "", legend).split()
+        return float(low), float(high), unit
+
+    for locked_m in (None, 2.2e-4, None):
+        driver.choose(residual_max_m=locked_m)
+        driver.seek(7 if locked_m else 6)
+        end = scale(driver, "residual")
+        driver.wait(lambda end=end: ends() == (-end, end, "mm"))
+        assert locked_m is None or end == 1e3 * locked_m
