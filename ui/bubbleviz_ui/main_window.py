@@ -27,13 +27,14 @@ from bubbleviz_ui.calibration.calibration_panel import CalibrationPanel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.upkeep import MemoryRelease
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
 from bubbleviz_ui.model.demand import StageTimes
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.messages import OPENING, MessageKind, Messages, UserMessage
@@ -183,6 +184,25 @@ class MainWindow(QMainWindow):
             self.controller.opening.use_ground_truth(path)
         else:
             self.controller.opening.open_recording(path)
+
+    def open_recordings(self, paths: list[Path], sensor_file: Path | None = None) -> None:
+        """Open a recording, or the first two as two sensors, side by side."""
+        opening = self.controller.opening
+        if len(paths) == 1:
+            opening.open_recording(paths[0], sensor_file)
+            return
+        first, second = (
+            PairedSensor(
+                path.stem,
+                colour,
+                Source.of_recording(path),
+                opening.sensor_of(path, sensor_file),
+                np.eye(4),
+            )
+            for path, colour in zip(paths[:2], theme.COMPARED, strict=True)
+        )
+        if opening.open(first.source, first.open_sensor):
+            self.pair.prepare(first, second)
 
     def show_performance(self) -> None:
         """Show the run time of each stage."""
@@ -436,12 +456,17 @@ class MainWindow(QMainWindow):
             self.messages.add(UserMessage("error", f"{path}: cannot be opened; {why}"))
 
     def _open_dropped(self, paths: list[Path]) -> None:
-        """Open the first file; a recording with a sensor file and ground truth dropped with it."""
+        """Open the first file; a recording with a sensor file and ground truth dropped with it.
+
+        Two recordings are opened as two sensors.
+        """
         by_suffix = {path.suffix.lower(): path for path in reversed(paths)}
         others = {".toml", SESSION_SUFFIX, TRUTH_SUFFIX, *SUFFIXES}
         recordings = [path for path in paths if path.suffix.lower() not in others]
         sensor, truth = by_suffix.get(".toml"), by_suffix.get(TRUTH_SUFFIX)
-        if recordings and (sensor is not None or truth is not None):
+        if len(recordings) > 1:
+            self.open_recordings(recordings, sensor)
+        elif recordings and (sensor is not None or truth is not None):
             self.controller.opening.open_recording(recordings[0], sensor, truth)
         else:
             self.open_file(paths[0])

@@ -47,6 +47,9 @@ class WindowParts(Protocol):
     def open_file(self, path: Path) -> None:
         """Open a sensor, object mesh, session, ground truth or recording."""
 
+    def open_recordings(self, paths: list[Path]) -> None:
+        """Open a recording, or two as two sensors."""
+
     def use_scene(self, preset: ScenePreset) -> None:
         """Apply a scene preset."""
 

@@ -117,3 +117,23 @@ def test_source_argument_of_each_kind_and_its_sensor(open_bench, tmp_path, monke
     dialog.accept()
     bench.wait(lambda: bench.live_controller.run is not None)
     assert bench.run.preset.sensors[0].sensor == file
+
+
+def test_second_source_connects_two_sensors(open_bench):
+    bench = open_bench()
+    path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
+    dialog = opened(bench, file)
+    choose_kind(dialog, REPLAY)
+    dialog.place.setEditText(str(path))
+    dialog.second.setFocus()
+    bench.bot.keyClicks(dialog.second, "nonsense")
+    dialog.accept()
+    assert dialog.isVisible() and "nonsense" in dialog.problem.text()
+    bench.type(dialog.second, f"replay:{path}?loop=true")
+    bench.wait(lambda: bench.run is not None)
+    bench.wait(lambda: bench.window.pair.second is not None)
+    bench.wait(lambda: bench.window.pair.second.result is not None)
+    assert [button.text() for button in bench.window.live.sensors] == ["● first", "● second"]
+    assert bench.run.preset.sensors[1].sensor == file
+    choose_kind(dialog, PAIR)
+    assert dialog.second.isHidden()

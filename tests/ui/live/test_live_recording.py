@@ -30,9 +30,9 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
 
     def asked(parent, title, folder, kinds):
         begun.append(folder)
-        return "", ""
+        return [], ""
 
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
+    monkeypatch.setattr(QFileDialog, "getOpenFileNames", asked)
     live.trigger("File › Open recording")
     chosen = str(live.folder)
     monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_, **__: chosen)

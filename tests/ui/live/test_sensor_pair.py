@@ -9,10 +9,12 @@ import pytest
 from fakes import DentSource, record
 from live_bench import IMAGE, messages_by_type, robot_sensor, sensor_file, sensor_pair_preset
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFileDialog
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
 from window_driver import vtk_props
 
+from bubbleviz.recordings import RecordingWriter
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.layer import Surface
@@ -248,3 +250,72 @@ def test_untrusted_result_of_the_other_sensor_is_shown(open_bench):
     hue = bench.pixels().astype(float)
     like = hue @ own / (np.linalg.norm(hue, axis=2) * np.linalg.norm(own) + 1e-9)
     assert np.count_nonzero(like > 0.99) > 200  # compared by hue, as it is shaded
+
+
+def two_recordings(folder, frames=8):
+    """Recordings of two sensors, the second begun two frames later, and their sensor file."""
+    file, source = sensor_file(folder), DentSource(robot_sensor())
+    begun_ns = 1_790_000_000_000_000_000
+    paths = []
+    for name, first in (("left", 0), ("right", 2)):
+        paths.append(folder / f"{name}.mcap")
+        with RecordingWriter(paths[-1]) as writer:
+            for k in range(first, first + frames):
+                frame = source[k]
+                stamp_ns = begun_ns + round(frame.time_s * 1e9)
+                writer.write(replace(frame, stamp_ns=stamp_ns, arrival_ns=stamp_ns))
+    return [*paths, Path(file)]
+
+
+def shown_pair(bench, frame):
+    """Wait until a frame of the first recording and one of the other are shown; those."""
+    bench.wait(lambda: bench.window.pair.second is not None)
+    bench.wait(lambda: bench.window.pair.second.opened is not None)
+    bench.state.set_playing(False)
+    bench.state.seek(frame)
+    bench.wait_until_shown()
+    bench.wait(lambda: not bench.window.pair.second.worker.busy)
+    bench.wait_for_redraw()
+    return bench.result.frame.index, other(bench)
+
+
+def test_two_dropped_recordings_are_two_sensors_at_the_same_time(open_bench):
+    bench = open_bench()
+    first, second, file = two_recordings(bench.folder)
+    bench.open("empty", lambda _: DentSource(robot_sensor()), robot_sensor())
+    bench.wait(lambda: bench.state.facts is not None)
+    bench.drop(first, second, file)
+    bench.wait(lambda: bench.state.facts.title == "left.mcap")
+    for frame in (5, 2, 7):
+        assert shown_pair(bench, frame) == (frame, frame - 2)
+    # beside each other, and both in the view
+    assert drawing(bench).GetVisibility()
+    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
+    assert drawn(bench)[0, 0] > own[:, 0].mean() and drawn(bench)[0, 1] > own[:, 0].max()
+    # a click shows the other one in the panels, at its own frame
+    bar = bench.window.live
+    assert bar.isVisible() and [button.text() for button in bar.sensors] == ["● left", "● right"]
+    bench.click(bar.sensors[1])
+    bench.wait(lambda: bench.state.facts.title == "right.mcap")
+    assert shown_pair(bench, 3) == (3, 5)
+    # playback moves both
+    bench.state.seek(0)
+    bench.state.set_playing(True)
+    bench.wait(lambda: bench.result.frame.index > 3 and other(bench) > 3)
+    bench.state.set_playing(False)
+    # another recording alone removes the second
+    bench.drop(first)
+    bench.wait(lambda: bench.window.pair.second is None)
+    assert not drawing(bench).GetVisibility() and not bar.isVisible()
+
+
+def test_two_recordings_are_chosen_in_the_open_dialog(open_bench, monkeypatch):
+    bench = open_bench()
+    first, second, _ = two_recordings(bench.folder)
+    bench.open("empty", lambda _: DentSource(robot_sensor()), robot_sensor())
+    bench.wait(lambda: bench.state.facts is not None)
+    chosen = [str(first), str(second)]
+    monkeypatch.setattr(QFileDialog, "getOpenFileNames", lambda *_, **__: (chosen, ""))
+    bench.trigger("File › Open recording")
+    bench.wait(lambda: bench.state.facts.title == "left.mcap")
+    assert shown_pair(bench, 4) == (4, 2)

@@ -37,7 +37,12 @@ def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
         asked.append((title, folder))
         return str(tmp_path / answers[title]), ""
 
+    def several(*asked_for):
+        name, kind = chosen(*asked_for)
+        return [name], kind
+
     monkeypatch.setattr(QFileDialog, "getOpenFileName", chosen)
+    monkeypatch.setattr(QFileDialog, "getOpenFileNames", several)
     for name in answers.values():
         (tmp_path / name).parent.mkdir()
     for _ in range(2):
@@ -53,12 +58,12 @@ def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
 def test_space_plays_after_opening_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
     def asked(parent, title, folder, kinds):
         dialog = QFileDialog(parent, title, folder, kinds)
-        chosen = dialog.selectedFiles() if dialog.exec() else [""]
+        chosen = dialog.selectedFiles() if dialog.exec() else []
         dialog.deleteLater()
-        return chosen[0], ""
+        return chosen, ""
 
     # Qt's own dialog lives on its stack, where Python must not hold it
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", asked)
+    monkeypatch.setattr(QFileDialog, "getOpenFileNames", asked)
     path, driver = record(tmp_path / "press.mcap", DentSource(sensor)), drive()
     loop, state = driver.window.playback.loop, driver.state
     driver.activate()

@@ -113,12 +113,14 @@ class Opening(QObject):
         self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
     ) -> None:
         """Open a recording with a sensor file, else a sensor given before or a matching preset."""
-        source, sensor = Source.of_recording(path, truth), self.sensor
-        known = [each for each in (sensor, self._other_camera) if each is not None]
+        self.open(Source.of_recording(path, truth), self.sensor_of(path, sensor_file))
+
+    def sensor_of(self, path: Path, sensor_file: Path | None = None) -> OpenSensor:
+        """Opens a sensor file, else a sensor for a recording: given before, or a preset."""
+        known = [each for each in (self.sensor, self._other_camera) if each is not None]
         if sensor_file is not None:
-            self.open(source, lambda: load_sensor(sensor_file))
-        elif sensor is not None:
-            self.open(source, lambda: sensor_for(path, *known))
+            return lambda: load_sensor(sensor_file)
+        return lambda: sensor_for(path, *known)
 
     def use_ground_truth(self, path: Path) -> None:
         """Reopen the simulated recording that is open with its TRUTH.npz."""

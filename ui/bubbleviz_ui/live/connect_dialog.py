@@ -40,7 +40,7 @@ from bubbleviz.live import (
 from bubbleviz.recordings import AUTO
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.live.connection import single
+from bubbleviz_ui.live.connection import pair, single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
@@ -162,6 +162,9 @@ class ConnectDialog(QDialog):
         self.browse_sensor = QPushButton("Browse…")
         self.browse_sensor.setAutoDefault(False)
         self.browse_sensor.setToolTip("Choose a sensor file")
+        self.second = QLineEdit()
+        self.second.setPlaceholderText("Source of a second sensor, as below; empty: one sensor")
+        self.second.setToolTip("Second sensor with the same sensor file, drawn beside the first")
         self.source = QLineEdit()
         self.source.setReadOnly(True)
         self.source.setToolTip(
@@ -211,7 +214,8 @@ class ConnectDialog(QDialog):
         name = self.sensor.currentData()
         if name != AUTO:
             load_sensor(name)
-        return single(self.uri, name)
+        first, second = single(self.uri, name), self.second.text().strip()
+        return pair(first, second) if second else first
 
     def _lay_out(self) -> None:
         where = fill(QHBoxLayout(), (self.place, 1), self.browse, self.folder)
@@ -222,6 +226,7 @@ class ConnectDialog(QDialog):
         form.addRow("Depth images", self.topics)
         self._sensor_row = fill(QHBoxLayout(), (self.sensor, 1), self.browse_sensor)
         form.addRow("Sensor", self._sensor_row)
+        form.addRow("Second source", self.second)
         form.addRow("Source", self.source)
         fill(QVBoxLayout(self), form, self.problem, self.buttons)
 
@@ -251,6 +256,7 @@ class ConnectDialog(QDialog):
         self.folder.setVisible(kind == REPLAY)
         self._form.setRowVisible(self.topics, kind in (ZENOH, REPLAY))
         self._form.setRowVisible(self._sensor_row, kind != PAIR)
+        self._form.setRowVisible(self.second, kind != PAIR)
         self._show_source()
         self._look()
 

@@ -15,10 +15,15 @@ from bubbleviz.live import (
     SensorPlace,
     SessionPreset,
     is_simulated,
+    parse_uri,
     sensor_for_source,
 )
 from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.live.live_frames import LiveFrames
+from bubbleviz_ui.shell import theme
+
+OWN_TOPICS = ("realsense", "synthetic")
+"""Sources whose topics are named by bubbleviz."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,19 @@ def single(source: str, sensor: str, colour_delay_s: float | None = None) -> Ses
     """
     place = SensorPlace(name="sensor", sensor=sensor, source=source, colour_delay_s=colour_delay_s)
     return SessionPreset(title=source, sensors=(place,))
+
+
+def pair(first: SessionPreset, second: str) -> SessionPreset:
+    """Session of one sensor and a second source with the same sensor file, drawn beside it."""
+    (place,) = first.sensors
+    uri = parse_uri(second)
+    if uri.scheme in OWN_TOPICS and not uri.options.prefix:  # else both would have the same topics
+        second += f"{'&' if '?' in second else '?'}prefix=/second"
+    other = place.model_copy(
+        update={"name": "second", "source": second, "colour": theme.COMPARED[1]}
+    )
+    sensors = (place.model_copy(update={"name": "first", "colour": theme.COMPARED[0]}), other)
+    return SessionPreset(title=f"{place.source} and {second}", sensors=sensors)
 
 
 def _title(preset: SessionPreset, number: int) -> str:

@@ -187,7 +187,7 @@ class LiveBar(QFrame):
         """Update everything after a change of session or source."""
         run, waits = self._live.run, self._live.connection is not None
         left = self._live.state.badge == "disconnected"
-        self.setVisible(run is not None or waits or left)
+        self.setVisible(run is not None or waits or left or bool(self._live.pair))
         for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
@@ -199,6 +199,7 @@ class LiveBar(QFrame):
     def update_status(self) -> None:
         """Update badge, rate and counters."""
         live = self._live
+        self._show_untrusted()
         if live.sensor is None:
             if live.connection is not None:
                 self._show_badge("connecting", live.connection.text())
@@ -211,7 +212,6 @@ class LiveBar(QFrame):
         badge = live.state.badge if drawn else "connecting"
         self._show_badge(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
-        self._show_untrusted()
         counts = "  ·  ".join([self._zero_text(), *counter_texts(counters), *_problem(counters)])
         self.counts.setText(counts)
         self.counts.setToolTip(counts)
@@ -244,17 +244,15 @@ class LiveBar(QFrame):
 
     def _make_sensors(self) -> None:
         """Create a button for each of two sensors."""
-        run = self._live.run
-        places = run.preset.sensors if run is not None and len(run.preset.sensors) > 1 else ()
         while self.sensors:
             button = self.sensors.pop()
             self._row.removeWidget(button)
             button.deleteLater()
-        for number, place in enumerate(places):
-            button = self._button(f"● {place.name}", SENSOR_TIP)
+        for number, sensor in enumerate(self._live.pair):
+            button = self._button(f"● {sensor.name}", SENSOR_TIP)
             button.setStyleSheet(
-                f"QToolButton {{ color: {place.colour}; }}"
-                f"QToolButton:checked {{ background: {place.colour}; color: black; }}"
+                f"QToolButton {{ color: {sensor.colour}; }}"
+                f"QToolButton:checked {{ background: {sensor.colour}; color: black; }}"
             )
             button.setCheckable(True)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -266,11 +264,8 @@ class LiveBar(QFrame):
 
     def _show_untrusted(self) -> None:
         """Show untrusted results on the buttons, as the readout is only of the selected sensor."""
-        run = self._live.run
-        if run is None:
-            return
-        for number, button in enumerate(self.sensors):
-            name, doubt = run.preset.sensors[number].name, self._live.untrusted_text_of(number)
+        for number, (sensor, button) in enumerate(zip(self._live.pair, self.sensors, strict=False)):
+            name, doubt = sensor.name, self._live.untrusted_text_of(number)
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live import LiveSensor, SessionPreset
 from bubbleviz.recordings import gas_warning
+from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import Source
@@ -15,7 +17,7 @@ from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import DEFAULT_FOLDER, Recording
-from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
 from bubbleviz_ui.model.messages import OPENING, UserMessage
 from bubbleviz_ui.model.settings import RECORDING_SETTINGS
 from bubbleviz_ui.model.source_facts import ConnectionState, untrusted_text
@@ -70,6 +72,11 @@ class LiveController(QObject):
     def sensor(self) -> LiveSensor | None:
         """The sensor shown by the panels."""
         return None if self.run is None else self.run.session.sensors[self.selected]
+
+    @property
+    def pair(self) -> tuple[PairedSensor, ...]:
+        """Two sensors that are shown, live or of recordings; else empty."""
+        return self._pair.sensors
 
     @property
     def connection_state(self) -> ConnectionState:
@@ -132,7 +139,7 @@ class LiveController(QObject):
             self.publishing.start(self.run)
 
     def select(self, number: int) -> None:
-        """Show one of two sensors in the panels."""
+        """Show one of two sensors, live or of recordings, in the panels."""
         self._pair.select(number)
         self.changed.emit()
 
@@ -213,15 +220,16 @@ class LiveController(QObject):
         self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
-        frames, sensor = run.frames[0], run.session.sensors[0].sensor
+        sensors = _sensors_of(run)
         opening = self._controller.opening
-        if not opening.open(Source.of_stream(frames), lambda: sensor):
+        if not opening.open(sensors[0].source, sensors[0].open_sensor):
             self.cancel()
             self._worker.submit(run.close)
             return
         self.disconnect_all()
         self.run = run
-        self._pair.prepare(run)
+        if len(sensors) == 2:
+            self._pair.prepare(*sensors)
         self._apply_settings()
         self._timer.start()
         self.changed.emit()
@@ -239,9 +247,7 @@ class LiveController(QObject):
     def _on_opened(self, opened: Opened) -> None:
         self._marked = frozenset()
         self._warnings = frozenset()  # the message bar was cleared as well
-        if self.run is not None and self._is_connected_source(opened.request):
-            self._pair.begin()
-        elif self.run is not None:
+        if self.run is not None and not self._is_connected_source(opened.request):
             self.disconnect_all()
 
     def _on_failed(self, failed: Failed) -> None:
@@ -278,3 +284,20 @@ class LiveController(QObject):
 
     def _update_published_products(self) -> None:
         self._pair.set_extra_products(PRODUCTS if self.publishing.on else frozenset())
+
+
+def _sensors_of(run: LiveRun) -> list[PairedSensor]:
+    return [
+        PairedSensor(
+            each.place.name,
+            each.place.colour,
+            Source.of_stream(frames),
+            partial(_same, each.sensor),
+            each.place.T_W_B,
+        )
+        for each, frames in zip(run.session.sensors, run.frames, strict=True)
+    ]
+
+
+def _same(sensor: Sensor) -> Sensor:
+    return sensor

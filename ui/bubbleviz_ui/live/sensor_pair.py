@@ -1,21 +1,23 @@
-"""Two live sensors in one view: selection for the panels, and drawing of the other one."""
+"""Two sensors in one view: selection for the panels, and drawing of the other one."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.pipeline import Product
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.sensor_client import SensorClient
-from bubbleviz_ui.engine.solver import OpenRequest
+from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Worker
-from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.view3d.render_view import View
@@ -23,12 +25,25 @@ from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
 TIMEOUT_S = 0.15
 """After this time without a picture of the selected sensor, the other one is drawn alone."""
+APART = 1.3
+"""Distance of two sensors without poses, in widths of the second one; chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairedSensor:
+    """One of two sensors: live, or of a recording."""
+
+    name: str
+    colour: str
+    source: Source
+    open_sensor: Callable[[], Sensor]
+    T_W_B: np.ndarray  # (4, 4); the same for both: they are drawn side by side
 
 
 class SensorPair(QObject):
-    """The second sensor of a session, if any; computes what is visible in the view.
+    """The second sensor, if any; computes what is visible in the view.
 
-    While the session is frozen or paused, it shows the frame of the same time.
+    Of a recording, and of a session that is frozen or paused, it shows the frame of the same time.
     """
 
     failed = Signal(object)  # A `Failed` of the second sensor
@@ -39,37 +54,47 @@ class SensorPair(QObject):
         self._state = state = controller.state
         self.second: SensorClient | None = None  # Not shown by the panels
         self.drawing: SecondScene | None = None
-        self._run: LiveRun | None = None
+        self.sensors: tuple[PairedSensor, ...] = ()  # Both, or none
+        self._prepared: tuple[PairedSensor, ...] = ()
         self._ending: list[Worker] = []
         self.selected = 0  # Index of the sensor shown by the panels
         self._shown_s = 0.0
+        controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._request_frame)
         state.frozen_changed.connect(self._request_frame)
         state.settings_changed.connect(self._on_settings)
 
-    def prepare(self, run: LiveRun) -> None:
-        """Set the session whose first sensor will be opened."""
-        self.end()
-        self._run, self.selected = run, 0
-        self._place()
+    def prepare(self, first: PairedSensor, second: PairedSensor) -> None:
+        """Set two sensors, of which the first is being opened."""
+        self._prepared = (first, second)
 
-    def begin(self) -> None:
-        """Open the second sensor, if any, after the first."""
-        run, state = self._run, self._state
-        if run is None or len(run.frames) < 2 or self.second is not None:
+    def _on_opened(self, opened: Opened) -> None:
+        """Open the second sensor after the first, or remove it if something else was opened."""
+        source = opened.request.source
+        if self._prepared and source is self._prepared[0].source:
+            self.end()
+            self.sensors, self._prepared, self.selected = self._prepared, (), 0
+            self._place()
+        if self.sensors and source is self.sensors[self.selected].source:
+            self._begin()
+        elif self.sensors:
+            self.end()
+
+    def _begin(self) -> None:
+        state, other = self._state, self.sensors[1 - self.selected]
+        if self.second is not None:
             return
         if self.drawing is None:
             self.drawing = SecondScene(self._view, state.units, self._scene.scales)
-        sensor, frames = run.session.sensors[1].sensor, run.frames[1]
         self.second = second = SensorClient(state)
         second.extra_products = self._controller.client.extra_products
         self._listen(second)
         second.open(
             OpenRequest(
-                source=Source.of_stream(frames),
-                open_sensor=lambda: sensor,
+                source=other.source,
+                open_sensor=other.open_sensor,
                 frame=0,
                 demand=self._demand,
                 options=state.settings.options,
@@ -107,7 +132,7 @@ class SensorPair(QObject):
 
     def end(self) -> None:
         """Remove the second sensor; its solver thread ends by itself."""
-        second, self.second, self._run = self.second, None, None
+        second, self.second, self.sensors = self.second, None, ()
         if second is not None:
             self._ending = [each for each in [*self._ending, second.worker] if not each.close(0.0)]
         if self.drawing is not None:
@@ -131,16 +156,40 @@ class SensorPair(QObject):
     def _playing(self) -> bool:
         return self._state.playing and not self._state.frozen
 
+    @property
+    def _follows(self) -> bool:
+        """Whether the second sensor is live and shows its newest frame."""
+        grows = (
+            self.second is not None and self.second.facts is not None and self.second.facts.grows
+        )
+        return grows and self._playing
+
     def _request_frame(self) -> None:
-        """Request the newest frame, or while paused the one of the session's time."""
-        second, run, facts = self.second, self._run, self._state.facts
-        if second is None or second.opened is None or run is None or facts is None:
+        """Request the newest frame, or of a recording and while paused the one of the same time."""
+        second, facts = self.second, self._state.facts
+        if second is None or second.opened is None or facts is None:
             return
-        if self._playing:
+        if self._follows:
             second.request_newest(self._demand, at_once=True)
         else:
             time_s = float(facts.times_s[self._state.frame])
-            second.request_frame(run.frames[1 - self.selected].at(time_s), self._demand)
+            second.request_frame(self._frame_at(time_s, second), self._demand)
+
+    def _frame_at(self, time_s: float, second: SensorClient) -> int:
+        """Frame of the second sensor at a time of the first.
+
+        Recordings made at the same time are aligned by their stamps, others by their first frames.
+        """
+        opened, shown, facts = second.opened, self._controller.result, self._state.facts
+        if opened is None or shown is None or facts is None:
+            return 0
+        if opened.request.source.stream is not None:
+            return opened.request.source.stream.at(time_s)
+        times_s = opened.facts.times_s
+        later_s = _start_s(shown.frame) - _start_s(opened.result.frame)
+        if -facts.times_s[-1] < later_s < times_s[-1]:
+            time_s += later_s
+        return int(np.abs(times_s - time_s).argmin())
 
     def _listen(self, client: SensorClient, *, on: bool = True) -> None:
         for signal, slot in (
@@ -152,7 +201,7 @@ class SensorPair(QObject):
             signal.connect(slot) if on else signal.disconnect(slot)
 
     def _on_second_paused(self) -> None:
-        if self._playing:
+        if self._follows:
             self._request_frame()
 
     def _on_second_solved(self, _: object, newest: bool) -> None:
@@ -160,7 +209,7 @@ class SensorPair(QObject):
 
         A frame requested during playback may arrive after a pause, and has another time then.
         """
-        if self._playing or newest:
+        if self._follows or newest:
             self._request_frame()
         self._show()
 
@@ -171,18 +220,18 @@ class SensorPair(QObject):
 
     def follow_if_alone(self) -> None:
         """Request frames of the second sensor while the selected one sends nothing."""
-        if self._playing and self._selected_silent:
+        if self._follows and self._selected_silent:
             self._request_frame()
 
     def _on_shown(self) -> None:
         self._shown_s = time.perf_counter()
         if self.drawing is not None and not self.drawing.visible:
             self._show()
-        if self._playing:
+        if self._follows:
             self._request_frame()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
-        if not (by_playback and self._playing):
+        if not (by_playback and self._follows):
             self._request_frame()
 
     def _on_settings(self, names: frozenset[str]) -> None:
@@ -195,26 +244,28 @@ class SensorPair(QObject):
     # -- placement ----------------------------------------------------------------------------
 
     def _T_W_B(self, number: int) -> np.ndarray:
-        if self._run is None:
-            raise RuntimeError("internal error: no sensor is connected")
-        return self._run.preset.sensors[number].T_W_B
+        T, other = self.sensors[number].T_W_B, self.second
+        if number and other is not None and np.array_equal(T, self.sensors[0].T_W_B):
+            clients = (self._controller.client, other)
+            opened = clients[number != self.selected].opened
+            T = T.copy()
+            T[:3, 3] += T[:3, 0] * (
+                0.0 if opened is None else APART * np.ptp(opened.mesh.nodes[:, 0])
+            )
+        return T
 
     def _T_selected_other(self) -> np.ndarray:
         return np.linalg.inv(self._T_W_B(self.selected)) @ self._T_W_B(1 - self.selected)
 
     def _place(self) -> None:
         """Set the pose of the selected sensor, and the extent of the other one, in the scene."""
-        run, opened = self._run, None if self.second is None else self.second.opened
-        if run is None or len(run.frames) < 2:
-            self._scene.place(np.eye(4), np.empty((0, 3)), None)
-            return
+        opened = None if self.second is None else self.second.opened
         others_m = np.empty((0, 3))
         if opened is not None:
             T = self._T_selected_other()
             others_m = opened.mesh.nodes @ T[:3, :3].T + T[:3, 3]
-        self._scene.place(
-            self._T_W_B(self.selected), others_m, run.preset.sensors[self.selected].colour
-        )
+        colour = self.sensors[self.selected].colour
+        self._scene.place(self._T_W_B(self.selected), others_m, colour)
 
     def _on_second_open(self, _: object) -> None:
         moved = self._scene.moved_by_user
@@ -226,11 +277,11 @@ class SensorPair(QObject):
 
     def _draw_second(self) -> None:
         """Place and draw the second sensor."""
-        run, second, drawing = self._run, self.second, self.drawing
-        if run is None or second is None or drawing is None or second.opened is None:
+        second, drawing = self.second, self.drawing
+        if second is None or drawing is None or second.opened is None:
             return
-        opened, place = second.opened, run.preset.sensors[1 - self.selected]
-        drawing.set_sensor(opened.sensor, opened.mesh, self._T_selected_other(), place.colour)
+        opened, colour = second.opened, self.sensors[1 - self.selected].colour
+        drawing.set_sensor(opened.sensor, opened.mesh, self._T_selected_other(), colour)
         self._show()
 
     def _show(self) -> None:
@@ -246,3 +297,8 @@ class SensorPair(QObject):
         drawing.show(second.result, self._state.settings, second.history)
         if self._selected_silent:
             self._view.refresh()
+
+
+def _start_s(frame: Frame) -> float:
+    """Stamp of a source's first frame, s."""
+    return 1e-9 * frame.stamp_ns - frame.time_s

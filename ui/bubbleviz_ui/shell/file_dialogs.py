@@ -40,6 +40,14 @@ def file_to_open(
     return _remembered(of, name)
 
 
+def files_to_open(
+    parent: QWidget, title: str, kinds: str, *, of: str, by_default: Path | None = None
+) -> list[Path]:
+    """Ask for one or more files to read; empty: cancelled. Arguments as of `file_to_open`."""
+    names, _ = QFileDialog.getOpenFileNames(parent, title, _folder(of, by_default), kinds)
+    return [path for name in names if (path := _remembered(of, name)) is not None]
+
+
 def folder_to_open(parent: QWidget, title: str, *, of: str) -> Path | None:
     """Ask for a folder to read; None: cancelled."""
     return _remembered(of, QFileDialog.getExistingDirectory(parent, title, _folder(of)))

@@ -24,7 +24,13 @@ from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_files.session_saver import SessionSaver
-from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, file_to_save, folder_to_open
+from bubbleviz_ui.shell.file_dialogs import (
+    SENSOR_FILES,
+    file_to_open,
+    file_to_save,
+    files_to_open,
+    folder_to_open,
+)
 from bubbleviz_ui.shell.shortcuts import DYNAMIC
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 from bubbleviz_ui.window_parts import WindowParts
@@ -336,11 +342,10 @@ class Menus:
 
     def _open_recording(self) -> None:
         folder = self._window.live_controller.recording.folder
-        path = file_to_open(
-            self._bar, "Open recording", RECORDINGS, of="recording", by_default=folder
-        )
-        if path is not None:
-            self._window.controller.opening.open_recording(path)
+        title = "Open recording"
+        paths = files_to_open(self._bar, title, RECORDINGS, of="recording", by_default=folder)
+        if paths:
+            self._window.open_recordings(paths)
 
     def _open_folder(self) -> None:
         path = folder_to_open(self._bar, "Open recording folder", of="recording")
