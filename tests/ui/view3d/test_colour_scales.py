@@ -51,6 +51,15 @@ def test_one_scale_for_all_frames_of_a_recording(drive):
     assert len(ends) == 1 and ends.pop() >= peak
 
 
+def test_scale_is_known_soon_during_playback_that_keeps_the_solver_busy(drive):
+    driver = drive(lambda sensor: DentSource(sensor, slow_s=0.05), frame=0, playing=True)
+    driver.state.set_range((0, 3))  # without contact
+    shown = set()
+    driver.window.controller.shown.connect(lambda result: shown.add(result.frame.index))
+    driver.wait(lambda: scale(driver) > 5.0)
+    assert driver.state.playing and shown <= {0, 1, 2, 3, 4}
+
+
 def test_outliers_do_not_change_the_scale(drive):
     outlier = 77
     driver = drive(lambda sensor: LongSource(sensor, {outlier}), frame=0)

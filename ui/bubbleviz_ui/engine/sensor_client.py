@@ -19,7 +19,6 @@ from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import FrameHistory, grown
 from bubbleviz_ui.model.messages import RateMeter
-from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 
@@ -158,13 +157,15 @@ class SensorClient(QObject):
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
 
     def scale_to(self, frames: Sequence[int], then: Callable[[], None] = lambda: None) -> None:
-        """Extend the scales to frames in idle time, instead of those chosen before; then call."""
+        """Extend the scales to frames, alternating with those requested; then call.
+
+        Frames of an earlier call that are not done yet are left out.
+        """
         self._unscaled = tuple(frames)
         if not self._unscaled:
             then()
             return
-        demand = Demand(PATCH, options=self._options)
-        function = partial(self.solver.analyse, self._unscaled, demand, cached_only=False)
+        function = partial(self.solver.preview, self._unscaled, self._options)
         take = partial(self._take_extremes, self._unscaled, then)
         # a frame that cannot be solved is reported when it is shown
         self.worker.submit(function, take, failed=lambda _: then(), key="scale")

@@ -6,8 +6,9 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, is_dataclass, replace
+from functools import partial
 from threading import Event
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
 
+N = TypeVar("N")
 ComparedOptions = tuple[EstimatorOptions, FrameOptions]
 """Options of estimate and patch of a compared setting."""
 
@@ -307,13 +309,12 @@ class Solver:
 
         With `cached_only` None for a frame whose estimate is not cached.
         """
-        current = self._open
-        end, numbers = time.perf_counter() + ANALYSIS_SLICE_S, list[Numbers | None]()
-        for index in frames:
-            numbers.append(_numbers(current, demand, index, cached_only=cached_only))
-            if time.perf_counter() > end:
-                break
-        return numbers
+        find = partial(_numbers, self._open, demand, cached_only=cached_only)
+        return _within_slice(find, frames)
+
+    def preview(self, frames: tuple[int, ...], options: FrameOptions) -> list[Numbers]:
+        """Approximate numbers, as many as by `analyse`; later ones do not depend on it."""
+        return _within_slice(partial(_previewed, self._open, options), frames)
 
     def wrench_bias(self, interrupted: Callable[[], bool]) -> np.ndarray:
         """Bias (3,) of a recording's wrench sensor, N; NaN if no frames are contact-free.
@@ -428,6 +429,27 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
         path="" if opened.path is None else str(opened.path.resolve()),
         gas_zero="" if zero is None else zero.words,
     )
+
+
+def _within_slice(find: Callable[[int], N], frames: tuple[int, ...]) -> list[N]:
+    """What is found of the first frame, and of more within `ANALYSIS_SLICE_S`."""
+    end, found = time.perf_counter() + ANALYSIS_SLICE_S, list[N]()
+    for index in frames:
+        found.append(find(index))
+        if time.perf_counter() > end:
+            break
+    return found
+
+
+def _previewed(current: OpenSource, options: FrameOptions, index: int) -> Numbers:
+    pipeline = current.pipeline
+    try:
+        frame = current.frame(index)
+        estimate = pipeline.estimate_once(frame)
+    except InputError:
+        return Numbers()  # the error is reported when the frame is shown
+    patch = pipeline.patch(estimate, options)
+    return numbers_of(Result(frame, estimate=estimate, patch=patch), pipeline.model.gas)
 
 
 def _numbers(
