@@ -45,6 +45,7 @@ from bubbleviz_ui.model.settings import PATCH_SETTINGS, PLAYBACK_SETTINGS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.model.units import UNIT_CHOICES
+from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
@@ -143,7 +144,7 @@ class MainWindow(QMainWindow):
         self.undo_stack.setUndoLimit(UNDO_STEPS)
         self.undo_recorder = UndoRecorder(state, self.undo_stack)
         self.sensor = SensorPanel(state, controller)
-        self.session_saver = SessionSaver(self, self)
+        self.session_saver = SessionSaver(self)
         self.stage_times = StageTimes()
         self.calibration = CalibrationPanel(
             Calibration(controller, self.undo_recorder), state.units, self.playback.range_strip
@@ -154,7 +155,7 @@ class MainWindow(QMainWindow):
         self.pair = SensorPair(controller, self.scene, self.view)
         self.second_membrane = SecondMembrane(controller, self.scene, self.view)
         self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
-        self.live = LiveBar(self.live_controller, state.units)
+        self.live = LiveBar(self.live_controller, self.pair, state.units)
         self.display_latency = DisplayLatency(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
@@ -164,7 +165,7 @@ class MainWindow(QMainWindow):
         self._import: ImportDialog | None = None
         self._memory = MemoryRelease(state)
         self._lay_out()
-        self.menus = Menus(self.menuBar(), self, self.session_saver)
+        self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
         self._rates_timer = QTimer(self, interval=RATES_EVERY_MS)
         self._connect()
@@ -342,6 +343,7 @@ class MainWindow(QMainWindow):
         )
         self.setCentralWidget(centre)
         self.setStatusBar(self.status)
+        watch_controls(self.live)
         self.panels = self._make_docks()
         self.open_panels = OpenPanels(self.panels, self.state, self)
 
@@ -367,6 +369,7 @@ class MainWindow(QMainWindow):
             docks[name] = dock = Dock(kind.title, self)
             dock.setObjectName(kind.title)
             dock.setWidget(widget)
+            watch_controls(widget)
             self.addDockWidget(SIDES[kind.side or "right"], dock)
             if kind.tab_of:
                 dock.tab_of(docks[kind.tab_of])

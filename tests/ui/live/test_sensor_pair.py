@@ -43,7 +43,7 @@ def other(bench):
 
 def world_camera(bench):
     """Position, focal point and up vector of the camera in the world, (3, 3)."""
-    T = bench.run.preset.sensors[bench.live_controller.selected].T_W_B
+    T = bench.run.preset.sensors[bench.window.pair.selected].T_W_B
     camera = bench.window.view.camera
     points = np.array([camera.position, camera.focal_point]) @ T[:3, :3].T + T[:3, 3]
     return np.vstack([points, T[:3, :3] @ camera.up])
@@ -139,20 +139,20 @@ def test_both_sensors_pause_at_the_same_time_and_panels_switch(open_bench):
     known = len(first)
     assert bench.state.facts.title == "Two, left"
     bench.window.live.sensors[1].click()
-    assert bench.live_controller.selected == 1 and bench.state.facts.title == "Two, right"
+    assert bench.window.pair.selected == 1 and bench.state.facts.title == "Two, right"
     assert bench.window.controller.worker is not worker
     assert bench.state.history is not first
     bench.wait_for_frames(5)
     assert np.isfinite(bench.state.history.values["residual_m"][-3:-1]).all()
     bench.key(Qt.Key.Key_B)
-    assert bench.live_controller.selected == 0 and bench.window.controller.worker is worker
+    assert bench.window.pair.selected == 0 and bench.window.controller.worker is worker
     assert bench.state.history is first and len(first) > known
     bench.wait_for_frames(3)
     assert np.isfinite(first.values["residual_m"][1 : bench.shown_frame]).all()
     # the camera does not move in the world
     bench.window.view.camera.position = (0.3, -0.2, 0.35)
     before = world_camera(bench)
-    bench.live_controller.switch_sensor()
+    bench.window.pair.switch()
     np.testing.assert_allclose(world_camera(bench), before, atol=1e-9)
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
@@ -220,7 +220,7 @@ def test_both_sensors_use_the_scale_of_the_colour_bar(open_bench):
     for _ in range(2):
         before = len(seen)
         bench.wait(lambda before=before: len(seen) > before + 8)
-        bench.live_controller.switch_sensor()
+        bench.window.pair.switch()
     assert all(len(set(ends)) == 1 for ends in seen), seen
     bench.wait(lambda: len(set(seen)) > 1)  # the scale has changed
     bench.wait(lambda: pressed[-1] > 4.0)

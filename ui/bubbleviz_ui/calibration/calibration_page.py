@@ -10,8 +10,9 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
+from bubbleviz_ui.model.registry import Colouring, ImageKind
 from bubbleviz_ui.model.units import DASH, Unit, Units
-from bubbleviz_ui.panels.images_panel import ImageCell, Kind, Picture
+from bubbleviz_ui.panels.images_panel import ImageCell
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.dock import fill
 
@@ -86,8 +87,7 @@ class ImageView(QWidget):
 
     Parameters
     ----------
-    kind : {"range", "around zero", "mask"}
-        Colouring.
+    colouring : {"range", "around zero", "mask"}
 
     Attributes
     ----------
@@ -95,11 +95,11 @@ class ImageView(QWidget):
         Image shown, SI.
     """
 
-    def __init__(self, kind: Kind = "range") -> None:
+    def __init__(self, colouring: Colouring = "range") -> None:
         super().__init__()
         self.image: np.ndarray | None = None
         self._unit = Unit("", 1.0, 0)
-        self._kind: Kind = kind
+        self._kind = ImageKind("", colouring)
         self._host = PlotHost(self._make)
         self.title, self.value = QLabel(wordWrap=True), QLabel()
         self.value.setObjectName("dim")
@@ -139,7 +139,7 @@ class ImageView(QWidget):
     def _make(self) -> list[Part]:
         import pyqtgraph as pg  # not at start
 
-        self._cell = ImageCell(Picture("", self._kind), head=0.0)
+        self._cell = ImageCell(self._kind, head=0.0)
         self._bar = pg.ColorBarItem(
             colorMap=self._cell.map,
             width=BAR,

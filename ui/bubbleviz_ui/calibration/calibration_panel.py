@@ -12,7 +12,6 @@ from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
-    QProgressBar,
     QProgressDialog,
     QPushButton,
     QScrollArea,
@@ -33,12 +32,11 @@ from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
 from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
-from bubbleviz_ui.shell.message_bars import StepButtons, StepState
+from bubbleviz_ui.shell.message_bars import JobProgress, StepButtons, StepState
 
 OUTDATED = "Outdated: settings changed since."
 WIDTH = 380  # px
@@ -61,14 +59,13 @@ class CalibrationPanel(QWidget):
         self.verdict = QLabel(wordWrap=True)
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
-        self.progress = QProgressBar(minimum=0, maximum=100)
+        self.progress = JobProgress()
         self.cancel = QPushButton("Cancel")
         self.back.setToolTip("Previous step")
         self.next.setToolTip("Go on, computing the step if needed")
         self.cancel.setToolTip("Stop, and restore the settings of the results shown")
         self._lay_out()
         self._connect()
-        watch_controls(self)
         self.go_to(0)
 
     @property
@@ -193,7 +190,7 @@ class CalibrationPanel(QWidget):
         self.all.clicked.connect(partial(calibration.reach, Step.TENSION, "Identify"))
         self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
-        calibration.progressed.connect(self._on_progress)
+        calibration.progressed.connect(self.progress.show_step)
         calibration.notified.connect(self._on_notified)
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
@@ -227,10 +224,6 @@ class CalibrationPanel(QWidget):
         waiting.deleteLater()
         return not calibration.unsaved
 
-    def _on_progress(self, step: str, done: float) -> None:
-        self.progress.setFormat(f"{step} %p %")
-        self.progress.setValue(round(100 * done))
-
     def _on_notified(self, message: UserMessage) -> None:
         """Remember the work that failed, until it changes."""
         self._failed_work = self.calibration.work if message.kind == "error" else None
@@ -252,7 +245,7 @@ class CalibrationPanel(QWidget):
         self.all.setVisible(reached < Step.TENSION)
         self.all.setEnabled(not needs_collecting)
         if busy and not self.progress.isVisible():
-            self._on_progress("starting", 0.0)
+            self.progress.show_step("starting", 0.0)
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
         known = self._reachable_pages()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -99,16 +99,6 @@ class Analysis(QObject):
             client.worker.submit(function, partial(self._take, frames, demand), key="analyse")
 
 
-@dataclass(frozen=True)
-class ObjectChange:
-    """Another object to register; `fitted`: at once, to the frame at the cursor."""
-
-    object_name: str | None
-    unit: Literal["m", "mm"] | None
-    fitted: bool
-    obj: RigidObject | None = None
-
-
 COLD_SOLVE_DELAY_MS = 150
 """How long the cursor must stay at a frame before a cold solve, which avoids them while scrubbing.
 
@@ -123,7 +113,6 @@ class Controller(QObject):
     shown = Signal(object)  # `Result` to draw
     failed = Signal(object)  # `Failed`, to be shown to the user
     compared = Signal(object, object)  # Compared settings, and the measurement of each
-    object_changed = Signal(object)  # `ObjectChange`
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -181,13 +170,15 @@ class Controller(QObject):
         object_name: str | None,
         unit: Literal["m", "mm"] | None,
         start: np.ndarray | None,
+        then: Callable[[RigidObject | None], None],
+        failed: Callable[[Failed], None],
         *,
         fit: bool,
     ) -> None:
         """Register another object, or none; with `fit` at once, in the frame at the cursor."""
         if self.state.facts is None:
             return
-        client, request = self.client, ObjectChange(object_name, unit, fit)
+        client = self.client
         client.forget_pose()
         fitted = client.frame_job(self.state.frame, self._pose_demand) if fit else None
 
@@ -195,12 +186,16 @@ class Controller(QObject):
             obj = client.solver.set_object(object_name, unit, start)
             return obj, None if fitted is None else fitted[0]()
 
-        def then(answer: tuple[RigidObject | None, Solved | None]) -> None:
-            self.object_changed.emit(replace(request, obj=answer[0]))
+        def take(answer: tuple[RigidObject | None, Solved | None]) -> None:
+            then(answer[0])
             if fitted is not None and answer[1] is not None:
                 fitted[1](answer[1])
 
-        client.worker.submit(function, then, key="object", request=request)
+        def report(failure: Failed) -> None:
+            failed(failure)
+            client.failed.emit(failure)
+
+        client.worker.submit(function, take, report, key="object")
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
         """Measure two settings, or none, on the frame at the cursor while the solver is idle."""

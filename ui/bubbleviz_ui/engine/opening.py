@@ -115,12 +115,12 @@ class Opening(QObject):
         """Open a recording with a sensor file, else a sensor given before or a matching preset."""
         self.open(Source.of_recording(path, truth), self.sensor_of(path, sensor_file))
 
-    def sensor_of(self, path: Path, sensor_file: Path | None = None) -> OpenSensor:
-        """Opens a sensor file, else a sensor for a recording: given before, or a preset."""
+    def sensor_of(self, path: Path | None, sensor_file: Path | None = None) -> OpenSensor:
+        """Opens a sensor file, else the sensor for a recording: one in use before, or a preset."""
         known = [each for each in (self.sensor, self._other_camera) if each is not None]
         if sensor_file is not None:
             return lambda: load_sensor(sensor_file)
-        return lambda: sensor_for(path, *known)
+        return lambda: known[0] if path is None else sensor_for(path, *known)
 
     def use_ground_truth(self, path: Path) -> None:
         """Reopen the simulated recording that is open with its TRUTH.npz."""

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
     QLabel,
-    QProgressBar,
     QPushButton,
     QSpinBox,
     QVBoxLayout,
@@ -24,6 +23,7 @@ from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
+from bubbleviz_ui.shell.message_bars import JobProgress
 
 RANGE, ALL = False, True
 MOST_STEP = 1000  # frames
@@ -73,7 +73,7 @@ class ExportDialog(QDialog):
         self.about = QLabel(wordWrap=True)
         self.about.setObjectName("dim")
         self.message = QLabel(wordWrap=True)
-        self.progress = QProgressBar(minimum=0, maximum=100)
+        self.progress = JobProgress()
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
         self.export.setToolTip("Choose the name of the file or folder, and start")
         self.cancel.setToolTip("Stop; nothing is kept")
@@ -125,7 +125,7 @@ class ExportDialog(QDialog):
         self.export.clicked.connect(lambda: self._choose_name())
         self.cancel.clicked.connect(exporting.cancel)
         exporting.changed.connect(self._show)
-        exporting.progressed.connect(self._on_progress)
+        exporting.progressed.connect(self.progress.show_step)
         exporting.notified.connect(self._show_message)
         self._state.source_changed.connect(self.show_all)
         self._state.range_changed.connect(self.show_all)
@@ -178,10 +178,6 @@ class ExportDialog(QDialog):
         if path is not None:
             named, captioned = kind.with_suffix(path, chosen), self.captioned.isChecked()
             self._exporting.start(kind, frames, named, captioned=captioned)
-
-    def _on_progress(self, step: str, done: float) -> None:
-        self.progress.setFormat(f"{step} %p %")
-        self.progress.setValue(round(100.0 * done))
 
     def _show_message(self, message: UserMessage) -> None:
         self.message.setText(message.text)

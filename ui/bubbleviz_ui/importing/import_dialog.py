@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QProgressBar,
     QPushButton,
     QVBoxLayout,
     QWidget,
@@ -32,6 +31,7 @@ from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.panels.binding import options
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, remember
+from bubbleviz_ui.shell.message_bars import JobProgress
 
 # File name with a button for the file dialog.
 
@@ -205,7 +205,7 @@ class ImportDialog(QDialog):
         self.about.setObjectName("dim")
         self.problem, self.made = QLabel(wordWrap=True), QLabel(wordWrap=True)
         self.problem.setObjectName("doubt")
-        self.progress = QProgressBar(minimum=0, maximum=100)
+        self.progress = JobProgress()
         self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open")
         self.begin = QPushButton("Import")
         self.cancel.setToolTip("Stop and remove the unfinished file")
@@ -241,7 +241,7 @@ class ImportDialog(QDialog):
         self.begin.clicked.connect(lambda: self._begin())
         self.cancel.clicked.connect(lambda: self._cancel())
         self.open_made.clicked.connect(lambda: self._open())
-        self._worker.progressed.connect(self._on_progress)
+        self._worker.progressed.connect(self.progress.show_step)
 
     def _choose_folder(self) -> None:
         path = folder_to_open(self, "A folder of depth images", of="import")
@@ -284,16 +284,12 @@ class ImportDialog(QDialog):
         beside = self.images.options if is_image_folder(path) else {}
         function = partial(_imported, path, self.out_path, beside, self._worker.progress)
         self._worker.submit(function, self._on_done, self._on_failed, discard=_discard)
-        self._on_progress("opening", 0.0)
+        self.progress.show_step("opening", 0.0)
         self._show()
 
     def _cancel(self) -> None:
         self._worker.cancel()
         self._show()
-
-    def _on_progress(self, step: str, done: float) -> None:
-        self.progress.setFormat(f"{step} %p %")
-        self.progress.setValue(round(100.0 * done))
 
     def _on_failed(self, failed: Failed) -> None:
         self._show_outcome(None, failed.message)

@@ -25,9 +25,10 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import RecordingState, new_name
-from bubbleviz_ui.model.source_facts import Badge
+from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.model.source_facts import Badge, untrusted_text
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.binding import control, watch_controls
+from bubbleviz_ui.panels.binding import control
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.file_dialogs import remember
@@ -160,9 +161,9 @@ FAULT_COUNTERS = {
 class LiveBar(QFrame):
     """Badge and controls, wrapped into rows if narrow; message counters below."""
 
-    def __init__(self, live: LiveController, units: Units) -> None:
+    def __init__(self, live: LiveController, pair: SensorPair, units: Units) -> None:
         super().__init__()
-        self._live, self._units = live, units
+        self._live, self._pair, self._units = live, pair, units
         self.setObjectName("live")
         self.state = QLabel(wordWrap=True)
         self.sensors: list[QToolButton] = []
@@ -180,14 +181,13 @@ class LiveBar(QFrame):
         self.counts.setObjectName("dim")
         self._lay_out()
         self._connect()
-        watch_controls(self)
         self.show_all()
 
     def show_all(self) -> None:
         """Update everything after a change of session or source."""
         run, waits = self._live.run, self._live.connection is not None
         left = self._live.state.badge == "disconnected"
-        self.setVisible(run is not None or waits or left or bool(self._live.pair))
+        self.setVisible(run is not None or waits or left or bool(self._pair.sensors))
         for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
@@ -234,6 +234,7 @@ class LiveBar(QFrame):
     def _connect(self) -> None:
         live = self._live
         live.changed.connect(self.show_all)
+        self._pair.selection_changed.connect(self.show_all)
         live.updated.connect(self.update_status)
         live.state.source_changed.connect(self.show_all)
         live.state.frozen_changed.connect(self.update_status)
@@ -248,7 +249,7 @@ class LiveBar(QFrame):
             button = self.sensors.pop()
             self._row.removeWidget(button)
             button.deleteLater()
-        for number, sensor in enumerate(self._live.pair):
+        for number, sensor in enumerate(self._pair.sensors):
             button = self._button(f"● {sensor.name}", SENSOR_TIP)
             button.setStyleSheet(
                 f"QToolButton {{ color: {sensor.colour}; }}"
@@ -256,16 +257,19 @@ class LiveBar(QFrame):
             )
             button.setCheckable(True)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.setChecked(number == self._live.selected)
-            button.clicked.connect(lambda _=False, number=number: self._live.select(number))
+            button.setChecked(number == self._pair.selected)
+            button.clicked.connect(lambda _=False, number=number: self._pair.select(number))
             self._row.addWidget(button)
             self.sensors.append(button)
         self._sensor_row.setVisible(bool(self.sensors))
 
     def _show_untrusted(self) -> None:
         """Show untrusted results on the buttons, as the readout is only of the selected sensor."""
-        for number, (sensor, button) in enumerate(zip(self._live.pair, self.sensors, strict=False)):
-            name, doubt = sensor.name, self._live.untrusted_text_of(number)
+        for number, (sensor, button) in enumerate(
+            zip(self._pair.sensors, self.sensors, strict=False)
+        ):
+            name, result = sensor.name, self._pair.result_of(number)
+            doubt = "" if result is None else untrusted_text(result)
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
 

@@ -1,4 +1,4 @@
-"""Controller of the live session: connection, recording, publishing, choice of the sensor."""
+"""Controller of the live session: connection, recording, publishing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bubbleviz_ui.live.recording_control import DEFAULT_FOLDER, Recording
 from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
 from bubbleviz_ui.model.messages import OPENING, UserMessage
 from bubbleviz_ui.model.settings import RECORDING_SETTINGS
-from bubbleviz_ui.model.source_facts import ConnectionState, untrusted_text
+from bubbleviz_ui.model.source_facts import ConnectionState
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.view3d.render_view import View
 
@@ -32,7 +32,7 @@ class LiveController(QObject):
     """Connects to a live session, monitors and disconnects it."""
 
     updated = Signal()  # Status of sources and recording may have changed
-    changed = Signal()  # Session connected or disconnected, or another sensor selected
+    changed = Signal()  # Session connected or disconnected
     notified = Signal(object)  # A `UserMessage`
 
     def __init__(
@@ -64,19 +64,9 @@ class LiveController(QObject):
         self.state.markers_changed.connect(self._on_markers)
 
     @property
-    def selected(self) -> int:
-        """Index of the sensor shown by the panels."""
-        return self._pair.selected
-
-    @property
     def sensor(self) -> LiveSensor | None:
         """The sensor shown by the panels."""
-        return None if self.run is None else self.run.session.sensors[self.selected]
-
-    @property
-    def pair(self) -> tuple[PairedSensor, ...]:
-        """Two sensors that are shown, live or of recordings; else empty."""
-        return self._pair.sensors
+        return None if self.run is None else self.run.session.sensors[self._pair.selected]
 
     @property
     def connection_state(self) -> ConnectionState:
@@ -84,11 +74,6 @@ class LiveController(QObject):
         if self.sensor is None:
             return "disconnected"
         return self.sensor.stream.status().state if self._first_drawn else "connecting"
-
-    def untrusted_text_of(self, number: int) -> str:
-        """Why the result shown of a sensor must not be used; empty if it may."""
-        result = self._pair.result_of(number)
-        return "" if result is None else untrusted_text(result)
 
     def set_folder(self, folder: str | Path) -> None:
         """Set the folder of recordings."""
@@ -137,15 +122,6 @@ class LiveController(QObject):
             self.publishing.stop()
         elif self.run is not None:
             self.publishing.start(self.run)
-
-    def select(self, number: int) -> None:
-        """Show one of two sensors, live or of recordings, in the panels."""
-        self._pair.select(number)
-        self.changed.emit()
-
-    def switch_sensor(self) -> None:
-        """Show the other sensor in the panels."""
-        self.select(1 - self.selected)
 
     def zero_now(self) -> None:
         """Zero the gas pressure in the next contact-free frames; undo restores the old zero."""
@@ -279,7 +255,7 @@ class LiveController(QObject):
         """Write a marker of the timeline to the recording, at the frame's arrival time."""
         facts = self.state.facts
         if facts is not None and facts.grows and self.run is not None:
-            at_ns = self.run.frames[self.selected].arrival_ns(frame)
+            at_ns = self.run.frames[self._pair.selected].arrival_ns(frame)
             self.recording.mark(f"marker at frame {frame}", at_ns)
 
     def _update_published_products(self) -> None:

@@ -47,6 +47,7 @@ class SensorPair(QObject):
     """
 
     failed = Signal(object)  # A `Failed` of the second sensor
+    selection_changed = Signal()
 
     def __init__(self, controller: Controller, scene: Scene, view: View) -> None:
         super().__init__()
@@ -107,11 +108,12 @@ class SensorPair(QObject):
         client = self._controller.client if number == self.selected else self.second
         return None if client is None else client.result
 
-    def select(self, number: int) -> bool:
-        """Show a sensor in the panels; returns whether they changed."""
+    def select(self, number: int) -> None:
+        """Show a sensor in the panels."""
         other = self.second
         if other is None or other.opened is None or number == self.selected:
-            return False
+            self.selection_changed.emit()  # a click has changed the button
+            return
         before, moved = self._T_W_B(self.selected), self._scene.moved_by_user
         self._listen(other, on=False)
         self.selected, self.second = number, self._controller.client
@@ -122,7 +124,11 @@ class SensorPair(QObject):
         self._request_frame()
         if moved:
             self._scene.move_camera(np.linalg.inv(self._T_W_B(number)) @ before)
-        return True
+        self.selection_changed.emit()
+
+    def switch(self) -> None:
+        """Show the other sensor in the panels."""
+        self.select(1 - self.selected)
 
     def set_extra_products(self, products: frozenset[Product]) -> None:
         """Set products that both sensors compute for publishing."""

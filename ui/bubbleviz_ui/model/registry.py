@@ -172,16 +172,28 @@ PLOTS: Mapping[str, PlotKind] = MappingProxyType(
 )
 """By name, in the order of their menu."""
 
-IMAGES: Mapping[str, str] = MappingProxyType(
+Colouring = Literal["range", "around zero", "mask", "colour"]
+
+
+@dataclass(frozen=True)
+class ImageKind:
+    """An image of the images panel."""
+
+    title: str  # In its menu
+    colouring: Colouring
+    unit: str = ""  # Attribute of `Units`; empty for a mask or colours
+
+
+IMAGES: Mapping[str, ImageKind] = MappingProxyType(
     {
-        "depth": "Depth",
-        "change": "Change",
-        "residual": "Residual",
-        "noise": "Noise σ",
-        "used": "Pixels used",
-        "patch": "Contact patch",
-        "colour": "Colour",
-        "flow": "Flow",
+        "depth": ImageKind("Depth", "range", "length"),
+        "change": ImageKind("Change", "around zero", "length"),
+        "residual": ImageKind("Residual", "around zero", "fine_length"),
+        "noise": ImageKind("Noise σ", "range", "fine_length"),
+        "used": ImageKind("Pixels used", "mask"),
+        "patch": ImageKind("Contact patch", "mask"),
+        "colour": ImageKind("Colour", "colour"),
+        "flow": ImageKind("Flow", "range", "pixels"),
     }
 )
-"""Titles of the images that the images panel can show, by name, in the order of its menu."""
+"""By name, in the order of their menu."""

@@ -212,7 +212,7 @@ class Settings(_SettingsBase):
         frozenset[ImageName]({"depth", "change", "residual"}),
         "Images",
         "Images to show; others are not computed",
-        titles=IMAGES,
+        titles={name: image.title for name, image in IMAGES.items()},
     )
     cloud_colour: CloudColour = _setting(
         "residual",

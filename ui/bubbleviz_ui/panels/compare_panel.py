@@ -24,16 +24,15 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.output import ComparedResult
 from bubbleviz.pipeline import FrameOptions
-from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import ComparedOptions
-from bubbleviz_ui.engine.source import RECORDINGS, Source, sensor_for
+from bubbleviz_ui.engine.source import RECORDINGS, Source
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, ComparedSetting
 from bubbleviz_ui.model.source_facts import force_text, tangential_text
 from bubbleviz_ui.model.units import DASH, Units
-from bubbleviz_ui.panels.binding import bind_membership, control, watch_controls
+from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
@@ -222,12 +221,9 @@ class OtherRecording(QWidget):
         source, sensor = self._controller.opening.source, self._controller.sensor
         if source is None or sensor is None:
             return
-        other, path, file = source, self._recording, self._sensor_file
-        open_other: Callable[[], Any] = lambda: sensor  # noqa: E731
-        if path is not None:
-            other, open_other = Source.of_recording(path), partial(sensor_for, path, sensor)
-        if file is not None:
-            open_other = partial(load_sensor, file)
+        path = self._recording
+        other = source if path is None else Source.of_recording(path)
+        open_other = self._controller.opening.sensor_of(path, self._sensor_file)
         options = self._solved_options = self._current_options
         first = partial(solve, source, lambda: sensor, *options, self.worker.progress, keep=False)
         second = partial(solve, other, open_other, *options, self.worker.progress, keep=True)
@@ -307,7 +303,6 @@ class ComparePanel(QWidget):
         self._lay_out()
         controller.compared.connect(self._on_compared)
         controller.failed.connect(self._on_failed)
-        watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.source_changed.connect(self._ask_anew)
         state.playing_changed.connect(self._ask)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
@@ -18,11 +15,11 @@ from bubbleviz.diagnostics import Probed
 from bubbleviz.recordings import FrameColour
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
-from bubbleviz_ui.model.registry import IMAGES
+from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import DASH, Unit, Units
-from bubbleviz_ui.panels.binding import menu_button, watch_controls
+from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.plot_host import HEADING, Part, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
@@ -32,7 +29,6 @@ from bubbleviz_ui.view3d.colours import Scales, residual_colours, rounded_up
 # One image with its colour scale and the marked pixel.
 
 
-Kind = Literal["range", "around zero", "mask", "colour"]
 MAPS = {"range": "viridis", "mask": "CET-L1", "colour": "CET-L1"}
 """Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
 LINE_LETTERS = 18
@@ -43,37 +39,13 @@ SCALE_STEPS = 5
 """Colour squares of the scale in the heading."""
 
 
-@dataclass(frozen=True)
-class Picture:
-    """Title, colouring and unit of an image."""
-
-    title: str
-    kind: Kind
-    unit: Callable[[Units], Unit] | None = None
-
-
-PICTURES = MappingProxyType(
-    {
-        "depth": Picture(IMAGES["depth"], "range", lambda u: u.length),
-        "change": Picture(IMAGES["change"], "around zero", lambda u: u.length),
-        "residual": Picture(IMAGES["residual"], "around zero", lambda u: u.fine_length),
-        "noise": Picture(IMAGES["noise"], "range", lambda u: u.fine_length),
-        "used": Picture(IMAGES["used"], "mask"),
-        "patch": Picture(IMAGES["patch"], "mask"),
-        "colour": Picture(IMAGES["colour"], "colour"),
-        "flow": Picture(IMAGES["flow"], "range", lambda u: u.pixels),
-    }
-)
-"""Images of the panel, by name."""
-
-
-def colour_map(kind: Kind, colours: theme.Colours) -> Any:
+def colour_map(colouring: Colouring, colours: theme.Colours) -> Any:
     """Colour map of pyqtgraph; signed images have the residual colours of the 3-D view."""
     import pyqtgraph as pg  # not at start
 
-    if kind == "around zero":
+    if colouring == "around zero":
         return pg.ColorMap(None, residual_colours(colours.cloud))
-    return pg.colormap.get(MAPS[kind])
+    return pg.colormap.get(MAPS[colouring])
 
 
 class ImageCell:
@@ -82,16 +54,16 @@ class ImageCell:
     `head`: Height of the heading, screen pixels.
     """
 
-    def __init__(self, picture: Picture, head: float = 2 * HEADING - 3) -> None:
+    def __init__(self, kind: ImageKind, head: float = 2 * HEADING - 3) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
-        self.picture = picture
+        self.kind = kind
         self.image: np.ndarray | None = None
         self._range_so_far: tuple[float, float] | None = None
         self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         self.item = pg.ImageItem(axisOrder="row-major")
-        self.map = colour_map(picture.kind, theme.DARK)
+        self.map = colour_map(kind.colouring, theme.DARK)
         self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
         self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
@@ -123,14 +95,14 @@ class ImageCell:
         """
         if image is None:
             self.clear()
-            lines = [self.picture.title, *textwrap.wrap(why, LINE_LETTERS)]
-            self._write("<br>".join(lines) if why else f"{self.picture.title}: {DASH}")
+            lines = [self.kind.title, *textwrap.wrap(why, LINE_LETTERS)]
+            self._write("<br>".join(lines) if why else f"{self.kind.title}: {DASH}")
             return
         low, high = self._range(ends) if scale is None else (-scale, scale)
-        unit = None if self.picture.unit is None else self.picture.unit(units)
+        unit: Unit | None = getattr(units, self.kind.unit) if self.kind.unit else None
         self.show(image, low, high)
         self._scale = (low, high, unit)
-        self._write(f"{self.picture.title}<br>{self.legend(*self._scale)}")
+        self._write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
 
     def clear(self) -> None:
         """Remove the image."""
@@ -167,18 +139,18 @@ class ImageCell:
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Apply the theme's colours."""
-        self.map = colour_map(self.picture.kind, theme.with_text(text))
+        self.map = colour_map(self.kind.colouring, theme.with_text(text))
         self.item.setLookupTable(self.map.getLookupTable(nPts=256))
         self.label.setAttr("color", text.name())
         if self._scale is not None and self.image is not None:
-            self._write(f"{self.picture.title}<br>{self.legend(*self._scale)}")
+            self._write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
         """Colour range, which grows with the data and never shrinks."""
-        if self.picture.kind == "mask" or ends is None:
+        if self.kind.colouring == "mask" or ends is None:
             return 0.0, 1.0
         low, high = ends
-        if self.picture.kind == "around zero":
+        if self.kind.colouring == "around zero":
             high = rounded_up(max(abs(low), abs(high), 1e-6))
             low = -high
         if self._range_so_far is not None:
@@ -210,10 +182,10 @@ class ColourCell(ImageCell):
         if seen is None or seen.rgb is None:
             self.clear()
             why = [DASH] if seen is None else textwrap.wrap(seen.reason, LINE_LETTERS)
-            self._write("<br>".join([self.picture.title, *why]))
+            self._write("<br>".join([self.kind.title, *why]))
             return
         self._put(seen.rgb, seen.rgb, autoLevels=False)
-        self._write(self.picture.title)
+        self._write(self.kind.title)
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Apply the theme's text colour."""
@@ -258,7 +230,6 @@ class ImagesPanel(QWidget):
         controller.shown.connect(self._on_shown)
         hover.changed.connect(self._on_hover)
         self._on_hover(None)
-        watch_controls(self)
         state.source_changed.connect(self._on_source)
         state.settings_changed.connect(self._on_settings)
         state.history_changed.connect(self._on_history)
@@ -317,8 +288,8 @@ class ImagesPanel(QWidget):
 
     def _make(self) -> list[Part]:
         self.cells = {
-            name: (ColourCell if picture.kind == "colour" else ImageCell)(picture)
-            for name, picture in PICTURES.items()
+            name: (ColourCell if kind.colouring == "colour" else ImageCell)(kind)
+            for name, kind in IMAGES.items()
         }
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         self._host.canvas.installEventFilter(self)
@@ -329,7 +300,7 @@ class ImagesPanel(QWidget):
         """Arrange the chosen images in the grid that shows them largest."""
         if self._host.canvas is None:
             return
-        shown = [name for name in PICTURES if name in self._state.settings.images]
+        shown = [name for name in IMAGES if name in self._state.settings.images]
         columns = best_columns(len(shown), self.width(), self.height() - HEADER)
         if self._arranged == [(name, columns) for name in shown]:
             return

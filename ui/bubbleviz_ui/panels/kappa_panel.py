@@ -31,7 +31,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.source_facts import force_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
-from bubbleviz_ui.panels.binding import bind, control, watch_controls
+from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -77,7 +77,6 @@ class KappaPanel(QWidget):
         self._lay_out()
         self.show_result(None)
         self._bind(state)
-        watch_controls(self)
 
     def _lay_out(self) -> None:
         fill(QHBoxLayout(self.by_kappa), (self.slider, 1), self.box, margins=(0, 0, 0, 0))
@@ -289,7 +288,6 @@ class ThresholdPanel(QWidget):
         self.least = control(state, "least_area_m2")
         self._lay_out()
         controller.shown.connect(self._draw)
-        watch_controls(self)
         state.settings_changed.connect(self._draw)
 
     def _lay_out(self) -> None:

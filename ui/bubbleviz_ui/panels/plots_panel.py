@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QV
 
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import menu_button, watch_controls
+from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
@@ -56,7 +56,6 @@ class PlotsPanel(QWidget):
         self.hint.setObjectName("dim")
         self._lay_out()
         self._connect()
-        watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._draw_soon)
         state.range_changed.connect(self._show_statistics)

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SPEEDS, Settings
 from bubbleviz_ui.model.units import DASH
-from bubbleviz_ui.panels.binding import bind, control, tool_button, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, tool_button
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell import theme
@@ -113,7 +113,6 @@ class PlaybackPanel(QWidget):
         self._lay_out()
         self._show_all()
         self._connect()
-        watch_controls(self)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._on_history)
         for changed in (state.source_changed, state.settings_changed, state.playing_changed,

@@ -30,7 +30,7 @@ from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import bind_membership, control, watch_controls
+from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
@@ -255,7 +255,6 @@ class PosePanel(QWidget):
         self._fill()
         self._lay_out()
         self._connect()
-        watch_controls(self)
         self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._due.timeout.connect(lambda: self._draw_curves())
         self._write()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeGuard
 
@@ -17,7 +18,7 @@ from bubbleviz.pose import open_axes
 from bubbleviz.result import ObjectPatch, Pose, Result, Stage
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.controller import Controller, ObjectChange
+from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.settings import POSE_SETTINGS
@@ -158,8 +159,6 @@ class PoseSession(QObject):
         self.problem = ""  # Why the chosen object was rejected
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
         controller.opened.connect(self._on_opened)
-        controller.object_changed.connect(self._on_object_changed)
-        controller.failed.connect(self._on_failed)
         controller.shown.connect(self._on_shown)
         self._state.source_changed.connect(self._on_source)
         self._state.settings_changed.connect(self._on_settings)
@@ -223,7 +222,7 @@ class PoseSession(QObject):
         if found.track and has_pose(pose):
             start = pose.T_B_O
         settings = self._state.settings
-        self._controller.set_object(settings.pose_object, settings.pose_unit, start, fit=False)
+        self._request(settings.pose_object, settings.pose_unit, start)
         self._state.change(pose_track=found.track)
         self.changed.emit()
 
@@ -245,8 +244,21 @@ class PoseSession(QObject):
 
     def _set_object(self, *, fit: bool) -> None:
         settings = self._state.settings
-        self._controller.set_object(settings.pose_object, settings.pose_unit, self.start, fit=fit)
+        self._request(settings.pose_object, settings.pose_unit, self.start, fit=fit)
         self.changed.emit()
+
+    def _request(
+        self,
+        name: str | None,
+        unit: FileUnit | None = None,
+        start: np.ndarray | None = None,
+        *,
+        fit: bool = False,
+    ) -> None:
+        take = partial(self._take_object, (name, unit), fit)
+        self._controller.set_object(
+            name, unit, start, take, partial(self._reject, name, fit), fit=fit
+        )
 
     def _on_opened(self, opened: Opened) -> None:
         self.pose, self.rows, self.busy = None, {}, False
@@ -273,26 +285,25 @@ class PoseSession(QObject):
         except InputError:  # of a session file edited by hand
             self.start = None
 
-    def _on_object_changed(self, change: ObjectChange) -> None:
-        requested = (change.object_name, change.unit)
+    def _take_object(
+        self, requested: tuple[str | None, FileUnit | None], fitted: bool, obj: RigidObject | None
+    ) -> None:
         if self.obj is None or requested != self._loaded:  # keep the identity of the same object
-            self.obj, self._loaded = change.obj, requested
+            self.obj, self._loaded = obj, requested
             self.pose, self.rows = None, {}  # of the former object, solved meanwhile
-        if change.fitted:
+        if fitted:
             self.busy = False
         self.changed.emit()
 
-    def _on_failed(self, failed: Failed) -> None:
+    def _reject(self, name: str | None, fitted: bool, failed: Failed) -> None:
         """Register no object, and stop tracking; a rejected one stays selected, for undo."""
-        request = failed.request
-        if isinstance(request, ObjectChange):
-            self.busy = False
-            if request.object_name == self.object_name and not request.fitted:
-                self.problem = failed.message
-                self._controller.set_object(None, None, None, fit=False)
-                with self._undo.unrecorded():
-                    self._state.change(pose_track=False)
-            self.changed.emit()
+        self.busy = False
+        if name == self.object_name and not fitted:
+            self.problem = failed.message
+            self._request(None)
+            with self._undo.unrecorded():
+                self._state.change(pose_track=False)
+        self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
         if result.pose is None or result.pose is self.pose:

@@ -24,7 +24,6 @@ from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
 from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.shell.dock import fill
@@ -193,7 +192,6 @@ class SensorPanel(QWidget):
         self.save, self.cancel = QPushButton("Save as…"), QPushButton("Cancel")
         self._watch = SensorWatch(self)
         self._lay_out()
-        watch_controls(self)
         self._show()
         self.edit.clicked.connect(self._begin)
         self.reload.clicked.connect(self._reload)

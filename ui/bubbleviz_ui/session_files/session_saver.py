@@ -7,10 +7,10 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, QTimer, Signal
-from PySide6.QtWidgets import QMainWindow
 
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
@@ -42,7 +42,9 @@ from bubbleviz_ui.session_files.session_file import (
 )
 from bubbleviz_ui.shell.file_dialogs import ask_yes_no
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.window_parts import WindowParts
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.main_window import MainWindow
 
 EVERY_MS = 3000
 """Period of autosaving."""
@@ -61,9 +63,9 @@ class SessionSaver(QObject):
 
     recent_changed = Signal()
 
-    def __init__(self, frame: QMainWindow, window: WindowParts) -> None:
-        super().__init__(frame)
-        self._frame, self._window = frame, window
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__(window)
+        self._window = window
         self.recent: tuple[str, ...] = ()  # Recent files, newest first
         self.hinted = False  # The first-run hint was read
         self._opened: Opened | None = None
@@ -141,8 +143,8 @@ class SessionSaver(QObject):
             markers=state.markers,
             choices=plain_settings(state.settings),
             camera=_camera(window.view) if moved else None,
-            geometry=_base64(self._frame.saveGeometry()),
-            layout=_base64(self._frame.saveState()),
+            geometry=_base64(self._window.saveGeometry()),
+            layout=_base64(self._window.saveState()),
             shortcuts=window.shortcuts.changed,
         )
         absent = self._absent
@@ -188,7 +190,7 @@ class SessionSaver(QObject):
         places = [] if saved.live is None else [each.source for each in saved.live.sensors]
         remote = [place for place in places if place.startswith("zenoh:")]
         question = "\n".join([f"{path.name} connects to", *remote, "Connect?"])
-        if not remote or ask_yes_no(self._frame, "Open session", question):
+        if not remote or ask_yes_no(self._window, "Open session", question):
             return saved
         return saved.model_copy(update={"live": None})
 
@@ -203,9 +205,9 @@ class SessionSaver(QObject):
         with window.undo_recorder.unrecorded():
             window.state.change(**vars(settings))
             if saved.geometry:
-                self._frame.restoreGeometry(_bytes(saved.geometry))
+                self._window.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
-                self._frame.restoreState(_bytes(saved.layout))
+                self._window.restoreState(_bytes(saved.layout))
             window.status.setVisible("status" in settings.panels)
 
     def open_source(
@@ -308,7 +310,7 @@ class SessionSaver(QObject):
         if controller.run is None or not self._is_live:
             return None
         live = with_paths(controller.run.preset, absolute)
-        return live if sensor is None else with_sensor(live, controller.selected, sensor)
+        return live if sensor is None else with_sensor(live, self._window.pair.selected, sensor)
 
     @property
     def _is_live(self) -> bool:

@@ -23,7 +23,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import bind, control, form, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, form
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE
@@ -170,7 +170,6 @@ class ShearPanel(QWidget):
         self.copy.setToolTip("These numbers as text, with their units")
         self._lay_out()
         self._connect(state, controller)
-        watch_controls(self)
 
     def _lay_out(self) -> None:
         numbers, settings = QFormLayout(), form(self.flow)

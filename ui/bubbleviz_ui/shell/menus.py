@@ -6,10 +6,11 @@ import platform
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Qt, SignalInstance, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QDockWidget, QInputDialog, QMenu, QMenuBar, QMessageBox
+from PySide6.QtWidgets import QDockWidget, QInputDialog, QMenu, QMessageBox
 from vtkmodules.vtkCommonCore import vtkVersion
 
 import bubbleviz
@@ -23,7 +24,6 @@ from bubbleviz_ui.model.settings import LOOPBACK, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.playback.playback_panel import next_speed
-from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shell.file_dialogs import (
     SENSOR_FILES,
     file_to_open,
@@ -33,7 +33,9 @@ from bubbleviz_ui.shell.file_dialogs import (
 )
 from bubbleviz_ui.shell.shortcuts import DYNAMIC
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
-from bubbleviz_ui.window_parts import WindowParts
+
+if TYPE_CHECKING:
+    from bubbleviz_ui.main_window import MainWindow
 
 SO_FAR_NONE = "{} in the frames computed so far"
 ANALYSE = "; run Analyse all frames to search the others"
@@ -47,8 +49,8 @@ SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
 class Menus:
     """Actions of the menu bar; they only call the window and the model."""
 
-    def __init__(self, bar: QMenuBar, window: WindowParts, session_saver: SessionSaver) -> None:
-        self._bar, self._window, self._saver = bar, window, session_saver
+    def __init__(self, window: MainWindow) -> None:
+        self._window, self._saver, bar = window, window.session_saver, window.menuBar()
         self._file(bar.addMenu("&File"))
         self._edit(bar.addMenu("&Edit"))
         self._playback(bar.addMenu("&Playback"))
@@ -73,7 +75,7 @@ class Menus:
         self._add(menu, "&Export…", self._window.show_export, "Ctrl+Shift+E")
         self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
         menu.addSeparator()
-        self._add(menu, "&Quit", self._bar.window().close, "Ctrl+Q")
+        self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
 
     def _recent(self, menu: QMenu) -> None:
         menu.setProperty(DYNAMIC, True)
@@ -98,7 +100,7 @@ class Menus:
         self._add(menu, "&About bubbleviz…", self._show_about)
 
     def _show_about(self) -> None:
-        about = QMessageBox(self._bar)
+        about = QMessageBox(self._window)
         about.setWindowTitle("About bubbleviz")
         about.setText(
             f"bubbleviz {bubbleviz.__version__}\nCalibrate, view and debug Soft-bubble tactile "
@@ -187,7 +189,7 @@ class Menus:
         )
         self._add(menu, "Publish &at…", self._publish_at)
         self._add(menu, "&Zero gas pressure", live.zero_now, "Ctrl+Shift+G")
-        self._add(menu, "&Switch sensor", live.switch_sensor, "B")
+        self._add(menu, "&Switch sensor", window.pair.switch, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window
@@ -209,7 +211,7 @@ class Menus:
             self._add(scenes, preset.title, partial(window.use_scene, preset))
         CheckMark(
             self._switch(menu, "&Full screen", "F11"),
-            self._bar.window().isFullScreen,
+            self._window.isFullScreen,
             lambda _: self._toggle_full_screen(),
             menu.aboutToShow,
         )
@@ -241,7 +243,7 @@ class Menus:
         )
 
     def _toggle_full_screen(self) -> None:
-        window = self._bar.window()
+        window = self._window
         window.setWindowState(window.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _one_of(self, menu: QMenu, *fields: str) -> None:
@@ -298,7 +300,7 @@ class Menus:
             return
         last = state.facts.frames - 1
         frame, chosen = QInputDialog.getInt(
-            self._bar, "Go to frame", f"Frame, 0 to {last}", state.frame, 0, last
+            self._window, "Go to frame", f"Frame, 0 to {last}", state.frame, 0, last
         )
         if chosen:
             state.seek(frame)
@@ -331,7 +333,7 @@ class Menus:
     def _publish_at(self) -> None:
         state = self._window.state
         endpoint, chosen = QInputDialog.getText(
-            self._bar,
+            self._window,
             "Publish results",
             "Address, tcp/HOST:PORT, from the next start of publishing (HOST 127.0.0.1: only for "
             "this computer; its network address: for others, too)",
@@ -343,23 +345,23 @@ class Menus:
     def _open_recording(self) -> None:
         folder = self._window.live_controller.recording.folder
         title = "Open recording"
-        paths = files_to_open(self._bar, title, RECORDINGS, of="recording", by_default=folder)
+        paths = files_to_open(self._window, title, RECORDINGS, of="recording", by_default=folder)
         if paths:
             self._window.open_recordings(paths)
 
     def _open_folder(self) -> None:
-        path = folder_to_open(self._bar, "Open recording folder", of="recording")
+        path = folder_to_open(self._window, "Open recording folder", of="recording")
         if path is not None:
             self._window.controller.opening.open_recording(path)
 
     def _open_sensor(self) -> None:
-        path = file_to_open(self._bar, "Open sensor", SENSOR_FILES, of="sensor")
+        path = file_to_open(self._window, "Open sensor", SENSOR_FILES, of="sensor")
         if path is not None:
             self._window.controller.opening.open_sensor_file(path)
 
     def _open_truth(self) -> None:
         kinds = "Ground truth (*.npz);;All files (*)"
-        path = file_to_open(self._bar, "Open ground truth", kinds, of="recording")
+        path = file_to_open(self._window, "Open ground truth", kinds, of="recording")
         if path is not None:
             self._window.controller.opening.use_ground_truth(path)
 
@@ -369,19 +371,19 @@ class Menus:
         self._window.controller.opening.close_source()
 
     def _open_session(self) -> None:
-        path = file_to_open(self._bar, "Open session", SESSIONS, of="session")
+        path = file_to_open(self._window, "Open session", SESSIONS, of="session")
         if path is not None:
             self._saver.open(path)
 
     def _save_session(self) -> None:
         proposed = f"session{SESSION_SUFFIX}"
-        path = file_to_save(self._bar, "Save session as", proposed, SESSIONS, of="session")
+        path = file_to_save(self._window, "Save session as", proposed, SESSIONS, of="session")
         if path is not None:
             self._saver.save_as(path)
 
     def _screenshot(self) -> None:
         kinds = "PNG images (*.png)"
-        path = file_to_save(self._bar, "Save screenshot", "bubbleviz.png", kinds, of="picture")
+        path = file_to_save(self._window, "Save screenshot", "bubbleviz.png", kinds, of="picture")
         if path is not None:
             self._window.save_screenshot(path)
 

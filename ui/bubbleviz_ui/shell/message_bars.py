@@ -197,6 +197,18 @@ class BusyBar(_Bar):
             self.hide()
 
 
+class JobProgress(QProgressBar):
+    """Progress of a job in a thread."""
+
+    def __init__(self) -> None:
+        super().__init__(minimum=0, maximum=100)
+
+    def show_step(self, step: str, done: float) -> None:
+        """Show the description of a step, and the completed share."""
+        self.setFormat(f"{step} %p %")
+        self.setValue(round(100.0 * done))
+
+
 class HintBar(_Bar):
     """First-run hint."""
 

@@ -6,7 +6,7 @@ from PySide6.QtWidgets import QCheckBox, QFormLayout, QFrame, QVBoxLayout, QWidg
 
 from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind_membership, control, form, watch_controls
+from bubbleviz_ui.panels.binding import bind_membership, control, form
 from bubbleviz_ui.shell.dock import fill
 
 
@@ -26,7 +26,6 @@ class LayersPanel(QWidget):
         for name, box in self.boxes.items():
             bind_membership(box, state, "layers", name)
         self._enable()
-        watch_controls(self)
         state.settings_changed.connect(self._enable)
 
     def _box(self, name: str, kind: LayerKind) -> QCheckBox:

@@ -24,7 +24,7 @@ from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
-from bubbleviz_ui.panels.binding import bind, control, form, tool_button, watch_controls
+from bubbleviz_ui.panels.binding import bind, control, form, tool_button
 from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
@@ -75,7 +75,6 @@ class ViewTools(QWidget):
         self._bind(state)
         self._connect(controller)
         self._on_settings()
-        watch_controls(self)
         state.settings_changed.connect(self._on_settings)
 
     def _make_buttons(self) -> None:
