@@ -94,7 +94,7 @@ def open_bench(qtbot, new_window, tmp_path):
 
 @pytest.fixture(autouse=True)
 def no_leaks():
-    """Fail a test that leaves a window, a VTK render window or a solver thread alive."""
+    """Fail a test that leaves a window, its controller, a render window or a thread alive."""
     yield
     app = QApplication.instance()
     if app is None:
@@ -105,7 +105,8 @@ def no_leaks():
     left = [object.__repr__(w) for w in QApplication.topLevelWidgets()]
     # types instead of isinstance, which fails for dead proxies
     objects = gc.get_objects()
-    kinds = {kind for kind in {*map(type, objects)} if issubclass(kind, (View, vtkRenderWindow))}
+    watched = Controller, View, vtkRenderWindow
+    kinds = {kind for kind in {*map(type, objects)} if issubclass(kind, watched)}
     left += [object.__repr__(o) for o in objects if type(o) in kinds] if kinds else []
     del objects
     left += [t.name for t in threading.enumerate() if t.name.startswith(("solver", "calibration"))]

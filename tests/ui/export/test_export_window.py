@@ -2,6 +2,7 @@
 
 import csv
 import re
+from threading import Event
 
 import imageio_ffmpeg
 import numpy as np
@@ -222,6 +223,31 @@ def test_unreadable_frame_ends_the_video_with_a_message(drive, monkeypatch, tmp_
     bench.wait(lambda: not bench.window.exporting.busy)
     assert "frame 3 cannot be read" in bench.message_text
     bench.window.exporting.close()
+    assert not list(tmp_path.iterdir())
+
+
+class SlowSource(DentSource):
+    """Says when a frame is being read, which takes long."""
+
+    def __init__(self, sensor):
+        super().__init__(sensor, slow_s=0.2)
+        self.reading = Event()
+
+    def __getitem__(self, index):
+        self.reading.set()
+        return super().__getitem__(index)
+
+
+def test_window_closed_while_the_scale_of_a_video_is_computed_is_released(drive, sensor, tmp_path):
+    """The window, its controller and view, as `no_leaks` checks."""
+    source = SlowSource(sensor)
+    driver = drive(lambda _: source)
+    (video,) = (kind for kind in video_export.KINDS if kind.is_video)
+    source.reading.clear()
+    driver.window.exporting.start(video, range(FRAMES), tmp_path / "press.mp4")
+    driver.wait(source.reading.is_set)
+    driver.window.close_without_asking()
+    driver.release()
     assert not list(tmp_path.iterdir())
 
 

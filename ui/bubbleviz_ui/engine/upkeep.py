@@ -78,7 +78,7 @@ class MemoryRelease(QObject):
         self._active, self._last_s = True, time.monotonic()
         self._worker = Worker("memory")
         self._timer = QTimer(self)
-        self._timer.timeout.connect(lambda: self._on_tick())
+        self._timer.timeout.connect(self._on_tick)
         self._timer.start(idle_ms)
         for changed in (state.source_changed, state.settings_changed, state.frame_changed,
                         state.history_changed, state.playing_changed):  # fmt: skip

@@ -212,6 +212,8 @@ class Worker(QObject):
                 self._ready.emit(partial(self._succeed, job, answer))
             else:
                 job.discard(answer)
+        finally:
+            self._job = None  # it refers to what waits for its result
 
     def _is_stale(self, job: _Job) -> bool:
         stale = job.key in self._keys[1:] and not 0 < job.generation == self._running

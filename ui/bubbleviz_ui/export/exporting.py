@@ -119,7 +119,7 @@ class VideoExport(QObject):
         controller.shown.connect(self._draw_next)
         self._state.set_playing(False)
         # solves all frames, as the scales must not change in the video
-        QTimer.singleShot(0, lambda: controller.client.scale_to(frames, self._on_scaled))
+        controller.client.scale_to(frames, self._on_scaled)
 
     def end(self) -> None:
         """Stop drawing and restore the cursor."""

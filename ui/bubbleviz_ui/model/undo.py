@@ -48,6 +48,7 @@ class UndoStep(QUndoCommand):
         if not isinstance(other, UndoStep) or other.gesture != self.gesture:
             return False
         self.new = other.new
+        vars(other).clear()  # Qt deletes it, but its Python object stays
         return True
 
     def undo(self) -> None:
@@ -100,7 +101,10 @@ class UndoRecorder:
     ) -> None:
         """Record changes of a value on the stack."""
         self._parts.append(_Watched(text, value, apply, continuous, value()))
-        changed.connect(lambda *_: self._record())
+        changed.connect(self._on_changed)
+
+    def _on_changed(self, *_: object) -> None:
+        self._record()
 
     def watch_box(self, text: str, box: QWidget) -> None:
         """Record changes of a widget's value, text or check mark on the stack."""

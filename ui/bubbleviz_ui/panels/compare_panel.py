@@ -145,9 +145,7 @@ class OtherRecording(QWidget):
         self.start.clicked.connect(self._start)
         self.remove.clicked.connect(self._forget)
         self.drawn.toggled.connect(self._draw_membrane)
-        self.worker.progressed.connect(
-            lambda title, done: self.result.setText(f"solving {title}: {100 * done:.0f} %")
-        )
+        self.worker.progressed.connect(self._show_progress)
         state.source_changed.connect(self._drop)
         state.frame_changed.connect(self._write)
         state.settings_changed.connect(self._on_settings)
@@ -230,6 +228,9 @@ class OtherRecording(QWidget):
         self.start.setEnabled(False)
         self.result.setText("opening …")
         self.worker.submit(lambda: (first(), second()), self._on_solved, self._on_failed)
+
+    def _show_progress(self, title: str, done: float) -> None:
+        self.result.setText(f"solving {title}: {100 * done:.0f} %")
 
     def _on_solved(self, runs: tuple[Run, Run]) -> None:
         self.start.setEnabled(True)

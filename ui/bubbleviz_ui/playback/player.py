@@ -93,7 +93,7 @@ class Player(QObject):
         self._clock_s = 0.0
         self._result_frame = -1
         self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=TICK_MS)
-        self._timer.timeout.connect(lambda: self._tick())
+        self._timer.timeout.connect(self._tick)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
         state.source_changed.connect(self._make_clock)

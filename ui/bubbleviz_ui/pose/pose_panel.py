@@ -347,7 +347,7 @@ class PosePanel(QWidget):
         self.copy.clicked.connect(lambda: self._copy())
         self.csv.clicked.connect(lambda: self._export("csv"))
         self.tum.clicked.connect(lambda: self._export("tum"))
-        session.changed.connect(lambda: self._on_changed())
+        session.changed.connect(self._on_changed)
         state.settings_changed.connect(self._on_settings)
 
     def use_start(self, T_B_O: np.ndarray) -> None:
