@@ -399,8 +399,10 @@ class Solver:
             if request.cancelled.is_set():
                 raise Cancelled from None
             raise
-        self.close()
+        before, self._checked = self.current, None
         self.current = current = replace(current, solver_process=_solver_process(stream, pipeline))
+        if before is not None:
+            before.close()
         numbers, result = current.numbers(result), current.diagnose(result, request.demand)
         facts, camera, mesh = _facts(current, sensor, measured_pa), pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, index, result, numbers)
