@@ -207,6 +207,8 @@ def test_section_clips_the_scene_and_clipped_parts_are_not_picked(drive):
     view = driver.window.view
     for layers in ({"membrane"}, {"cloud"}, {"membrane", "cloud"}):
         driver.choose(layers=frozenset(layers))
+        cloudy = "cloud" in layers
+        driver.wait(lambda cloudy=cloudy: (driver.result.cloud_m is not None) == cloudy)
         cloud = driver.result.cloud_m
         points = driver.nodes() if cloud is None else cloud
         there = [point for point in points[::7] if abs(point[0]) > 0.01 and point[2] > 0.02]
