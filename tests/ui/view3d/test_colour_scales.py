@@ -53,19 +53,22 @@ def test_one_scale_for_all_frames_of_a_recording(drive):
 
 
 class HeldSource(DentSource):
-    """Frames after the first are read once `released`, each slower than playback."""
+    """Frames after the first are read once `released`; notes which are read."""
 
     def __init__(self, sensor):
-        super().__init__(sensor, slow_s=0.05)
-        self.released = Event()
+        super().__init__(sensor, slow_s=0.05)  # longer than a slice of frames solved in advance
+        self.released, self.read = Event(), []
 
     def __getitem__(self, index):
         if index > 0:
             self.released.wait()
+        self.read.append(index)
         return super().__getitem__(index)
 
 
-def test_scale_is_known_soon_during_playback_that_keeps_the_solver_busy(qtbot, new_window, sensor):
+def test_playback_solves_only_frames_it_shows_and_idle_time_completes_the_scale(
+    qtbot, new_window, sensor
+):
     source, driver = HeldSource(sensor), Driver(qtbot, new_window())
     driver.open("held", lambda _: source, sensor, playing=False)
     driver.window.show()
@@ -75,9 +78,26 @@ def test_scale_is_known_soon_during_playback_that_keeps_the_solver_busy(qtbot, n
     state.set_playing(True)
     driver.window.controller.shown.connect(lambda result: shown.append(result.frame.index))
     source.released.set()
-    driver.wait(lambda: scale(driver) > 5.0)
-    # a frame solved in advance after each that is shown
-    assert state.playing and max(shown, default=0) <= 3 and len(shown) <= FRAMES
+    driver.wait(lambda: len(shown) > 12)
+    before = scale(driver)
+    assert state.playing and set(shown) | set(source.read) <= {0, 1, 2, 3}
+    state.set_playing(False)
+    driver.wait_until_solved_ahead()
+    assert set(source.read) == set(range(FRAMES)) and scale(driver) > before
+
+
+def test_scale_grows_only_in_the_first_pass_of_playback(drive):
+    driver = drive(DentSource, frame=0, playing=True)
+    driver.state.change(loop=True, every_frame=True)
+    shown, ends = [], []
+    driver.window.controller.shown.connect(lambda result: shown.append(result.frame.index))
+    driver.window.view.rendered.connect(lambda: ends.append((len(shown), scale(driver))))
+    driver.wait(lambda: len(shown) > FRAMES)
+    driver.wait_for_redraw()
+    first = len(ends)
+    driver.wait(lambda: len(shown) > 3 * FRAMES)
+    assert [end for _, end in ends] == sorted(end for _, end in ends)
+    assert {end for _, end in ends[first:]} == {ends[-1][1]}
 
 
 def test_outliers_do_not_change_the_scale(drive):

@@ -29,7 +29,7 @@ TARGET_WAIT_S = 0.004
 GAIN = 0.4  # of the integral control of the delay
 MAX_DELAY_S = 0.1  # longer delays are noticeable
 SAMPLED_FRAMES = 16
-"""Frames of a recording solved in advance, so that its scales stay the same during playback."""
+"""Frames of a recording solved in advance for its scales, while the solver is idle."""
 
 
 class RequestDelay:
@@ -54,6 +54,7 @@ class SensorClient(QObject):
     patched = Signal(object)  # `Result` of the shown frame with another patch, or without its pose
     paused = Signal()  # A live source sent no frame in time
     failed = Signal(object)  # A `Failed`
+    scaled = Signal()  # The frames given to `scale_to` are covered
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -79,6 +80,7 @@ class SensorClient(QObject):
         self._delay = RequestDelay()
         self._unscaled: tuple[int, ...] = ()
         self.worker.failed.connect(self._on_failed)
+        state.playing_changed.connect(self._scale_on)
 
     @property
     def images_outdated(self) -> bool:
@@ -156,19 +158,23 @@ class SensorClient(QObject):
         function = partial(self.solver.patch, result, demand)
         self.worker.submit(function, partial(self._take_patch, demand), key="patch")
 
-    def scale_to(self, frames: Sequence[int], then: Callable[[], None] = lambda: None) -> None:
-        """Extend the scales to frames, alternating with those requested; then call.
+    def scale_to(self, frames: Sequence[int]) -> None:
+        """Extend the scales to frames while the solver is idle, then emit `scaled`.
 
         Frames of an earlier call that are not done yet are left out.
         """
-        self._unscaled = tuple(frames)
+        unknown = {*self.history.missing(frozenset({"estimate"})).tolist()}
+        self._unscaled = tuple(frame for frame in frames if frame in unknown)
+        self._scale_on()
+
+    def _scale_on(self) -> None:
+        """Request some of these frames; not during playback, which they would delay."""
         if not self._unscaled:
-            then()
-            return
-        function = partial(self.solver.preview, self._unscaled, self._options)
-        take = partial(self._take_extremes, self._unscaled, then)
-        # a frame that cannot be solved is reported when it is shown
-        self.worker.submit(function, take, failed=lambda _: then(), key="scale")
+            self.scaled.emit()
+        elif not self._state.playing:
+            function = partial(self.solver.preview, self._unscaled, self._options)
+            take = partial(self._take_extremes, self._unscaled)
+            self.worker.submit(function, take, failed=self._on_unscaled, key="scale")
 
     def forget_pose(self) -> None:
         """Remove the pose from the shown result, as another object or initial pose is used."""
@@ -212,23 +218,27 @@ class SensorClient(QObject):
                 self.solver.wrench_bias, partial(self.worker.has_more_urgent, "wrench")
             )
             self.worker.submit(function, self._take_wrench_bias, key="wrench")
+        self.opened_source.emit(opened)  # it may begin to play
         if opened.facts.frames > 1 and not opened.facts.grows:
             last = opened.facts.frames - 1
             self.scale_to(sorted({round(k) for k in np.linspace(0, last, SAMPLED_FRAMES)}))
-        self.opened_source.emit(opened)
 
     def _take_wrench_bias(self, bias_n: np.ndarray) -> None:
         self.history.wrench_bias_n = bias_n
         self._state.history_changed.emit()
 
-    def _take_extremes(
-        self, frames: tuple[int, ...], then: Callable[[], None], numbers: list[Numbers]
-    ) -> None:
+    def _take_extremes(self, frames: tuple[int, ...], numbers: list[Numbers]) -> None:
         for frame, known in zip(frames, numbers, strict=False):
             self.history.extremes.include(frame, known)
         self._state.history_changed.emit()
         if frames is self._unscaled:
-            self.scale_to(frames[len(numbers) :], then)
+            self._unscaled = frames[len(numbers) :]
+            self._scale_on()
+
+    def _on_unscaled(self, _: Failed) -> None:
+        """Do without: a frame that cannot be solved is reported when it is shown."""
+        self._unscaled = ()
+        self.scaled.emit()
 
     def _take_frame(self, requested_s: float, solved: Solved) -> None:
         now = time.perf_counter()

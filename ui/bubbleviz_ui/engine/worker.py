@@ -18,10 +18,10 @@ from bubbleviz.progress import Cancelled
 
 OPEN = "open"
 KEYS = (
-    OPEN, "object", "reference", "patch", "scale", "frame", "newest", "cold_solve", "compare",
-    "wrench", "analyse",
+    OPEN, "object", "reference", "patch", "frame", "newest", "cold_solve", "compare", "wrench",
+    "scale", "analyse",
 )  # fmt: skip
-"""Jobs of the solver thread, most urgent first. Slices of `scale` alternate with frames."""
+"""Jobs of the solver thread, most urgent first."""
 PROGRESS_EVERY_S = 0.05
 CLOSE_TIMEOUT_S = 10.0
 """How long closing a window waits for a step that cannot be interrupted."""

@@ -118,8 +118,8 @@ class VideoExport(QObject):
         self._picture_written.connect(self._draw_next, Qt.ConnectionType.QueuedConnection)
         controller.shown.connect(self._draw_next)
         self._state.set_playing(False)
-        # solves all frames, as the scales must not change in the video
-        controller.client.scale_to(frames, self._on_scaled)
+        controller.client.scaled.connect(self._on_scaled)
+        QTimer.singleShot(0, self._scale)
 
     def end(self) -> None:
         """Stop drawing and restore the cursor."""
@@ -149,6 +149,11 @@ class VideoExport(QObject):
                 return self._pictures.get(timeout=POLL_S)
             except Empty:
                 continue
+
+    def _scale(self) -> None:
+        """Have all frames known first, as the scales must not change in the video."""
+        if self._active:
+            self._controller.client.scale_to(self._frames)
 
     def _on_scaled(self) -> None:
         self._scaled = True
