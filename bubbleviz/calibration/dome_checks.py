@@ -30,9 +30,9 @@ def check_dome(
     visible = _visible_share(cap.fine_mesh, camera, membrane)
     if visible < _MIN_VISIBLE_SHARE:
         raise InputError(
-            f"{samples.source_name}: only {100 * visible:.0f} % of the dome is visible: its shape "
-            "at rest, its volume and γ0 cannot be determined; uncover the camera, or give a sensor "
-            "file with this camera's pose"
+            f"{samples.source_name}: only {100 * visible:.0f} % of the dome is visible, too little "
+            "to determine its shape, volume and γ0; uncover the camera, or give a sensor file with "
+            "this camera's pose"
         )
     _check_no_dent(samples, cap, camera, membrane)
     return visible
@@ -93,8 +93,8 @@ def _check_no_dent(
             row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
             raise InputError(
                 f"{samples.source_name}: in the frames taken as contact-free the membrane is "
-                f"pressed in by {1e3 * depth:.1f} mm around pixel ({column}, {row}); record it "
-                "without an object, or choose other frames"
+                f"pressed in by {1e3 * depth:.1f} mm around pixel ({column}, {row}); record the "
+                "membrane untouched, or choose other frames"
             )
 
 
@@ -178,7 +178,7 @@ def check_motion(samples: FrameSamples) -> float:
     if motion[worst] > _MAX_MOTION * sphere.semi_axes_m[0]:
         raise InputError(
             f"{samples.source_name}: the dome moves by {1e3 * motion[worst]:.2g} mm against the"
-            f" camera in the contact-free frames (most in frame {samples.frames[worst]}): fasten "
+            f" camera in the contact-free frames (most in frame {samples.frames[worst]}); fasten "
             "the camera, let the gas settle, or choose frames without contact"
         )
     return float(motion[worst])

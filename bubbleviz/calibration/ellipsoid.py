@@ -63,8 +63,9 @@ class Ellipsoid:
         centre_height = float(self.centre_m[2]) / c
         if not -1.0 < centre_height < 1.0:
             raise InputError(
-                "contact-free cloud: the fitted dome does not reach the rim plane z = 0; correct"
-                " camera.position_m in the sensor file"
+                "contact-free depth: the fitted dome does not cross the rim plane z = 0; correct "
+                "camera.position_m and camera.quaternion_xyzw in the sensor file, or give that of "
+                "this camera"
             )
         at_rim = float(np.sqrt(1.0 - centre_height**2))
         return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + centre_height), c)
@@ -120,8 +121,8 @@ def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
         surface = _minimise(few, surface, loss, sphere=sphere)
     if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
         raise InputError(
-            "contact-free cloud: no dome fits it (flat or concave); inflate the membrane, and "
-            "check that the depth is in metres"
+            "contact-free depth: too flat, no dome fits; inflate the membrane, or choose frames in "
+            "which nothing touches it"
         )
     if len(points) > len(few):
         surface = _minimise(points, surface, tukey_loss, sphere=sphere)
@@ -154,8 +155,8 @@ def _finite_points(points: np.ndarray) -> np.ndarray:
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 20:
         raise InputError(
-            f"contact-free cloud: only {len(points)} valid points; uncover the camera, or check"
-            " the depth topic"
+            f"contact-free depth: only {len(points)} usable points on the membrane; uncover the "
+            "camera, or check the depth images"
         )
     return points
 

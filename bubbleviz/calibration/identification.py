@@ -53,7 +53,7 @@ class Vented:
         if len(known) < fewest:
             raise InputError(
                 f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
-                f"{fewest} or more with the chamber open, or leave --vented out"
+                f"{fewest} or more with the chamber open, or give no open chamber (--vented)"
             )
         return cls(source.name, float(np.mean(known)), error_of_mean(known))
 
@@ -89,11 +89,16 @@ class Identification:
         """Source of the gauge pressure, as text."""
         if self.vented is not None:
             return f"the open-chamber recording {self.vented.source_name}"
-        if self.rubber is None:
+        if self.rubber is not None and self.rubber.gauge is not None:
+            return f"{self.rubber.shapes_text}; {self.file_source}"
+        return self.file_source
+
+    @property
+    def file_source(self) -> str:
+        """Source of the gauge pressure of `rest_gauge` without an open chamber, as text."""
+        if self.samples.gas_pressure_pa is None or self.given.pneumatics.gauge_sigma_pa is not None:
             return "the sensor file"
-        if self.rubber.gauge is None:
-            return "the sensor file's atmospheric pressure"
-        return f"{self.rubber.shapes_text}; the sensor file"
+        return "the recorded gas pressure minus the atmospheric pressure in the sensor file"
 
     @property
     def prestretch_source(self) -> str:
@@ -165,8 +170,9 @@ def rest_gauge(
     if gas is None:
         if vented is not None:
             raise InputError(
-                f"{samples.source_name}: no gas pressure, so {vented.source_name} does not "
-                "determine the gauge pressure; leave --vented out, or record the pressure"
+                f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
+                f"{vented.source_name} does not determine the gauge pressure; record it in all of "
+                "them, or give no open chamber (--vented)"
             )
         return gauge, sigma
     recorded = float(np.mean(gas))
@@ -176,16 +182,19 @@ def rest_gauge(
             raise InputError(
                 f"{samples.source_name}: gas pressure {recorded:.0f} Pa minus the sensor file's "
                 f"gauge pressure {gauge:.0f} Pa is not a plausible atmospheric pressure; record "
-                "the absolute pressure, or correct the sensor file"
+                "the absolute pressure in Pa, or correct gauge_pressure_pa in the sensor file"
             )
         change = abs(recorded - pneumatics.reference_pressure_pa)
         return gauge, float(np.hypot(sigma, min(change, WEATHER_SIGMA_PA)))
     gauge = recorded - air
     if gauge <= 0.0:
+        whose, remedy = "atmospheric_pressure_pa of the sensor file", "correct that"
+        if vented is not None:
+            whose, remedy = vented.source_name, "give the recording of the open chamber"
         raise InputError(
             f"{samples.source_name}: gas pressure {recorded:.0f} Pa is not above the atmospheric"
-            f" {air:.0f} Pa; correct the atmospheric pressure in "
-            "the sensor file, or inflate the bubble"
+            f" {air:.0f} Pa from {whose}; inflate the bubble, record the absolute pressure in Pa, "
+            f"or {remedy}"
         )
     if vented is not None:
         return gauge, max(float(np.hypot(vented.sigma_pa, error_of_mean(gas))), _RESOLUTION_PA)

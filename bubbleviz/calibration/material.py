@@ -155,8 +155,8 @@ def _with_fit(
     """
     change, unexplained = known.change_rms_m, known.unexplained_rms_m
     if unexplained > _MAX_UNEXPLAINED * change:
-        misfit = f"misfit {1e3 * unexplained:.2g} mm of a change of {1e3 * change:.2g} mm"
-        return replace(known, why_not=f"no rubber of this shape fits: {misfit}")
+        misfit = f"misfit {1e3 * unexplained:.2g} mm rms of a change of {1e3 * change:.2g} mm rms"
+        return replace(known, why_not=f"no rubber of this shape at rest fits: {misfit}")
     covariance, found = fit.covariance, known
     if by_file is not None:
         by_shapes, mean = (_gauge(each, by_file.value) for each in (alone, fit))
@@ -176,10 +176,8 @@ def _with_fit(
     conditional = fit.covariance[0, 0] - fit.covariance[0, 1] ** 2 / fit.covariance[1, 1]
     q = Quantity.normal(float(fit.vector[0]), float(np.sqrt(max(conditional, 0.0))))
     if not 0.0 < q.low <= q.high < 1.0:
-        pressed = found.shapes_kind == "press"
-        what = "press is too shallow" if pressed else "levels differ too little"
-        why = f"the {what}, or constant tension fits as well"
-        return replace(found, why_not=why)
+        what = "a constant tension" if q.low <= 0.0 else "λ = 1"
+        return replace(found, why_not=f"{what} fits the {found.shapes_kind} as well")
     wide = Quantity.normal(float(fit.vector[0]), float(np.sqrt(covariance[0, 0])))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     return replace(found, prestretch=Quantity(*(x ** (-1.0 / 6.0) for x in (q.value, high, low))))

@@ -46,7 +46,7 @@ def pictures(found: Identification, validation: Validation | None) -> list[dict[
     around = (-1e3 * limit, 1e3 * limit)
     return [
         _picture(
-            "Validity", "share of frames with a return", statistics.validity, "", (0.0, 1.0)
+            "Validity", "share of frames with valid depth", statistics.validity, "", (0.0, 1.0)
         ),
         _picture("Noise", "σ of one frame's range", 1e3 * statistics.noise_m, "mm", (0, 1e3 * top)),
         _picture("Pixels used", "bright: used", mask.astype(float), "", (0.0, 1.0)),
@@ -54,7 +54,7 @@ def pictures(found: Identification, validation: Validation | None) -> list[dict[
                  around, _DIVERGING),
         _picture("Last frame before rectification", "range minus surface", 1e3 * before,
                  "mm", around, _DIVERGING),
-        _picture("Last frame after rectification", "range minus surface and pixel offset",
+        _picture("Last frame after rectification", "rectified range minus surface",
                  1e3 * after, "mm", around, _DIVERGING),
         _picture("Local γ0", "force balance around each pixel", local_tension_image(found), "N/m",
                  (0.8 * tension, 1.2 * tension), _DIVERGING),
@@ -66,7 +66,8 @@ def _validation_pictures(validation: Validation) -> list[dict[str, str]]:
     limit = 1e3 * max(3.0 * validation.rms_m, 1e-9)
     patches = validation.predicted_patch + 2.0 * validation.measured_patch
     return [
-        _picture("Known press: distance of the cloud", "from the predicted membrane, inside: < 0",
+        _picture("Known press: distance of the measured points",
+                 "from the predicted membrane; negative: inside it",
                  1e3 * validation.distance_m, "mm", (-limit, limit), _DIVERGING),
         _picture("Known press: patches", "0 none, 1 predicted only, 2 estimated only, 3 both",
                  patches, "", (0.0, 3.0)),

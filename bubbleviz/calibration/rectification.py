@@ -34,7 +34,8 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
     every = [(found.samples, found.surfaces, found.pixels), *levels]
     if len({pixels.mask.shape for _, _, pixels in every}) > 1:
         raise InputError(
-            "rectification: images differ in size; record all levels with one camera and resolution"
+            "rectification: recording and inflation levels differ in image size; record all with "
+            "one camera and resolution"
         )
     mask = np.stack([pixels.mask for _, _, pixels in every])
     measured = np.stack([samples.statistics.range_m for samples, _, _ in every])
@@ -110,6 +111,6 @@ def _check_apart(span_m: np.ndarray, noise_m: np.ndarray) -> None:
     span, needed = float(np.median(span_m[known])), _MIN_SPAN * float(np.median(noise_m[known]))
     if span < needed:
         raise InputError(
-            f"rectification: the membrane moves only {1e3 * span:.2g} mm between levels, within"
-            f" the noise; record levels {1e3 * needed:.2g} mm apart or more"
+            f"rectification: the membrane moves only {1e3 * span:.2g} mm between the levels; "
+            f"inflate them at least {1e3 * needed:.2g} mm apart, which the noise requires"
         )

@@ -110,9 +110,10 @@ def _comment(found: Identification) -> str:
     axes = "/".join(f"{1e3 * x:.1f}" for x in surfaces.cap.semi_axes_m)
     misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
     lines = [
-        f"Identified from {found.samples.source_name}, contact-free frames {free[0]}–{free[-1]}.",
-        "B: origin at the centre of the rim plane; rim plane and axes are taken from the design "
-        "drawing.",
+        f"Identified from {found.samples.source_name}, contact-free frames within "
+        f"{free[0]}–{free[-1]}.",
+        "B: origin at the centre of the rim plane; rim plane and axes follow from the camera pose "
+        "in the initial sensor file.",
         "Rms misfit on parts of the cloud that were left out of the fit: sphere"
         f" {misses['sphere']},",
         f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"

@@ -54,13 +54,13 @@ def collect(
     """
     if len(chosen) and not 0 <= min(chosen) <= max(chosen) < len(source):
         raise InputError(
-            f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are outside its"
+            f"{source.name}: contact-free frames {min(chosen)}:{max(chosen) + 1} are not within its"
             f" {count_of(len(source), 'frame')}; choose within 0:{len(source)}"
         )
     if len(chosen) < MIN_FRAMES:
         raise InputError(
-            f"{source.name}: only {count_of(len(chosen), 'contact-free frame')}; choose at least "
-            f"{MIN_FRAMES}"
+            f"{source.name}: only {count_of(len(chosen), 'contact-free frame')}; choose or record "
+            f"at least {MIN_FRAMES}"
         )
     chosen = list(chosen)[:: -(-len(chosen) // MAX_FRAMES)]
     images: list[np.ndarray] = []
@@ -69,8 +69,8 @@ def collect(
         frame = source[k]
         if images and frame.depth_m.shape != images[0].shape:
             raise InputError(
-                f"{source.name}: frame {k} has another image size than the first; record with one "
-                "resolution"
+                f"{source.name}: frame {k} has another image size than frame {chosen[0]}; record "
+                "with one resolution"
             )
         images.append(frame.depth_m)
         pressures.append(np.nan if frame.gas_pressure_pa is None else frame.gas_pressure_pa)

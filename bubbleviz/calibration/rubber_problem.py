@@ -312,9 +312,9 @@ class RubberProblem:
         if vector is not None:
             return self._with_covariance(vector, np.inf, 1.0)
         raise InputError(
-            f"{self._rest.source_name}: no rubber of this shape explains the shapes in"
+            f"{self._rest.source_name}: no rubber of this shape at rest explains the shapes in"
             f" {', '.join(shape.samples.source_name for shape in self._shapes)}; check the"
-            " recorded gas pressures, and the atmospheric pressure in the sensor file"
+            " recorded gas pressures, and the pressures in the sensor file"
         )
 
     def refit(self, alone: Fit, gauge_sigma: float) -> Fit:
@@ -462,8 +462,8 @@ def _measured(
 ) -> _MeasuredShape:
     if samples.statistics.range_m.shape != rest.statistics.range_m.shape:
         raise InputError(
-            f"{samples.source_name}: image size differs from {rest.source_name}; record all "
-            "levels with one resolution"
+            f"{samples.source_name}: image size differs from that of the frames at rest; record "
+            "all with one resolution"
         )
     rise = _mean_pressure(samples)[0] - _mean_pressure(rest)[0]
     steady = samples.statistics.validity >= samples.statistics.regular_validity
@@ -528,9 +528,10 @@ def _check_rise(shape: _MeasuredShape, gauge_pa: float, *, pressed: bool) -> Non
             "closed chamber; check the pressure topic, and the chamber for leaks"
         )
     if abs(rise) < _MIN_RISE * gauge_pa:
+        kind = "press" if pressed else "level"
         raise InputError(
-            f"{name}: its gas pressure differs by only {rise:.0f} Pa from that at rest;"
-            + (" press deeper" if pressed else " record levels 15 % of the gauge pressure apart")
+            f"{name}: the gas pressure of the {kind} differs by only {rise:.0f} Pa from that at "
+            f"rest, less than {100 * _MIN_RISE:.0f} % of the gauge pressure"
         )
 
 

@@ -35,15 +35,15 @@ from bubbleviz.result import HALF_95
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, touching_height
-from bubbleviz.wording import decimals_of, rounded
+from bubbleviz.wording import count_of, decimals_of, rounded
 
 CheckVerdict = Literal["fits", "drifted", "another"]
 
-OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure change by the shape"
+OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure change from the shape"
 _UNITS = {OFFSET: ("mm", 1e3), SCALE: ("%", 1e2), GAS: ("Pa", 1.0)}
 _REMEDY = {
     True: "inflate the sensor to the gauge pressure in its file, or identify it again",
-    False: "let the camera warm up, then identify the sensor again at rest",
+    False: "let the camera warm up, then identify the sensor again, untouched",
 }
 
 _STEP = 0.01  # of the gauge pressure, for the first secant of its pattern
@@ -109,7 +109,8 @@ def check_sensor(
     Raises InputError: too few frames, a half-hidden membrane, or contact in all frames.
     """
     if len(frames) < MIN_FRAMES:
-        raise InputError(f"only {len(frames)} contact-free frames; give at least {MIN_FRAMES}")
+        count = count_of(len(frames), "contact-free frame")
+        raise InputError(f"only {count}; give or record at least {MIN_FRAMES}")
     depths = [frame.depth_m for frame in frames]
     rest = _RestComparison(model, depths)
     camera = _camera_row(model, rest)
@@ -117,7 +118,7 @@ def check_sensor(
     rows = () if quick and fits else (*rest.rows(), camera, *_gas_rows(model, frames, rest))
     found = SensorCheck(
         verdict="fits",
-        reason=f"fits: depth within {1e3 * rest.change_limit_m:.2f} mm of the sensor file",
+        reason=f"fits: depth within {1e3 * rest.change_limit_m:.2f} mm rms of the sensor file",
         rows=rows,
         frames=(frames[0].index, frames[-1].index),
         bias_m=rest.bias_m,
@@ -131,8 +132,8 @@ def check_sensor(
     turned = [depth[::-1, ::-1] for depth in depths]
     if not rest.explained and _RestComparison(model, turned).explained:
         reason = (
-            "another camera: the images are turned by 180°; turn the camera back, or identify the "
-            "sensor again"
+            "another camera, or mounted the other way: the images are turned by 180°; turn it back,"
+            " or identify the sensor again"
         )
         return replace(found, verdict="another", reason=reason)
     pipeline = Pipeline(model)
@@ -142,13 +143,13 @@ def check_sensor(
             "record the sensor untouched, or choose contact-free frames"
         )
     if not rest.explained:
-        reason = "another membrane or camera: identify the sensor again"
+        reason = "another membrane or camera, or the camera moved: identify the sensor again"
         return replace(found, verdict="another", reason=reason)
     causes = [row for row in rest.rows()[:-1] if row.todo]
     largest = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
     names = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
-    force = "" if error is None else f", which changes a press of {press:.2g} N by {error:.2g} N"
+    force = "" if error is None else f", which changes a force of {press:.2g} N by {error:.2g} N"
     reason = (
         f"drifted by {1e3 * rest.bias_m:+.2f} mm in mean depth{force} "
         f"({names or 'pattern of the pixels'}): {largest.todo if largest else _REMEDY[False]}"
@@ -175,8 +176,8 @@ class _RestComparison:
         self._by_offset, self._by_scale = by_offset[self._visible], by_scale[self._visible]
         if 2 * self._visible.sum() < len(self._visible):
             raise InputError(
-                "less than half of the membrane has a valid depth in every frame; uncover the "
-                "camera, or choose other frames"
+                "the part of the membrane with valid depth in all frames is less than half; "
+                "uncover the camera, or choose other frames"
             )
         # (F, B), residuals of the blocks, m
         self.frames_m = residuals[:, self._visible]
@@ -356,10 +357,14 @@ def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _RestComparison
 
 def _another_camera(model: SensorModel, row: CheckRow) -> str:
     in_file, recorded = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
+    new, old = (
+        f"fx {each.fx:.1f}, fy {each.fy:.1f}, cx {each.cx:.1f}, cy {each.cy:.1f}"
+        for each in (recorded, in_file)
+    )
     return (
-        f"another camera: its intrinsics (fx {recorded.fx:.1f}, fy {recorded.fy:.1f} pixels) "
-        f"change the ranges by {1e3 * row.value:.2g} mm rms from those of the sensor file (fx "
-        f"{in_file.fx:.1f}, fy {in_file.fy:.1f}): {row.todo}, or identify the sensor again"
+        f"another camera: its intrinsics ({new} pixels) change the ranges by "
+        f"{1e3 * row.value:.2g} mm rms from those of the sensor file ({old}): {row.todo}, or "
+        "identify the sensor again"
     )
 
 

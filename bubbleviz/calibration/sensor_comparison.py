@@ -55,7 +55,8 @@ def compare(old: Sensor, new: Identification) -> Comparison:
     if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
         raise InputError(
             f"{old.name}: its images have {old.camera.width}×{old.camera.height} pixels, those of "
-            f"the new sensor {intrinsics.width}×{intrinsics.height}; compare sensors of one camera"
+            f"the new sensor {intrinsics.width}×{intrinsics.height}; compare with the sensor file "
+            "of this camera"
         )
     measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
     models = SensorModel.of(old, intrinsics), new.model

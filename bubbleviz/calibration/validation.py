@@ -76,11 +76,12 @@ class Validation:
             f"{100 * LEAST_OVERLAP:.0f} % expected)"
         )
         if np.isnan(overlap):
-            patches = "neither prediction nor estimate has a patch"
+            patches = "neither prediction nor estimate has a contact patch"
         return (
             (
-                f"predicted membrane {1e3 * self.rms_m:.2f} mm rms from the measured points, "
-                f"without the press {1e3 * self.untouched_rms_m:.2f} mm rms",
+                f"predicted membrane {1e3 * self.rms_m:.2f} mm rms from the measured points, the "
+                f"untouched one {1e3 * self.untouched_rms_m:.2f} mm (at most "
+                f"{100 * LARGEST_SHARE:.0f} % of that expected)",
                 self.rms_m > LARGEST_SHARE * self.untouched_rms_m,
             ),
             (patches, not overlap >= LEAST_OVERLAP),
@@ -105,8 +106,9 @@ class KnownPress:
         obj, T_B_O = load_object(self.obj), parse_pose(self.pose)
         if not 0 <= self.first < self.stop <= len(source):
             raise InputError(
-                f"{source.name}: pressed frames {self.first}:{self.stop} are outside its"
-                f" {count_of(len(source), 'frame')}; choose within 0:{len(source)}"
+                f"{source.name}: pressed frames {self.first}:{self.stop} are not a range of its"
+                f" {count_of(len(source), 'frame')}; choose first before last within "
+                f"0:{len(source)}"
             )
         frames = [source[k] for k in range(self.first, self.stop)]
         return validate(model, frames, obj, T_B_O)
@@ -131,7 +133,8 @@ def validate(
     contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
     if not contact.converged:
         raise SolveError(
-            f"validation: no equilibrium of {obj.name} at this pose; correct the pose or the object"
+            f"validation: no equilibrium of the membrane with {obj.name} at this pose; correct the "
+            "pose or the object"
         )
     view = MembraneView(model.camera, mesh)
     measured = model.range_image(frame.depth_m).astype(float)

@@ -18,7 +18,7 @@ _MIN_VISIBLE = 0.8  # share of the dome's area; chosen
 _MIN_FRAMES = 30  # one second of most depth cameras
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
-    " their gas pressures (--level), or press it and hold still"
+    " their gas pressures (--level), or press it deeply and hold still"
 )
 
 
@@ -96,8 +96,9 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         shapes, file = (_interval(each, pressure) for each in rubber.gauge_candidates)
         if rubber.contradicts_file:
             out.append(
-                f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} in the sensor "
-                "file; one of them is wrong. Record the open chamber for ten seconds (--vented)."
+                f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} from "
+                f"{found.file_source}; one of them is wrong. Record the open chamber for ten "
+                "seconds (--vented)."
             )
     elif abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
@@ -105,7 +106,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: make sure that nothing touches the sensor, and inflate it as"
-            f" before{'' if known else weather}."
+            f" before unless it is meant to differ{'' if known else weather}."
         )
     if surfaces.visible_share < _MIN_VISIBLE:
         out.append(
@@ -117,8 +118,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     rim = surfaces.rim_height_m
     if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
-            f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the drawing at 0:"
-            " uncover the rim, or correct the camera's position in the sensor file."
+            f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
+            "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
     value, least = tension.tension.value, tension.least_squares_n_per_m
     apart = abs(least - value)
@@ -131,9 +132,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:
-        out.append(
-            f"Only {frames} contact-free frames: record {_MIN_FRAMES} or more without contact."
-        )
+        out.append(f"Only {frames} contact-free frames: choose or record {_MIN_FRAMES} or more.")
     return out
 
 
@@ -151,14 +150,17 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         gauge_text = f"{pressure(gauge.value)}, 95 % interval {interval}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
-        "pixels": "record more frames or levels (largest error: noise and pattern of the pixels)",
-        "frames": "let gas and camera settle (largest error: drift between frames)",
+        "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
+        "noise and fixed pattern of the pixels)",
+        "frames": "let gas and camera settle before recording (largest error: drift between "
+        "frames)",
         "gas_pressure": "record longer (largest error: noise of the gas pressure)",
         "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
         "gauge_pressure": f"{chamber_text} (largest error: gauge pressure)",
         "statics": "not possible (largest error: tension that differs over the membrane, which "
         "shape and pressure do not determine)",
-        "surface": "uncover the rim (largest error: shape that is hidden or too fine for the fit)",
+        "surface": "uncover the whole dome, rim included (largest error: shape that is hidden or "
+        "too fine for the fit)",
     }[part]
     if rubber is None:
         source, narrower = "neither levels nor a held press were used", _LEVELS
@@ -166,7 +168,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         source, narrower = rubber.why_not, _LEVELS
     else:
         source = found.prestretch_source
-        narrower = "record levels farther apart" if vented else chamber
+        levels = "record levels farther apart, or more (--level)"
+        narrower = levels if vented else chamber
     stretch = found.prestretch
     return (
         Parameter("γ0", _range(tension.tension, 2, " N/m"), "shape and gauge pressure", of_tension),

@@ -86,8 +86,8 @@ def compare_with_wrench(
     touching = np.linalg.norm(e, axis=1) > 0.0
     if touching.sum() < MIN_FRAMES or (~touching).sum() < MIN_FRAMES:
         raise InputError(
-            f"a wrench and a trusted force are known in {touching.sum()} frames with contact and "
-            f"{(~touching).sum()} without; record at least {MIN_FRAMES} of each"
+            f"wrench and trusted estimate are both known in only {touching.sum()} frames with "
+            f"contact and {(~touching).sum()} without; record at least {MIN_FRAMES} of each"
         )
 
     # Averaged over two frame periods: interpolation alone has less noise between frames than at

@@ -120,5 +120,5 @@ def test_written_sensor_reads_back(found, tmp_path):
 def test_bad_ranges_are_refused(twin):
     with pytest.raises(InputError, match="at least 5"):
         identify(twin, nominal_sensor(), range(3))
-    with pytest.raises(InputError, match="outside its"):
+    with pytest.raises(InputError, match="not within its"):
         identify(twin, nominal_sensor(), range(90, 99))

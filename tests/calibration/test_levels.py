@@ -119,8 +119,8 @@ def test_rectification_is_stored_in_the_pixels_file_and_used(found, tmp_path):
 @pytest.mark.parametrize(
     ("level", "why"),
     [
-        (lambda: stretched(0.0501), "within the noise"),
-        (lambda: Dome((0.08125,) * 3, 0.045, QUIET, 0, frames=12, scale=0.3), "differ in size"),
+        (lambda: stretched(0.0501), "the noise requires"),
+        (lambda: Dome((0.08125,) * 3, 0.045, QUIET, 0, frames=12, scale=0.3), "differ in image"),
     ],
 )
 def test_useless_levels_are_refused(level, why):
@@ -168,7 +168,7 @@ def test_command_validates_by_a_known_press(press, tmp_path):
     assert numbers["rms_m"] < 0.15 * numbers["untouched_rms_m"]
     assert numbers["rms_m"] < numbers["p95_m"] and numbers["patch_overlap"] > 0.5
     text = (tmp_path / "report" / "report.html").read_text()
-    assert "Known press: distance of the cloud" in text
+    assert "Known press: distance of the measured points" in text
     assert f"{1e3 * numbers['rms_m']:.3f} mm rms" in text
 
 

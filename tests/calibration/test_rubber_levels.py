@@ -219,7 +219,7 @@ def test_open_chamber_of_a_sensor_without_noise(found):
 
 
 def test_open_chamber_needs_gas_pressures(found, vented):
-    with pytest.raises(InputError, match="leave --vented out"):
+    with pytest.raises(InputError, match="give no open chamber"):
         opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
     with pytest.raises(InputError, match="chamber open"):
         Vented.measure(Chamber([None] * 30))

@@ -120,7 +120,8 @@ def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     """The sensor file's atmosphere is 0.9 kPa too much."""
     rubber, stretch = with_press.rubber, truth[3]
     assert with_press.prestretch_source == "the press in press"
-    assert with_press.gauge_source == "the press in press; the sensor file"
+    file = "the recorded gas pressure minus the atmospheric pressure in the sensor file"
+    assert with_press.gauge_source == f"the press in press; {file}"
     assert rubber.gauge.low < G < rubber.gauge.high
     assert rubber.gauge.value == pytest.approx(G, rel=0.05)
     assert rubber.gauge.half_width < 0.12 * G

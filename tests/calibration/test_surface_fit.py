@@ -47,5 +47,5 @@ def test_flat_and_empty_clouds_are_refused():
     flat = rng.uniform(-0.05, 0.05, (2000, 3)) * (1.0, 1.0, 1e-4)
     with pytest.raises(InputError, match="no dome fits"):
         fit_ellipsoid(flat)
-    with pytest.raises(InputError, match="only 3 valid points"):
+    with pytest.raises(InputError, match="only 3 usable points"):
         fit_sphere(np.zeros((3, 3)))
