@@ -74,8 +74,8 @@ class FlowObserver:
         hits = caster.cast(mesh.nodes, mesh.normals)
         if not len(hits.ray):
             raise InputError(
-                "colour camera: no pixel sees the membrane; check the colour camera's pose in "
-                "/tf_static and the depth camera's in the sensor file"
+                "colour camera: no pixel sees the membrane; check the poses of the colour camera "
+                "(/tf_static) and of the depth camera (sensor file)"
             )
         self._point_of_pixel = np.full(len(camera.directions), -1)
         self._point_of_pixel[hits.ray] = np.arange(len(hits.ray))

@@ -22,7 +22,7 @@ def opencv() -> Any:
         import cv2  # an optional extra
     except ImportError as error:
         raise InputError(
-            f"optical flow: OpenCV cannot be imported; run {how_to_install('colour')}"
+            f"optical flow: OpenCV cannot be imported ({error}); run {how_to_install('colour')}"
         ) from error
     return cv2
 
@@ -236,7 +236,7 @@ class OpticalFlow:
             + _CURVATURE_VARIANCE * curvature**2
         )
         sigma = np.sqrt(variance[good])
-        problem = "" if good.mean() > 0.5 else "most of the texture could not be matched"
+        problem = "" if good.mean() > 0.5 else "most of the texture at rest could not be matched"
         return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
 
     def nothing(self, problem: str) -> FlowField:
@@ -268,7 +268,9 @@ def _stacked(images: Iterable[np.ndarray]) -> np.ndarray:
             f"only {len(found)} contact-free colour images; give at least {MIN_FRAMES}"
         )
     if len({image.shape for image in found}) > 1:
-        raise InputError("colour images: sizes differ; give images of one camera and resolution")
+        raise InputError(
+            "contact-free colour images: sizes differ; give images of one camera and resolution"
+        )
     return np.stack(found)
 
 
@@ -314,5 +316,8 @@ def _reason_unusable(good: np.ndarray, saturated: np.ndarray, hidden: np.ndarray
     if np.count_nonzero(good) > _MIN_BLOCK_SHARE * good.size:
         return ""
     if np.count_nonzero(saturated) > 0.5 * visible:
-        return "the colour image is over-exposed; shorten its exposure"
-    return "the colour image shows no texture on most of the membrane; print a texture"
+        return "the colour images without contact are over-exposed; shorten the exposure time"
+    return (
+        "the colour images without contact show almost no texture that can be tracked; print one "
+        "on the membrane, or improve light, focus and exposure"
+    )

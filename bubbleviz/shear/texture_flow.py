@@ -131,7 +131,7 @@ class PassingTexture:
                 self.words = str(error)
                 return
         count = len(images) + len(self._recent)
-        self.words = f"Collecting images without contact: {count} of {COLLECTED}"
+        self.words = f"Collecting colour images without contact: {count} of {COLLECTED}"
         if colour is not None and count >= COLLECTED:
             self._images, self._recent = None, {}
             self._learn(images, colour.camera)
@@ -181,8 +181,8 @@ def recorded_texture(
     if len(seen) < MIN_FRAMES:
         raise InputError(
             f"{recording.path}: shear needs {MIN_FRAMES} readable colour images before the first "
-            f"contact, there are {len(seen)}; record a second without contact first, or leave out "
-            "--shear"
+            f"contact, there are {len(seen)}; record a second without contact first, or do without "
+            "shear (--shear)"
         )
     flow = OpticalFlow.of(seen.values(), preset)
     reference = f"contact-free frames {min(seen)}–{max(seen)}{delay_text(colour_delay_s)}"

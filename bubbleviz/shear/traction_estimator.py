@@ -223,10 +223,10 @@ _SHARES = (1.0, 0.5, 0.25)  # of a step, tried in turn until the misfit decrease
 _MIN_FLOW_SHARE = 0.5
 """Least share of the nodes in contact next to which flow was measured."""
 
-NO_FLOW = "no optical flow: the colour image of the frame or the contact-free one is missing"
+NO_FLOW = "no optical flow: the frame has no colour image, or there are no contact-free ones yet"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
 NO_CONTACT_SHAPE = "no contact in the depth image"
-NOT_CONVERGED = "no equilibrium with friction was found"
+NOT_CONVERGED = "no equilibrium with tangential traction was found"
 
 
 @dataclass(frozen=True)

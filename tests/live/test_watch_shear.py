@@ -72,7 +72,7 @@ def test_force_torque_and_slip_of_a_known_puck():
     for watcher, result in watched(*(frame_of(k) for k in (*free, *range(TOUCHED, HELD + 3)))):
         summary.add(result)
         said.append(watcher.solver.texture.words)
-    assert said[1].endswith(f"Collecting images without contact: 1 of {COLLECTED}")
+    assert said[1].endswith(f"Collecting colour images without contact: 1 of {COLLECTED}")
     assert watcher.solver.texture.words == f"{COLLECTED - LAG} images without contact"
     np.testing.assert_allclose(
         result.traction.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
@@ -94,7 +94,7 @@ def test_images_just_before_contact_are_not_used_as_reference():
     free = LAG + 5
     frames = [frame_of(k) for k in (*range(free), HELD, HELD + 1)]
     said = [watcher.solver.texture.words for watcher, _ in watched(*frames)]
-    count = "Collecting images without contact: {} of {}".format
+    count = "Collecting colour images without contact: {} of {}".format
     # at the first frame the source is not known to have colour
     assert said[free - 1].endswith(count(free - 1, COLLECTED))
     assert [words.split(" and ")[-1] for words in said[free:]] == 2 * [
