@@ -132,8 +132,8 @@ def check_sensor(
     turned = [depth[::-1, ::-1] for depth in depths]
     if not rest.explained and _RestComparison(model, turned).explained:
         reason = (
-            "another camera, or mounted the other way: the images are turned by 180°; turn it back,"
-            " or identify the sensor again"
+            "another camera, or mounted the other way: the images are turned by 180°; turn the "
+            "camera back, or identify the sensor again"
         )
         return replace(found, verdict="another", reason=reason)
     pipeline = Pipeline(model)

@@ -118,7 +118,7 @@ def test_ground_truth_of_another_recording_is_refused_and_the_source_stays_open(
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (name, ""))
     driver = drive()
     driver.trigger(menu)  # the open source is not a recording
-    driver.wait_for_message("open the recording of that simulation first")
+    driver.wait_for_message("first open that of the simulation")
     # recording, sensor file and ground truth dropped together
     driver.show("threshold")
     driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
@@ -198,7 +198,7 @@ def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
     driver = drive(DentSource)
     name = lambda: driver.window.controller.sensor.name  # noqa: E731
     driver.drop(file)
-    driver.wait_for_message("own.toml", "60×44", "is used when a recording of that camera")
+    driver.wait_for_message("own.toml", "60×44", "open a recording with images of 60×44")
     assert name() == sensor.name
     driver.drop(recording)
     driver.wait(lambda: name() == "own dome")

@@ -118,7 +118,10 @@ class FramesPage(Page):
 
     name = "Frames"
     title = "Contact-free frames"
-    task = "Find the frames in which nothing touches the membrane; drag the ranges to correct them."
+    task = (
+        "Find or collect frames in which nothing touches the membrane; drag the ranges to correct "
+        "them."
+    )
     sets = ("ranges",)
     next_title = "Find contact-free frames"
 
@@ -134,9 +137,9 @@ class FramesPage(Page):
         self.find_again = QPushButton("Find again")
         self.first.setToolTip("First frame of the range for Add, Remove and Replace")
         self.last.setToolTip("Last frame of the range for Add, Remove and Replace")
-        self.add.setToolTip("Add these frames to the contact-free ones")
-        self.remove.setToolTip("Remove these frames from the contact-free ones")
-        self.replace.setToolTip("Use only these frames as the contact-free ones")
+        self.add.setToolTip("Add the frames of this range to the contact-free ones")
+        self.remove.setToolTip("Remove the frames of this range from the contact-free ones")
+        self.replace.setToolTip("Use only the frames of this range as contact-free ones")
         self.find_again.setToolTip("Discard the ranges and search contact-free frames again")
         self.collect = CollectBox(calibration, units)
         self._lay_out()
@@ -226,7 +229,7 @@ class CollectBox(QGroupBox):
             "Collect frames of the live source; they replace those collected before"
         )
         self.stop.setToolTip("Stop collecting and calibrate with the frames collected so far")
-        self.cancel.setToolTip("Stop collecting and discard these frames")
+        self.cancel.setToolTip("Stop collecting and discard the frames collected so far")
         self.message = QLabel(wordWrap=True)
         self._lay_out()
         self.button.clicked.connect(self._start)
@@ -256,8 +259,8 @@ class CollectBox(QGroupBox):
         )
         self.contact_free.setChecked(True)
         self.contact_free.setToolTip(
-            "Contact is detected with the sensor file in use; unticked, contact-free frames are "
-            "searched among those collected"
+            "Ticked: frames in which the sensor file in use detects contact are not collected. "
+            "Unticked: all are collected, and contact-free ones are searched among them"
         )
         self.stop.setText("Stop and use these frames")
         self.cancel.setText("Cancel")

@@ -77,7 +77,7 @@ class RectificationPage(Page):
         self.drop.setEnabled(bool(levels))
         names = ", ".join(path.name for path in levels)
         text = (
-            f"Further levels: {names}" if levels else "This level alone: an offset for each pixel."
+            f"Further levels: {names}" if levels else "No further levels: an offset for each pixel."
         )
         self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
         line = answer.draft.pixels.line if answer.draft.pixels is not None else None
@@ -101,7 +101,7 @@ class RectificationPage(Page):
         elif rubber is None:
             stretch = (
                 "not determined: add levels, or record a press held still after the untouched "
-                "frames; both with gas pressure"
+                "frames; all with gas pressure"
             )
         elif rubber.prestretch is None:
             stretch = f"not determined: {rubber.why_not}"
@@ -111,7 +111,7 @@ class RectificationPage(Page):
         gauge = found.tension.gauge if found is not None else None
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
-        rests_on = "the sensor file" if found is None else found.gauge_source
+        rests_on = None if found is None else found.gauge_source
         self.numbers.set("gauge pressure from", rests_on)
 
     def _choose_vented(self) -> None:

@@ -46,7 +46,8 @@ class PixelsPage(Page):
         self.validity = Threshold(units.share, 1.0, "automatic")
         self.deviations = Threshold(Unit("σ", 1.0, 1), MOST_DEVIATIONS)
         self.validity.tip(
-            "Share of the frames in which a used pixel must have a return; lowest value: automatic"
+            "Share of the frames in which a pixel must have valid depth to be used; lowest value: "
+            "automatic"
         )
         self.deviations.tip(
             "Pixels with noise or offset beyond this many robust standard deviations are excluded"
@@ -89,11 +90,10 @@ class PixelsPage(Page):
         noise = float(np.median(pixels.noise_m[pixels.mask])) if used else None
         self.numbers.set("noise of a pixel", units.fine_length.text(noise))
         for reason, count in pixels.removed.items():
-            self.numbers.set(reason.replace("_", " "), count_of(count, "pixel"))
+            self.numbers.set(f"excluded, {reason.replace('_', ' ')}", count_of(count, "pixel"))
         self.numbers.set("one independent sample", f"{statistics.correlated_pixels:.1f} pixels")
-        self.numbers.set(
-            "frames", f"{statistics.effective_frames:.1f} effective frames of {statistics.frames}"
-        )
+        effective = f"{statistics.effective_frames:.1f}"
+        self.numbers.set("frames", f"{statistics.frames}, as good as {effective} independent ones")
 
     def _show_picture(self, answer: Answer) -> None:
         samples, pixels = answer.draft.samples, answer.draft.pixels
@@ -110,7 +110,7 @@ class PixelsPage(Page):
             self.view.show_image(title, noise, self.units.fine_length, 0.0, top)
         else:
             validity = samples.statistics.validity.astype(float)
-            title = "Share of the frames with a return"
+            title = "Share of the frames with valid depth"
             self.view.show_image(title, validity, self.units.share, 0.0, 1.0)
 
 
@@ -185,7 +185,7 @@ class SurfacePage(Page):
         self.paint = QPushButton("Paint the residual in the 3-D view")
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")
         self.nodes.setToolTip("Number of nodes of the surface mesh")
-        self.paint.setToolTip("Measured minus fitted range at the points of the membrane")
+        self.paint.setToolTip("Colour the measured points by measured minus fitted range")
         self.numbers = NumberForm()
         form = QFormLayout()
         form.addRow("Surface", self.choice)
@@ -235,7 +235,7 @@ class SurfacePage(Page):
         radius = float(surfaces.sphere.semi_axes_m[0])
         self.numbers.set("sphere's radius", units.length.text(radius))
         self.numbers.set(
-            "rim height in the measured points",
+            "edge of the measured points above the rim plane",
             units.length.with_interval(surfaces.rim_height_m, 1.96 * surfaces.rim_height_sigma_m),
         )
 

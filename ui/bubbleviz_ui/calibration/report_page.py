@@ -78,7 +78,7 @@ class ReportPage(Page):
         difference = comparison.difference_m if comparison is not None else None
         limit = comparison.largest_m if comparison is not None else 1e-3
         self.view.show_image(
-            "Expected range of the untouched membrane, new minus in use",
+            "Expected range of the untouched membrane, new sensor minus the one in use",
             difference, length, -limit, limit)  # fmt: skip
 
     def _show_table(self, comparison: Comparison | None) -> None:
@@ -166,14 +166,15 @@ class ValidationPage(Page):
         self.remove = QPushButton("Remove")
         self.paint = QPushButton("Paint the distances in the 3-D view")
         self.obj.setToolTip("Object that was pressed: a preset or a mesh file")
-        self.first.setToolTip("First pressed frame")
-        self.last.setToolTip("Last pressed frame")
+        self.first.setToolTip("First frame in which the object is held still")
+        self.last.setToolTip("Last frame in which the object is held still")
         self.predict.setToolTip(
             "Compare the shape predicted by the forward model (Eq. 16) with the measured one"
         )
         self.remove.setToolTip("Remove the validation by this press")
         self.paint.setToolTip(
-            "Distance of each point from the predicted membrane, positive outside"
+            "Colour each measured point by its distance from the predicted membrane, positive "
+            "outside"
         )
         self.numbers = NumberForm()
         self.summary = QLabel(wordWrap=True)

@@ -128,7 +128,7 @@ class Opening(QObject):
         if source is not None and source.path is not None and sensor is not None:
             self.reopen(path.name, lambda: sensor, Source.of_recording(source.path, path))
         else:
-            problem = f"{path}: open the recording of that simulation first"
+            problem = f"{path}: no recording is open; first open that of the simulation"
             self.notified.emit(UserMessage("error", problem))
 
     def open_sensor_file(self, path: Path) -> None:
@@ -139,8 +139,8 @@ class Opening(QObject):
             sensor = load_sensor(path)
             if own is not None and _size(sensor) != _size(own):
                 raise OtherCameraError(
-                    f"{path.name} is for images of {_size(sensor)} pixels, not {_size(own)}; it "
-                    "is used when a recording of that camera is opened",
+                    f"{path.name} is for images of {_size(sensor)} pixels, the sensor in use for "
+                    f"{_size(own)}; open a recording with images of {_size(sensor)} to use it",
                     sensor,
                 )
             return sensor

@@ -518,7 +518,7 @@ def _sensor_file_remark(current: OpenSource) -> str:
         return ""
     if found.verdict == "drifted" and model.pixels is None:
         return (
-            "the sensor file was never calibrated, and does not fit the depth without contact; "
+            "the sensor file has no calibrated pixels, and does not fit the depth without contact; "
             "identify the sensor in the Calibration panel"
         )
     contradicts = "frames without contact contradict the sensor file"

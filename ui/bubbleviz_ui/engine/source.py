@@ -85,7 +85,7 @@ def sensor_for(path: Path, *known: Sensor) -> Sensor:
             return fitting_sensor(opened, None)[1]
         except UnknownCameraError as error:
             raise UnknownCameraError(
-                f"{opened.name}: images of {size[0]}×{size[1]} pixels do not tell the sensor; "
+                f"{opened.name}: no single preset has a camera of {size[0]}×{size[1]} pixels; "
                 "choose the sensor file of this camera",
                 size,
             ) from error

@@ -75,7 +75,7 @@ class SettingColumn:
         self.title = QLabel(COMPARED_NAMES[number])
         colours = f"background: {theme.COMPARED[number]}; color: {theme.ON_BADGE}"
         self.title.setStyleSheet(f"{colours}; padding: 1px 5px")
-        self.title.setToolTip("Colour of its patch outline in the 3-D view")
+        self.title.setToolTip("Its patch outline in the 3-D view has this colour")
 
     def _control(self, name: str) -> Any:
         """Control of the field of that name."""
@@ -155,14 +155,19 @@ class OtherRecording(QWidget):
         self.align.setToolTip(
             "Align the recordings by the time since their start, or since first contact"
         )
-        self.start.setToolTip("Solve all frames of both with the settings of the window")
+        self.start.setToolTip(
+            "Solve all frames of the open recording and of the comparison chosen above, with the "
+            "settings of the window"
+        )
         self.remove.setToolTip("Forget the other recording and sensor file")
         self.recording.setToolTip("Recording to compare with the one that is open")
         self.sensor_file.setToolTip(
-            "Sensor file of the other recording; without one, to compare with the sensor in use"
+            "Sensor file of the other recording; without another recording: solve the open one "
+            "also with this file"
         )
         self.drawn.setToolTip(
-            "Draw the other membrane next to that of the open recording, at the same time"
+            "After comparing, draw the other membrane next to that of the open recording, at the "
+            "same time"
         )
         self.result.setObjectName("value")
         choices = fill(QHBoxLayout(), (self.recording, 1), (self.sensor_file, 1))
@@ -316,7 +321,7 @@ class ComparePanel(QWidget):
         grid.setVerticalSpacing(3)
         for place, each in enumerate((self.a, self.b), start=1):
             grid.addWidget(each.title, 0, place)
-        tip = "Use this setting for all frames; undo restores the current solver"
+        tip = "Use this setting in the whole window; Ctrl+Z restores the previous one"
         for place, each in enumerate((self.a, self.b), start=1):
             each.used.setToolTip(tip)
             for row, made in enumerate((*each.controls.values(), each.used), start=1):
@@ -330,7 +335,7 @@ class ComparePanel(QWidget):
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
         self.hint = QLabel(
-            "Force error and IoU need the ground truth of a simulation.", wordWrap=True
+            "Force error and patch IoU need the ground truth of a simulation.", wordWrap=True
         )
         self.hint.setObjectName("dim")
         parts = (grid, self.outlines, self.hint, self.other, 1)

@@ -50,9 +50,9 @@ class KappaPanel(QWidget):
         self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
-            "The patch is the part under contact pressure, its edge by the gas pressure and the "
-            "camera's resolution.\nUnticked: where the contact pressure p_c exceeds κ times its "
-            "mean over the membrane (section V-C of the paper)"
+            "Ticked: the patch is the part under contact pressure; its edge follows from gas "
+            "pressure and camera resolution.\nUnticked: it is where the contact pressure p_c "
+            "exceeds κ times its mean over the membrane (section V-C of the paper)"
         )
         self.slider = QSlider(Qt.Orientation.Horizontal)
         info = Settings.info("kappa")
@@ -71,7 +71,7 @@ class KappaPanel(QWidget):
             "Area on the membrane at rest; in brackets the areas inside the two thin lines, the "
             "smallest and the largest patch that noise allows"
         )
-        self.by_object.setToolTip("Patch from the object at its pose (green outline)")
+        self.by_object.setToolTip("Area of the patch by the object at its pose (green outline)")
         self.doubt = QLabel(wordWrap=True)
         self.doubt.setObjectName("doubt")
         self._lay_out()
@@ -206,7 +206,7 @@ class KappaHistogram(KappaAxisPlot):
                 width=0.9 * (edges[1] - edges[0]),
             )
         self.set_line(kappa)
-        self.frame.write(f"Area by p_c / mean p_c ({units.area.symbol})")
+        self.frame.write(f"Membrane area ({units.area.symbol}) by p_c / mean p_c")
 
 
 class KappaPlot(KappaAxisPlot):
@@ -237,7 +237,7 @@ class KappaPlot(KappaAxisPlot):
         if curve is not None and curve.iou is not None:
             best = int(np.argmax(curve.iou))
             text += (
-                f' · <span style="color:{ORANGE}">IoU ≤ {curve.iou[best]:.2f}'
+                f' · <span style="color:{ORANGE}">largest IoU {curve.iou[best]:.2f}'
                 f" at κ {curve.kappa[best]:.1f}</span>"
             )
         self.frame.write(text)

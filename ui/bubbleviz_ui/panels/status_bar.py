@@ -34,7 +34,7 @@ from bubbleviz_ui.view3d.render_view import View
 
 TIPS = {
     "sensor": "Sensor",
-    "frame": "Frame shown, numbers of the first and last frame, and its time since the start",
+    "frame": "Frame shown, its time since the start, and for a recording the range of frames",
     "force": "Force F: resultant of contact pressure p_c (Eq. 23) and friction on the membrane,"
     " ± half of its 95 % interval due to noise, friction, γ0, gauge pressure and λ",
     "area": "Area of the contact patch on the membrane at rest (section V-C of the paper); the "

@@ -96,16 +96,16 @@ class Value:
 VALUES = (
     Value("pneumatics.gauge_pressure_pa", "Gauge pressure", "Gas pressure above the atmosphere, "
           "without contact", "Pa", "gas_pressure", "gauge_interval_pa", "gauge_from"),
-    Value("pneumatics.tension_n_per_m", "Tension γ0", "Membrane tension at rest; if empty, "
+    Value("pneumatics.tension_n_per_m", "Tension γ0", "Membrane tension at rest; without a value, "
           "computed from gauge pressure and curvature", "N/m", "tension",
           "tension_interval_n_per_m"),
-    Value("membrane.prestretch", "Pre-stretch λ", "Stretch of the rubber at rest; if empty, the "
-          "tension is constant", "", "", "prestretch_interval", "prestretch_from"),
+    Value("membrane.prestretch", "Pre-stretch λ", "Stretch of the rubber at rest; without a "
+          "value, the tension is constant", "", "", "prestretch_interval", "prestretch_from"),
     Value("pneumatics.atmospheric_pressure_pa", "Atmosphere", "Absolute air pressure outside",
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Gas volume behind the rim plane",
           "m³", "volume"),
-    Value("camera.noise_relative", "Depth noise", "Standard deviation relative to the range",
+    Value("camera.noise_relative", "Depth noise", "Standard deviation of a pixel's range",
           "of the range", "range_share"),
     Value("camera.colour_delay_s", "Colour delay", "Time stamp of a colour image minus that of "
           "the depth image of the same moment; negative if colour leads depth", "s", "time"),
@@ -336,7 +336,7 @@ class SensorPanel(QWidget):
 
     def _on_difference(self, difference: str) -> None:
         self.difference.setText(difference and "The sensor's files were changed or removed")
-        self.difference.setToolTip(difference)
+        self.difference.setToolTip(difference and f"{self._opened_file}: {difference}")
         self.difference.setVisible(bool(difference))
         if difference:
             self.notified.emit(UserMessage("warning", f"{self._opened_file}: {difference}"))
