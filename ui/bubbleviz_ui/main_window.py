@@ -455,8 +455,10 @@ class MainWindow(QMainWindow):
         if path.suffix.lower() in OPENED_BY_WINDOW and path.exists():
             self.open_file(path)
         elif not (path.exists() and QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))):
-            why = "install a program for it" if path.exists() else "it no longer exists"
-            self.messages.add(UserMessage("error", f"{path}: cannot be opened; {why}"))
+            why = "no longer exists"
+            if path.exists():
+                why = "no program of the desktop opens it; install one for this kind of file"
+            self.messages.add(UserMessage("error", f"{path}: {why}"))
 
     def _open_dropped(self, paths: list[Path]) -> None:
         """Open the first file; a recording with a sensor file and ground truth dropped with it.

@@ -38,7 +38,9 @@ def window(fresh: bool) -> int:
     help="TRUTH.npz of a simulated REC; by default the one next to it with the same name.",
 )
 @colour_delay_option
-@click.option("--frame", type=click.IntRange(0), help="Show this frame, from 0, and do not play.")
+@click.option(
+    "--frame", type=click.IntRange(0), help="Show this frame, the first is 0, and do not play."
+)
 @click.option(
     "--screenshot",
     type=click.Path(path_type=Path),
@@ -61,11 +63,12 @@ def open_recording(
 ) -> int:
     """Show a recording, a saved session or a live source in the window."""
     if sum(given is not None for given in (recording, source, session)) != 1:
-        raise click.UsageError("give exactly one of REC, --source and --session")
+        raise click.UsageError("give exactly one of REC (or X.bubbleviz), --source and --session")
     if recording is None:
         if any(given is not None for given in (truth, frame, screenshot)):
             raise click.UsageError(
-                "--truth, --frame and --screenshot need a recording REC; leave them out"
+                "--truth, --frame and --screenshot need a recording; leave them out, or give REC "
+                "in place of --source or --session"
             )
         return _open_live(source, session, sensor, scene, colour_delay_s, fresh=fresh)
     if recording.suffix.lower() == SESSION_SUFFIX:

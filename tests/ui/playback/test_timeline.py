@@ -128,7 +128,7 @@ def test_gaps_and_markers_are_drawn(drive):
     assert driver.state.frame == 9
     driver.key(Qt.Key.Key_M)
     assert driver.state.markers == (3,)
-    assert "3 frames missing after it" in timeline.tip(5) and "marked" in timeline.tip(3)
+    assert "3 frames missing after this one" in timeline.tip(5) and "marked" in timeline.tip(3)
     # the width of an outage is its duration
     times = driver.state.facts.times_s
     places = np.array([timeline.x_at(k) for k in range(FRAMES)])
@@ -155,7 +155,7 @@ def test_outage_of_a_live_source_is_drawn_when_it_ends(qtbot):
     state.grow(replace(facts, times_s=np.append(times, times[-1] + 2.0), outages=(outage,)))
     red = np.flatnonzero(np.all(painted(timeline) == rgb(theme.GAP), axis=2).any(axis=0))
     assert timeline.x_at(19) < red.min() < red.max() < timeline.x_at(20)
-    assert np.ptp(red) > 400 and "missing after it" in timeline.tip(19)
+    assert np.ptp(red) > 400 and "missing after this one" in timeline.tip(19)
 
 
 def test_repeated_replay_is_drawn_lap_after_lap():

@@ -49,7 +49,7 @@ def test_notice_opens_the_written_file_moves_nothing_and_disappears(
     assert desktop.opened == [path, tmp_path]
     path.unlink()
     driver.click(notice.open)
-    assert f"{path}: cannot be opened; it no longer exists" in driver.message_text
+    assert f"{path}: no longer exists" in driver.message_text
     driver.click(notice.dismiss)
     assert not notice.isVisible()
     # a session is opened in the window

@@ -101,7 +101,7 @@ class ImageFields:
         self.intrinsics = FileField(
             "Intrinsics: a TOML or JSON file, or a sensor file",
             "Intrinsics (*.toml *.json);;All files (*)",
-            "intrinsics.toml or .json in the folder, else the sensor file's",
+            "intrinsics.toml or .json in the folder, else of the sensor file used later",
         )
         self.unit = options(QComboBox(), UNITS)
         self.unit.setToolTip("Depth of a pixel value of 1")

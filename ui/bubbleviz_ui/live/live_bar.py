@@ -46,7 +46,6 @@ class RecordControls(QWidget):
         self.button = QToolButton()
         self.button.setText("● Record")
         self.button.setCheckable(True)
-        self.button.setToolTip("Record (Ctrl+R)")
         self.pre_roll = control(live.state, "pre_roll_s")
         self.pre_roll.setPrefix(f"{self.pre_roll.accessibleName()} ")
         self.folder = QToolButton()
@@ -80,7 +79,8 @@ class RecordControls(QWidget):
         self._show_folder()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
-        self.button.setToolTip("End the recording (Ctrl+R)" if busy else "Record (Ctrl+R)")
+        tip = "End the recording" if busy else "Record the live source to a new file"
+        self.button.setToolTip(f"{tip} (Ctrl+R)")
         for widget in (self.pre_roll, self.folder):
             widget.setVisible(not busy)
         self.progress.setVisible(busy)
@@ -174,7 +174,8 @@ class LiveBar(QFrame):
         self.publish = self._button("Publish", "")
         self.publish.setCheckable(True)
         self.publish.setToolTip(
-            "Publish patch, force, pose and diagnostics over Zenoh (address: Live → Publish at)"
+            "Start or stop publishing patch, force, pose and diagnostics over Zenoh (address: Live "
+            "→ Publish at)"
         )
         self.leave = self._button("Disconnect", "Disconnect, or stop connecting (Ctrl+Shift+L)")
         self.counts = Elided(Qt.TextElideMode.ElideRight)
@@ -305,7 +306,7 @@ def counter_texts(counters: Counters) -> list[str]:
     words = [
         count_of(counters.received, "message"),
         count_of(counters.frames, "image"),
-        f"{counters.skipped} skipped",
+        f"{count_of(counters.skipped, 'image')} skipped",
     ]
     for name, word in FAULT_COUNTERS.items():
         count = getattr(counters, name)

@@ -81,7 +81,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "rim": LayerKind("Rim", "Where the membrane is clamped"),
         "vectors": LayerKind(
             "Pressure vectors",
-            "Contact pressure p_c at each node, along its normal",
+            "Contact pressure p_c as an arrow at each node, along the normal",
             ESTIMATE,
             by_default=False,
         ),

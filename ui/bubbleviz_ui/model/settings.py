@@ -261,7 +261,9 @@ class Settings(_SettingsBase):
         "Cut the membrane across an axis of the bubble frame B",
         titles={None: "none", "x": "cut ⊥ x", "y": "cut ⊥ y", "z": "cut ⊥ z"},
     )
-    section_at_m: float = _setting(0.0, "Position of the section", "Position of the cutting plane")
+    section_at_m: float = _setting(
+        0.0, "Position of the section", "Position of the cutting plane along the axis chosen above"
+    )
     section_flipped: bool = _setting(
         False, "other side", "Show the part on the other side of the plane"
     )
@@ -287,7 +289,7 @@ class Settings(_SettingsBase):
     pose_unit: Literal["m", "mm"] | None = _setting(
         None,
         "unit of the object",
-        "Unit of a mesh file; by name: mm where it ends in _mm, else m",
+        "Unit of a mesh file; by name: mm if the file name ends in _mm, else m",
         groups="pose",
         titles={None: "unit by name", "m": "metres", "mm": "millimetres"},
     )
@@ -298,20 +300,23 @@ class Settings(_SettingsBase):
     pose_track: bool = _setting(False, "tracking", "Follow the object from frame to frame")
     # Registration stage whose pose is drawn; 2: after both
     pose_stage: int = _setting(
-        2, "Shown", "Stage whose pose is drawn", titles={2: "both stages", 1: "stage one"}
+        2,
+        "Shown",
+        "Pose to draw: after both stages of the registration, or after stage one",
+        titles={2: "both stages", 1: "stage one"},
     )
     # Preset of the optical flow from which shear is measured
     flow_preset: Literal["fast", "balanced", "fine"] = _setting(
         "fast",
         "Optical flow",
-        "Optical flow: fast, or more accurate",
+        "Optical flow of the colour images; balanced and fine take longer for finer motion",
         titles=_own_titles("fast", "balanced", "fine"),
     )
     # Coulomb bound μ on tangential over normal traction; None: no bound
     friction: float | None = _setting(
         None,
         "Friction bound",
-        "Limit the tangential traction to μ times the normal one (Coulomb)",
+        "Ticked: the tangential traction is at most μ times the normal one (Coulomb)",
         low=0.01, high=MOST_FRICTION, step=0.05,
     )  # fmt: skip
     # Settings A and B of the Compare panel

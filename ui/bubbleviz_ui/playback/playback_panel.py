@@ -74,7 +74,7 @@ SECOND_STEPS = {
 """Label and keys of each step in s."""
 SWITCHES = {
     "Loop": Settings.info("loop").tip,
-    "Mark": "Mark this frame (M); PgUp, PgDn go to marked frames",
+    "Mark": "Mark or unmark this frame (M); PgUp, PgDn go to marked frames",
     "Freeze": "Keep showing this frame while the live source continues (F)",
 }
 MARGIN, SPACING = 10, 4

@@ -134,7 +134,7 @@ class Timeline(QWidget):
             CONTACT_TEXTS[int(self._state.history.contact[frame])],
         ]
         parts += [
-            f"{count_of(g.missing, 'frame')} missing after it"
+            f"{count_of(g.missing, 'frame')} missing after this one"
             for g in facts.gaps
             if g.after_frame == frame
         ]

@@ -236,7 +236,7 @@ class PosePanel(QWidget):
         self.from_here = QPushButton("Start from here")
         self.once = QPushButton("Fit once")
         self.once.setToolTip(
-            "Register the object on this frame, both stages (section VI of the paper)"
+            "Register the object in this frame, both stages (section VI of the paper)"
         )
         self.track = QPushButton("Track")
         self.reset = QPushButton("Reset")

@@ -80,7 +80,7 @@ class SavedCamera(BaseModel):
     def _is_a_view(self) -> SavedCamera:
         place, centre, up = (np.array(p) for p in (self.position, self.focal_point, self.up))
         if max(np.abs(p).max() for p in (place, centre, up)) > MAX_DISTANCE_M:
-            raise ValueError("a coordinate of the viewpoint is beyond 1 km; they are in metres")
+            raise ValueError("a coordinate of the viewpoint, in metres, is beyond 1 km")
         if not np.linalg.norm(np.cross(centre - place, up)) > 0.0:
             raise ValueError("the viewpoint has no direction, or one parallel to its up vector")
         return self

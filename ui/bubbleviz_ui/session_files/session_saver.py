@@ -110,7 +110,7 @@ class SessionSaver(QObject):
         self._file.parent.mkdir(parents=True, exist_ok=True)
         user = UserFile(session=self.snapshot(self._file), recent=self.recent, hinted=self.hinted)
         if user != self._written:
-            remedy = "make room for it or allow writing it, then restart"
+            remedy = "make room for it or allow writing it, then restart the window"
             write_atomically(self._file, user, remedy)
             self._written = user
 

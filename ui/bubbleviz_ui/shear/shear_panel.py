@@ -59,7 +59,7 @@ class ShearPlot(PlotHost):
         """Draw a force in a unit; None: no force."""
         if not self.ready:
             return
-        self._frame.write(f"Tangential y over x, {unit.symbol}")
+        self._frame.write(f"Tangential force, y over x, {unit.symbol}")
         for item, points in (
             (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
             (self.outline, None if ellipse is None else ellipse.outline_n),
@@ -86,8 +86,8 @@ TIPS = {
     "direction": "Angle of the tangential force about z, from x towards y of the bubble frame",
     "torque": "Torque about the mean normal through the contact's centre",
     "displacement": "Largest displacement along the membrane within the contact",
-    "slip": "Share of the patch that slipped relative to the rest since contact; a dash if too "
-    "little of the patch sticks",
+    "slip": "Share of the patch that slipped since contact, relative to the part that sticks; a "
+    "dash where unknown, as if too little sticks",
 }
 UNVERIFIED = "not verified on real sensors"
 STATES = {
@@ -145,7 +145,9 @@ class ShearPanel(QWidget):
         super().__init__()
         self._state, self._controller = state, controller
         self.reference = QLabel(DASH, wordWrap=True)
-        self.reference.setToolTip("Contact-free colour images from which motion is measured")
+        self.reference.setToolTip(
+            "Contact-free colour images from which motion is measured, or why there are none"
+        )
         self.search_reference = QPushButton("Collect again")
         self.search_reference.setToolTip(
             "Find the contact-free colour images again; do not touch a live sensor meanwhile"
@@ -167,7 +169,7 @@ class ShearPanel(QWidget):
         self.plot = ShearPlot()
         self.plot.seen.connect(self._write)
         self.copy = QPushButton("Copy")
-        self.copy.setToolTip("These numbers as text, with their units")
+        self.copy.setToolTip("Copy these numbers as text, with their units")
         self._lay_out()
         self._connect(state, controller)
 

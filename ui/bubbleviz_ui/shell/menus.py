@@ -335,8 +335,8 @@ class Menus:
         endpoint, chosen = QInputDialog.getText(
             self._window,
             "Publish results",
-            "Address, tcp/HOST:PORT, from the next start of publishing (HOST 127.0.0.1: only for "
-            "this computer; its network address: for others, too)",
+            "Publish at tcp/HOST:PORT, from the next start of publishing. HOST 127.0.0.1: only "
+            "this computer receives results; its network address: others, too",
             text=state.settings.publish_at,
         )
         if chosen:

@@ -61,7 +61,7 @@ class MessageBar(_Bar):
         self.more = QPushButton()
         self.more.setToolTip("All messages of this session")
         self.copy = QPushButton("Copy details")
-        self.copy.setToolTip("For a bug report: what went wrong, and where")
+        self.copy.setToolTip("Copy the open messages with details, for a bug report")
         self.dismiss = QPushButton("Dismiss")
         self.dismiss.setToolTip("Remove this message; Help → Messages lists all")
         super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
@@ -126,7 +126,7 @@ class NoticeBar(QFrame):
         self._file: Path | None = None
         self.label = Elided(Qt.TextElideMode.ElideMiddle)  # keep both ends of a path
         self.open = _button("Open", "Open the file here, or in the desktop's program for its kind")
-        self.folder = _button("Show in folder", "Open the folder it is in")
+        self.folder = _button("Show in folder", "Open the folder of the file")
         self.dismiss = _button("Dismiss", "Close; Help → Messages lists all")
         buttons = self.open, self.folder, self.dismiss
         fill(QHBoxLayout(self), (self.label, 1), *buttons, margins=(8, 0, 4, 0), spacing=2)
@@ -182,7 +182,7 @@ class BusyBar(_Bar):
         self.progress = QProgressBar(minimum=0, maximum=0)
         self.progress.setFixedWidth(160)
         self.cancel = QPushButton("Cancel")
-        self.cancel.setToolTip("Stop; what was open stays open")
+        self.cancel.setToolTip("Stop; the current source stays open")
         super().__init__(parent, "busy", self.progress, self.cancel)
         self._due = QTimer(self, singleShot=True, interval=BUSY_AFTER_MS)
         self._due.timeout.connect(self.show)

@@ -150,7 +150,7 @@ class Shortcuts(QObject):
             other = self.used_by(keys, name)
             if other is not None:
                 native = keys.toString(QKeySequence.SequenceFormat.NativeText)
-                return f"{native} conflicts with the keys of “{other}”; reset those first."
+                return f"{native} conflicts with the keys of “{other}”; change those first."
         self.actions[name].setShortcuts(self._defaults[name])
         self.edited.emit()
         return ""
@@ -204,7 +204,7 @@ class ShortcutsDialog(QDialog):
         self.search.setClearButtonEnabled(True)
         self.table = QTableWidget(len(shortcuts.actions), 2)
         self.keys = QKeySequenceEdit()
-        self.keys.setToolTip("Press the new keys here")
+        self.keys.setToolTip("Press the new keys of the selected action here, then Set")
         self.set = QPushButton("&Set")
         self.clear = QPushButton("&No keys")
         self.reset = QPushButton("&Default")

@@ -82,7 +82,7 @@ class ViewTools(QWidget):
             name: tool_button(title, f"View from the {name}, in the bubble frame B", slim=True)
             for name, title in VIEWS.items()
         }
-        self.views["camera"].setToolTip("As the depth camera sees it")
+        self.views["camera"].setToolTip("View from the depth camera")
         self.tools = {
             name: tool_button(title, tip, checkable=True, slim=True)
             for name, (title, tip) in TOOLS.items()
@@ -104,7 +104,7 @@ class ViewTools(QWidget):
         self.section_text = QLabel()
         self.width_box, self.height_box = _pixels(), _pixels()
         self.save = QPushButton("Save…")
-        self.save.setToolTip("Picture of the 3-D view at this size, PNG")
+        self.save.setToolTip("Save a picture of the 3-D view at this size, PNG")
         tip = "Rotate about the vertical automatically, 30° per second"
         self.turn = tool_button("Turntable", tip, checkable=True, slim=True)
 
