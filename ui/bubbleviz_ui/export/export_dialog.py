@@ -63,7 +63,7 @@ class ExportDialog(QDialog):
             self.kind.setItemData(row, kind.tip, Qt.ItemDataRole.ToolTipRole)
         self.kind.setToolTip("What to export")
         self.frames = QComboBox()
-        self.frames.setToolTip("Set the range on the timeline or with [ and ]")
+        self.frames.setToolTip("Frames to export; set a range on the timeline or with [ and ]")
         self.step = StepBox(minimum=1, maximum=MOST_STEP, prefix="every ", suffix=" frame")
         self.step.setSpecialValueText("every frame")
         self.step.setToolTip("Export every frame, every 2nd, every 3rd …")
@@ -166,7 +166,7 @@ class ExportDialog(QDialog):
         fps = self._exporting.fps(self.step.value())
         return (
             f"{kind.tip}. {count_of(count, 'picture')} of {width}×{height} pixels (set in 3-D "
-            f"tools, Picture), {fps:.3g} per second, by the playback speed of "
+            f"tools, Picture), {fps:.3g} per second, at a playback speed of "
             f"{self._state.settings.speed:g}×."
         )
 

@@ -121,7 +121,7 @@ KINDS = {
 PLACES = {
     ZENOH: "Address of the robot's router or bridge: tcp/HOST:7447; empty: this computer",
     REALSENSE: "Serial number, or a file of the RealSense viewer; empty: the first camera found",
-    REPLAY: "A recording",
+    REPLAY: "A recording, file or folder",
     SYNTHETIC: "Object pressed into the membrane; empty: the built-in press",
     PAIR: "A session preset or file with two sensors",
 }
@@ -153,7 +153,7 @@ class ConnectDialog(QDialog):
         self.folder.setAutoDefault(False)
         self.folder.setToolTip("Choose the folder of a rosbag2 recording")
         self.topics = QListWidget()
-        self.topics.setToolTip("Topics with depth images or point clouds")
+        self.topics.setToolTip("Topics found with depth images or point clouds; choose one")
         self.kind.setToolTip("Type of live source")
         self.sensor = QComboBox()
         self.sensor.setToolTip("Sensor file of this camera and membrane")
