@@ -122,7 +122,7 @@ def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_p
     driver.open("speckled", SpeckledSource, sensor, playing=False)
     driver.wait(lambda: panel.reference.text() == NEEDS_RUBBER)
     cell = lambda: driver.window.images.cells["flow"]  # noqa: E731
-    driver.wait(lambda: cell().text.replace("<br>", " ") == f"Flow {NEEDS_RUBBER}")
+    driver.wait(lambda: cell().text.replace("<br>", " ") == f"Optical flow {NEEDS_RUBBER}")
     assert cell().image is None
     driver.seek(2)
     assert driver.result.estimate is not None
@@ -149,7 +149,7 @@ def test_flow_image_is_shown_and_not_computed_while_hidden(drive, rubber):
     assert np.isfinite(cell.image).sum() == len(flow.pixel) > 20
     row, column = np.divmod(flow.pixel[7], width)
     assert cell.image[row // 8, column // 8] == np.hypot(*flow.moved_px[7])
-    assert cell.text.startswith("Flow") and cell.text.endswith(" px")
+    assert cell.text.startswith("Optical flow") and cell.text.endswith(" px")
     assert driver.pipeline.counts["traction"] == 0  # not requested
     driver.window.panels["images"].hide()
     driver.wait(lambda: "images" not in driver.state.settings.panels)

@@ -187,13 +187,13 @@ class ImageKind:
 IMAGES: Mapping[str, ImageKind] = MappingProxyType(
     {
         "depth": ImageKind("Depth", "range", "length"),
-        "change": ImageKind("Change", "around zero", "length"),
+        "change": ImageKind("Change from rest", "around zero", "length"),
         "residual": ImageKind("Residual", "around zero", "fine_length"),
         "noise": ImageKind("Noise σ", "range", "fine_length"),
         "used": ImageKind("Pixels used", "mask"),
         "patch": ImageKind("Contact patch", "mask"),
         "colour": ImageKind("Colour", "colour"),
-        "flow": ImageKind("Flow", "range", "pixels"),
+        "flow": ImageKind("Optical flow", "range", "pixels"),
     }
 )
 """By name, in the order of their menu."""

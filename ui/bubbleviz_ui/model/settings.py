@@ -170,7 +170,9 @@ class Settings(_SettingsBase):
     solver: str | None = _setting(
         None,
         "Solver",
-        "Solver of the inverse problem (Eq. 23); a change discards the results of all frames",
+        "Solver of the inverse problem (Eq. 23); rubber: exact membrane, linear: constant tension, "
+        "paper: the same by the paper's QP, fast: linear on a coarse mesh. A change discards the "
+        "results of all frames",
         titles={name: solver_title(name) for name in (None, *SOLVER_NAMES, *COMPARED_NAMES)},
     )
     speed: float = _setting(

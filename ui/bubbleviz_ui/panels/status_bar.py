@@ -42,9 +42,9 @@ TIPS = {
     "gas": "Gas pressure change p_v from rest: measured, else from the gas law (Eq. 6) and the "
     "estimated shape; result files have an estimate that combines both",
     "residual": "Root mean square of measured minus modelled range (Eq. 19)",
-    "camera": "Mean frame rate of the depth camera",
-    "solve": "Time per frame, depth image in to results out, and frames processed in the last "
-    "second; click for more",
+    "camera": "Mean rate of the depth images of the open source",
+    "solve": "Run time of the frame shown, depth image in to results out, and frames processed in "
+    "the last second; click for more",
     "latency": "From the time stamp of a live frame (its arrival if the clocks differ) to its "
     "display: median and 95th percentile",
     "render": "Pictures of the 3-D view drawn in the last second",

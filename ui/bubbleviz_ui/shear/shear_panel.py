@@ -94,7 +94,7 @@ STATES = {
     "ok": "depth and texture",
     "no_contact": "no contact",
     "depth_alone": "depth alone",
-    "no_data": "no trusted depth image",
+    "no_data": "no depth data",
     "not_converged": "no trusted solution",
 }
 
