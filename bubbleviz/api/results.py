@@ -41,6 +41,7 @@ from bubbleviz.output import (
     Shape,
     csv_row,
     draw_plots,
+    magnitude_half_width_n,
     nodal_fields,
     pose_columns,
     pose_row,
@@ -114,6 +115,11 @@ class FrameResult:
         return self.estimate.status
 
     @property
+    def reason(self) -> str:
+        """Why there are no numbers, in one clause; empty if there are."""
+        return self.estimate.reason
+
+    @property
     def force_n(self) -> np.ndarray:
         """Total contact force on the membrane in B, with friction, (3,), N."""
         return self._numbers("force_n")
@@ -137,7 +143,7 @@ class FrameResult:
 
         0 without contact, NaN with the solver `paper`.
         """
-        return 0.0 if self.status == "no_contact" else self.estimate.force_half_width_n
+        return magnitude_half_width_n(self.estimate)
 
     @property
     def torque_nm(self) -> np.ndarray:

@@ -76,7 +76,9 @@ class Watcher:
                 raise stream.nothing_arrived()
 
         first = stream.first_frame(waiting=waiting)
-        return cls(stream, Estimator(sensor, intrinsics=first.intrinsics, **options).solver, first)
+        with stream.source.held():
+            solver = Estimator(sensor, intrinsics=first.intrinsics, **options).solver
+        return cls(stream, solver, first)
 
     def step(self, timeout_s: float) -> Result | None:
         """Solve the newest frame; None if none arrived in time."""

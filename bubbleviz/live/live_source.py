@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 from urllib.parse import parse_qsl, unquote, urlsplit, urlunsplit
@@ -57,6 +58,11 @@ class LiveSource:
         if self._thread not in (None, threading.current_thread()):
             self._thread.join(self.closing_s)
         self.link = "ended"
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """While the solver is built: a replay waits, other sources cannot."""
+        yield
 
     def follow_colour(self, on: bool = True) -> None:
         """Start or stop delivering colour images, which are large."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -53,10 +55,21 @@ class Replay(LiveSource):
                 "recording of the sensor"
             )
         self.topics = tuple(OfferedTopic(s.topic.name, s.topic.type) for s in self._streams)
+        self._playing = threading.Event()
+        self._playing.set()
 
     def stop(self) -> None:
+        self._playing.set()
         super().stop()
         self._bag.close()
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        self._playing.clear()
+        try:
+            yield
+        finally:
+            self._playing.set()
 
     def _run(self, deliver: Deliver) -> None:
         self.link = "up"
@@ -74,6 +87,9 @@ class Replay(LiveSource):
             for after, (_, number, k) in zip(after_s.tolist(), rows, strict=True):
                 if not self._wait_until(start + after):
                     return
+                reached = time.monotonic()
+                self._playing.wait()
+                start += time.monotonic() - reached
                 stream = self._streams[number]
                 if self._with_colour or not colour.is_colour(stream.topic.name, stream.topic.type):
                     deliver(self._message(stream, k, played))

@@ -12,6 +12,7 @@ from .results import (
     NODAL_FIELDS as NODAL_FIELDS,
     ResultWriter as ResultWriter,
     csv_row as csv_row,
+    magnitude_half_width_n as magnitude_half_width_n,
     nodal_fields as nodal_fields,
     result_arrays as result_arrays,
     results_of as results_of,

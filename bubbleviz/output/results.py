@@ -69,6 +69,11 @@ _KNOWN_WITHOUT_DATA = {
 }
 
 
+def magnitude_half_width_n(estimate: Estimate) -> float:
+    """Half of the 95 % interval of |F|, N: 0 without contact, NaN with the solver `paper`."""
+    return 0.0 if estimate.status == "no_contact" else estimate.force_half_width_n
+
+
 def summary_row(result: Result) -> dict[str, Any]:
     """Values of one frame by key of `COLUMNS`; NaN if unknown, as without trusted estimate.
 

@@ -15,7 +15,7 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.files import write_rows
 from bubbleviz.output.exporter import Exporter
-from bubbleviz.output.results import csv_row, summary_row
+from bubbleviz.output.results import csv_row, magnitude_half_width_n, summary_row
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import measured_force
 from bubbleviz.result import Result
@@ -31,7 +31,7 @@ Write = Callable[[Table, Path], None]
 
 
 class FrameTable:
-    """One row per frame: the columns of RESULT.csv, the magnitude of the force, and pose columns.
+    """One row per frame: the columns of RESULT.csv, force and interval by magnitude, and pose columns.
 
     In SI units, run times in ms.
     """
@@ -50,7 +50,10 @@ class FrameTable:
 
     def add(self, result: Result, pose: Mapping[str, Any] | None = None) -> None:
         row = summary_row(result)
-        more = {"force_magnitude_n": float(np.linalg.norm(row["force_n"]))}
+        more = {
+            "force_magnitude_n": float(np.linalg.norm(row["force_n"])),
+            "force_magnitude_half_width_n": magnitude_half_width_n(result.solution[0]),
+        }
         self._rows.append(row)
         self._more.append(more | dict(pose or {}))
 
