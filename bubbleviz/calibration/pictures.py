@@ -48,7 +48,8 @@ def pictures(found: Identification, validation: Validation | None) -> list[dict[
         _picture(
             "Validity", "share of frames with valid depth", statistics.validity, "", (0.0, 1.0)
         ),
-        _picture("Noise", "σ of one frame's range", 1e3 * statistics.noise_m, "mm", (0, 1e3 * top)),
+        _picture("Noise", "standard deviation of the range in one frame", 1e3 * statistics.noise_m,
+                 "mm", (0, 1e3 * top)),
         _picture("Pixels used", "bright: used", mask.astype(float), "", (0.0, 1.0)),
         _picture("Residual of the surface", "mean range minus surface", 1e3 * residual, "mm",
                  around, _DIVERGING),

@@ -106,7 +106,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         out.append(
             f"The gauge pressure is {_percent(abs(change))} {'above' if change > 0 else 'below'}"
             " the sensor file's: make sure that nothing touches the sensor, and inflate it as"
-            f" before unless it is meant to differ{'' if known else weather}."
+            f" before unless the pressure is meant to differ{'' if known else weather}."
         )
     if surfaces.visible_share < _MIN_VISIBLE:
         out.append(

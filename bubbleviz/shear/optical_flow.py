@@ -236,7 +236,8 @@ class OpticalFlow:
             + _CURVATURE_VARIANCE * curvature**2
         )
         sigma = np.sqrt(variance[good])
-        problem = "" if good.mean() > 0.5 else "most of the texture at rest could not be matched"
+        lost = "most of the texture seen without contact could not be matched in this frame"
+        problem = "" if good.mean() > 0.5 else lost
         return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
 
     def nothing(self, problem: str) -> FlowField:
