@@ -63,7 +63,7 @@ class CalibrationPanel(QWidget):
         self.cancel = QPushButton("Cancel")
         self.back.setToolTip("Previous step")
         self.next.setToolTip("Compute the step named here if needed, and show it")
-        self.cancel.setToolTip("Stop; the settings are again those of the results shown")
+        self.cancel.setToolTip("Stop, and go back to the settings of the results shown")
         self._lay_out()
         self._connect()
         self.go_to(0)

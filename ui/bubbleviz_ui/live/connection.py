@@ -149,8 +149,14 @@ def _waiting_text(stream: LiveStream) -> str:
     """Why a stream has no frame yet, and what it sent instead."""
     counters, topics = stream.counters, stream.source.topics
     if counters.problem and not stream.status().problem:
-        return f"no depth image yet: {counters.problem}"
+        return (
+            f"no depth image yet: {counters.problem}; correct its publisher, or connect to another "
+            "topic (depth=)"
+        )
     if topics:
         names = ", ".join(topic.name for topic in topics)
-        return f"no depth image yet; choose its topic or start its publisher; topics: {names}"
+        return (
+            "no depth image yet; start its publisher, or connect to another topic (depth=), of: "
+            f"{names}"
+        )
     return stream.status().text

@@ -34,7 +34,8 @@ from bubbleviz_ui.view3d.render_view import View
 
 TIPS = {
     "sensor": "Sensor",
-    "frame": "Frame shown, its time since the start, and for a recording the range of frames",
+    "frame": "Number of the frame shown, of a recording also the first and last number, and the "
+    "frame's time since the start",
     "force": "Force F: resultant of contact pressure p_c (Eq. 23) and friction on the membrane,"
     " ± half of its 95 % interval due to noise, friction, γ0, gauge pressure and λ",
     "area": "Area of the contact patch on the membrane at rest (section V-C of the paper); the "
@@ -144,7 +145,7 @@ class StatusBar(QStatusBar):
         for name, text in texts.items():
             self.labels[name].setText(text)
         part = tangential_text(result, units)
-        known = f"{part} (friction was not estimated)" if part == DASH else part
+        known = f"{part} (friction was not estimated)" if part == DASH and patch else part
         tangential = f"tangential part of F, estimated without colour images: {known}"
         self.labels["force"].setToolTip(untrusted_text(result) or f"{TIPS['force']};\n{tangential}")
         self._solve_ms = result.times_ms.get("total")

@@ -51,7 +51,7 @@ class SensorWatch(QObject):
         if not difference and written != self._written:
             change = f"changed on disk; {RELOAD} uses them"
             if not all(written.values()):
-                change = "been removed; the sensor stays in use"
+                change = "been removed or renamed; the sensor stays in use"
             difference = f"its mesh or pixels have {change}"
         if difference != self._difference:
             self._difference = difference
@@ -60,7 +60,7 @@ class SensorWatch(QObject):
 
 def _difference(sensor: Sensor, path: Path) -> str:
     if not path.exists():
-        return "was removed; the sensor stays in use"
+        return "was removed or renamed; the sensor stays in use"
     try:
         if load_sensor(path).model_copy(update={"folder": sensor.folder}) == sensor:
             return ""
