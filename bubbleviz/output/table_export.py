@@ -31,7 +31,7 @@ Write = Callable[[Table, Path], None]
 
 
 class FrameTable:
-    """One row per frame: the columns of RESULT.csv, force and interval by magnitude, and pose columns.
+    """One row per frame: the columns of RESULT.csv, |F| with its interval, and pose columns.
 
     In SI units, run times in ms.
     """

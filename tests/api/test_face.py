@@ -122,6 +122,10 @@ def test_run_behaves_like_a_list_and_has_arrays(estimated):
     assert not any(found.result.frame.depth_m.size for found in run)  # memory is for numbers
     columns = run.columns()
     assert columns["force_magnitude_n"][2] == pytest.approx(np.linalg.norm(run.force_n[2]))
+    half = columns["force_magnitude_half_width_n"]
+    assert half.tolist() == [found.force_magnitude_half_width_n for found in run]
+    assert (half[touched] > 0.0).all() and not half[~touched].any()
+    assert {found.reason for found in run} == {""}
     pressed = run[2].nodes_m - run[0].nodes_m
     deepest = pressed[np.argmax(run[2].contact_pressure_pa)]
     assert deepest[2] == pytest.approx(-0.008, abs=2e-3)  # 50 mm of dome under 42 mm

@@ -143,6 +143,28 @@ def test_a_replay_gives_the_recorded_bytes_at_the_recorded_pace(recording, event
     assert source.problem == ""
 
 
+def test_replay_is_held_while_the_solver_is_built(recording, eventually):
+    got: list[Message] = []
+    arrived = threading.Event()
+
+    def deliver(message):
+        got.append(message)
+        arrived.set()
+
+    source = Replay(recording, speed=0.2)  # six images a second
+    source.start(deliver)
+    assert arrived.wait(60.0)
+    with source.held():
+        before = len(got)
+        arrived.clear()
+        while arrived.wait(0.5):  # one message may be on its way
+            arrived.clear()
+        assert len(got) <= before + 1
+    eventually(lambda: source.link == "ended")
+    source.stop()
+    assert sum(m.type == IMAGE for m in got) == 10
+
+
 def test_looped_replay_continues(recording, small_sensor):
     stream = open_stream(f"replay:{recording}?loop=1&speed=20", small_sensor, any_size=True)
     with stream:
