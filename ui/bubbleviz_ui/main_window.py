@@ -383,6 +383,7 @@ class MainWindow(QMainWindow):
         docks["plots"].open_at_hint_height()
         docks["images"].open_at_hint_height()
         docks["calibration"].maximise_height()
+        docks["compare"].maximise_height()
         docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)

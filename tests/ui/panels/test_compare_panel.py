@@ -37,6 +37,16 @@ def wait_until_as_shown(driver):
     driver.wait(as_shown)
 
 
+def test_results_are_visible_when_the_panel_opens_in_the_smallest_window(drive):
+    driver = drive(DentSource, frame=PRESSED)
+    assert driver.size == (1024, 700) and driver.window.panels["layers"].isVisible()
+    driver.show("compare")
+    panel = driver.window.compare
+    labels = [label for column in (panel.a, panel.b) for label in column.values.values()]
+    driver.wait(lambda: text(driver, "frame") == f"{PRESSED}")
+    driver.wait(lambda: all(at.visibleRegion().boundingRect().size() == at.size() for at in labels))
+
+
 def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
