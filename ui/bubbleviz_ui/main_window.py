@@ -541,7 +541,8 @@ class MainWindow(QMainWindow):
         if result is not None and facts is not None:
             self.playback.show_frame()
             self.kappa.show_result(result)
-            self.status.show_result(result, facts, self.state.history)
+            settled = self.state.settled
+            self.status.show_result(result, facts, self.state.history, settled=settled)
 
     def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
         """Draw coloured points instead of the measured ones until the next frame is shown."""

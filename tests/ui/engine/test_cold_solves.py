@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from fakes import DentSource
-from window_driver import CONTACT
+from window_driver import CONTACT, view_texts
 
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import OpenRequest
@@ -52,6 +52,26 @@ def test_same_result_after_opening_seeking_stepping_or_playing_to_a_frame(drive)
     paused = shown(driver)
     opened.state.seek(driver.state.frame)
     assert paused == pytest.approx(shown(opened), rel=0.01)
+
+
+def test_a_force_that_the_next_pause_may_change_is_marked(drive):
+    driver, marked = drive(frame=CONTACT - 3), []
+    controller, label = driver.window.controller, driver.window.status.labels["force"]
+
+    def texts():
+        (head,) = (text for text in view_texts(driver) if text.startswith("contact  "))
+        return head, label.text(), driver.window.kappa.force.text()
+
+    def note(_):
+        marked.append({"≈" in text for text in texts()} == {not controller.client.cold_solved})
+
+    assert not any("≈" in text for text in texts())
+    controller.shown.connect(note)
+    driver.state.change(every_frame=True)
+    play_past(driver, CONTACT)
+    settled_by_itself(driver)
+    controller.shown.disconnect(note)
+    assert len(marked) > 3 and all(marked) and not any("≈" in text for text in texts())
 
 
 def test_pose_of_a_paused_frame_is_registered_once(drive):

@@ -37,7 +37,8 @@ TIPS = {
     "frame": "Number of the frame shown, of a recording also the first and last number, and the "
     "frame's time since the start",
     "force": "Force F: resultant of contact pressure p_c (Eq. 23) and friction on the membrane,"
-    " ± half of its 95 % interval due to noise, friction, γ0, gauge pressure and λ",
+    " ± half of its 95 % interval due to noise, friction, γ0, gauge pressure and λ; "
+    "≈ until the frame is solved from rest",
     "area": "Area of the contact patch on the membrane at rest (section V-C of the paper); the "
     "Contact patch panel shows the threshold",
     "gas": "Gas pressure change p_v from rest: measured, else from the gas law (Eq. 6) and the "
@@ -127,8 +128,10 @@ class StatusBar(QStatusBar):
         self._fit()
         self.show_latency(None)
 
-    def show_result(self, result: Result, facts: SourceFacts, history: FrameHistory) -> None:
-        """Show the numbers of a result."""
+    def show_result(
+        self, result: Result, facts: SourceFacts, history: FrameHistory, *, settled: bool
+    ) -> None:
+        """Show the numbers of a result; `settled`: whether they are final."""
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
@@ -136,7 +139,7 @@ class StatusBar(QStatusBar):
         place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
             "frame": f"frame {DASH}" if facts.is_empty else place,
-            "force": "force " + force_text(result, units),
+            "force": "force " + force_text(result, units, settled=settled),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),
             "residual": "residual "

@@ -349,7 +349,7 @@ class ReadoutLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Update the text."""
-        head, rest = readout(picture.result, self.canvas.units)
+        head, rest = readout(picture.result, self.canvas.units, settled=picture.settled)
         doubtful = picture.result.estimate is not None and not picture.result.estimate.trusted
         self._head.SetInput("" if doubtful else head)
         self._alarm.SetInput(head if doubtful else "")
@@ -390,8 +390,8 @@ class ReadoutLayer(Layer):
         return width * (left_of_bars(width) - LEFT) * view.pixel_ratio / max(box[1] - box[0], 1.0)
 
 
-def readout(result: Result, units: Units) -> tuple[str, str]:
-    """Headline and details of a result."""
+def readout(result: Result, units: Units, *, settled: bool) -> tuple[str, str]:
+    """Headline and details of a result; `settled`: whether its numbers are final."""
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return "", ""
@@ -411,7 +411,8 @@ def readout(result: Result, units: Units) -> tuple[str, str]:
         del parts[1]
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
-    return f"contact  {force_text(result, units)}", f"{SEPARATOR.join(parts)}{hatched}"
+    force = force_text(result, units, settled=settled)
+    return f"contact  {force}", f"{SEPARATOR.join(parts)}{hatched}"
 
 
 def _put(text: Any, size: float, top: float) -> None:

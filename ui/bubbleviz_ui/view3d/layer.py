@@ -155,6 +155,7 @@ class Picture:
     shape: Shape | None
     ranges: Ranges
     settings: Settings
+    settled: bool  # Its numbers are final
 
 
 class Layer:
