@@ -377,8 +377,8 @@ def _watched(
 
     for path in filter(None, files):
         raise InputError(
-            f"{path}: estimate and track write no files for a live stream; use bv.watch(source, "
-            "out=…)"
+            f"{path}: estimate and track write no files for a live stream; record it with "
+            "bv.record(SOURCE, REC), then estimate REC"
         )
     own = stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
     patience_s = stream.timeout_s if isinstance(timeout_s, EllipsisType) else timeout_s

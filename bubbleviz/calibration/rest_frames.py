@@ -1,4 +1,4 @@
-"""Frames for an identification with per-pixel statistics, and the choice of usable pixels."""
+"""Frames for an identification, their statistics per pixel, and the choice of usable pixels."""
 
 from __future__ import annotations
 

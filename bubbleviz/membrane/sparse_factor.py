@@ -1,4 +1,4 @@
-"""Factorised tangents: a fill-reducing order found once, and rank-one terms without refactoring."""
+"""Factorised tangent stiffness, with a fill-reducing order found once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From depth and optical flow to the contact traction with friction of the exact membrane."""
+"""Contact traction, normal and tangential, on the exact membrane, from depth and optical flow."""
 
 from __future__ import annotations
 
@@ -226,7 +226,7 @@ _MIN_FLOW_SHARE = 0.5
 NO_FLOW = "no optical flow: the frame has no colour image, or there are no contact-free ones yet"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
 NO_CONTACT_SHAPE = "no contact in the depth image"
-NOT_CONVERGED = "no equilibrium with tangential traction was found"
+NOT_CONVERGED = "no equilibrium with tangential traction was found; the force is by depth alone"
 
 
 @dataclass(frozen=True)

@@ -143,5 +143,5 @@ def test_unused_output_options_are_refused(press, sensor, tmp_path):
         bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
     with bv.connect(f"replay:{press}", sensor) as stream:
         for verb in (bv.estimate, partial(bv.track, object="sphere")):
-            with pytest.raises(bv.InputError, match="write no files for a live stream; use"):
+            with pytest.raises(bv.InputError, match="write no files for a live stream; record it"):
                 verb(stream, out=tmp_path / "r.npz")

@@ -198,7 +198,7 @@ def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
     driver = drive(DentSource)
     name = lambda: driver.window.controller.sensor.name  # noqa: E731
     driver.drop(file)
-    driver.wait_for_message("own.toml", "60×44", "open a recording with images of 60×44")
+    driver.wait_for_message("own.toml", "60×44", "open a recording of, or connect to, a camera")
     assert name() == sensor.name
     driver.drop(recording)
     driver.wait(lambda: name() == "own dome")

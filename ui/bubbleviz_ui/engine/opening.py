@@ -140,7 +140,8 @@ class Opening(QObject):
             if own is not None and _size(sensor) != _size(own):
                 raise OtherCameraError(
                     f"{path.name} is for images of {_size(sensor)} pixels, the sensor in use for "
-                    f"{_size(own)}; open a recording with images of {_size(sensor)} to use it",
+                    f"{_size(own)}; open a recording of, or connect to, a camera with that size to "
+                    "use it",
                     sensor,
                 )
             return sensor

@@ -112,12 +112,13 @@ class ImageFields:
         self.rate.setToolTip("Images per second")
         self.times = FileField("CSV with the time of each image in s", TABLES)
         self.gas_pressure = FileField(
-            "Gas pressure, CSV with columns time in s, absolute pressure in Pa",
+            "Gas pressure, CSV with columns time in s as of the images, absolute pressure in Pa",
             TABLES,
             "not measured",
         )
         self.wrench = FileField(
-            "Wrench, CSV with columns time in s, forces x y z in N, torques x y z in N·m",
+            "Wrench, CSV with columns time in s as of the images, forces x y z in N, torques x y z "
+            "in N·m",
             TABLES,
             "not measured",
         )

@@ -11,7 +11,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 WRITE_DELAY_MS = 200
 """Delay before comparing, as editors write a file in several steps."""
-RELOAD = "Reload in the Sensor panel"
+RELOAD = "press Reload in the Sensor panel to use"
 
 
 class SensorWatch(QObject):
@@ -49,7 +49,7 @@ class SensorWatch(QObject):
         self._files.addPaths([str(path), *written])
         difference = _difference(self._sensor, path)
         if not difference and written != self._written:
-            change = f"changed on disk; {RELOAD} uses them"
+            change = f"changed on disk; {RELOAD} them"
             if not all(written.values()):
                 change = "been removed or renamed; the sensor stays in use"
             difference = f"its mesh or pixels have {change}"
@@ -67,7 +67,7 @@ def _difference(sensor: Sensor, path: Path) -> str:
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
         return f"has changed on disk and cannot be used: {why}"
-    return f"has changed on disk; {RELOAD} uses it"
+    return f"has changed on disk; {RELOAD} it"
 
 
 def _written(sensor: Sensor) -> dict[str, int]:
