@@ -99,8 +99,8 @@ def record(
     recorder = Recorder()
     recorder.listen_to(stream)
     first: float | None = None
-    with replacing(out, overwrite=overwrite), stopped_by_signals() as stop:
-        recorder.start(out)
+    with replacing(out, overwrite=overwrite) as replaces, stopped_by_signals() as stop:
+        recorder.start(out, replaces=replaces)
         try:
             with stream:
                 first = _wait(stream, recorder, stop, duration_s)
@@ -296,12 +296,13 @@ def zenoh_place(
 
 
 @contextmanager
-def replacing(out: str | Path, *, overwrite: bool) -> Iterator[None]:
-    """Move an existing recording aside while its replacement is written."""
+def replacing(out: str | Path, *, overwrite: bool) -> Iterator[bool]:
+    """Move an existing recording aside while its replacement is written; whether there is one."""
     if overwrite:
         refuse_existing(out, overwrite=True)
+    replaces = overwrite and Path(out).exists()
     with restore_on_error(*([Path(out)] if overwrite else [])):
-        yield
+        yield replaces
 
 
 @contextmanager

@@ -300,9 +300,9 @@ def _recorder(
 ) -> Recorder | None:
     if out is None:
         return None
-    stack.enter_context(replacing(out, overwrite=overwrite))
+    replaces = stack.enter_context(replacing(out, overwrite=overwrite))
     recorder = Recorder()
-    recorder.start(out)
+    recorder.start(out, replaces=replaces)
 
     def finish() -> None:
         status = recorder.stop()

@@ -91,8 +91,10 @@ class Recorder:
                 return
         session.put(message)
 
-    def start(self, path: str | Path) -> None:
+    def start(self, path: str | Path, *, replaces: bool = False) -> None:
         """Begin to write, with the pre-roll: the file is made when the first message arrives.
+
+        `replaces`: if writing fails, an earlier recording is restored in its place.
 
         Raises InputError: the path exists or cannot be written, or a recording is in progress.
         """
@@ -100,7 +102,7 @@ class Recorder:
             if self._session is not None:
                 raise InputError(f"{path}: a recording is already in progress; stop it first")
             refuse_existing(path)
-            session = _Session(Path(path), tuple(self._static.values()))
+            session = _Session(Path(path), tuple(self._static.values()), replaces)
             for message in self._before:
                 session.put(message)
             self._before.clear()
@@ -146,8 +148,8 @@ class _Session:
     The static poses get the log time of the first message.
     """
 
-    def __init__(self, path: Path, static: tuple[Message, ...]) -> None:
-        self._path = path
+    def __init__(self, path: Path, static: tuple[Message, ...], replaces: bool) -> None:
+        self._path, self._replaces = path, replaces
         self._file: McapFile | None = None
         self._queue: deque[Message] = deque()
         self._static = static
@@ -207,6 +209,8 @@ class _Session:
     def _saved(self) -> str:
         """What the file has in spite of a failed write, in words."""
         kept = Kept() if self._file is None else self._file.kept
+        if self._replaces:
+            return "nothing was saved, the earlier recording was restored"
         if not kept.messages:
             return "nothing was saved"
         return (

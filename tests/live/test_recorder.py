@@ -214,3 +214,23 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, 
             recording.times_s, np.arange(len(recording)) * PERIOD * 1e-9, atol=1e-6
         )
     assert path.stat().st_size == int(done.stdout.split()[1])
+
+
+def test_failed_replacement_restores_the_earlier_recording(tmp_path):
+    path = tmp_path / "earlier.mcap"
+    path.write_bytes(b"an earlier recording")
+    code = f"""
+        import resource, signal
+        import bubbleviz as bv
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+        try:
+            bv.record("synthetic:?rate=100&noise=0.01", {str(path)!r}, overwrite=True)
+        except bv.InputError as error:
+            print(error)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True
+    )
+    assert "nothing was saved, the earlier recording was restored;" in done.stdout, done.stderr
+    assert path.read_bytes() == b"an earlier recording"
