@@ -290,9 +290,9 @@ class Recording:
 
 
 def _values(messages: Messages, kind: str, k: int) -> np.ndarray:
-    """Values of message `k`; NaN if it is damaged."""
+    """Values of message `k`; NaN if it is damaged, or one of them is not finite."""
     if messages.header(k)[0] != UNREADABLE:
-        with suppress(InputError):
+        with suppress(InputError, ValueError):
             return VALUES[kind](messages.message(k))
     return np.full(1 if kind == PRESSURE else 6, np.nan)
 

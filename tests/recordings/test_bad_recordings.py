@@ -109,15 +109,18 @@ def test_a_message_without_an_image_is_a_frame_without_data(tmp_path, kind, bad)
         assert recording[5].gas_pressure_pa == 1e5 + 5
 
 
-@pytest.mark.parametrize("kind", ["mcap file", "db3 file"])
-def test_damaged_gas_pressure_leaves_its_frame_without_one(tmp_path, kind):
-    """As when another program publishes on the topic."""
+@pytest.mark.parametrize(
+    ("kind", "problem"), [("mcap file", "bytes"), ("db3 file", "bytes"), ("bag lz4", "NaN")]
+)
+def test_damaged_gas_pressure_leaves_its_frame_without_one(tmp_path, kind, problem):
+    """As when another program publishes on the topic, or the pressure sensor has no value."""
     bag = BagMaker(kind)
     for k in range(6):
         bag.image(START + k * PERIOD, depth_image(k))
-        bag.pressure(START + k * PERIOD, 1e5 + k)
-    row = [k for k, row in enumerate(bag.rows) if row[0] == "/gas"][3]
-    bag.rows[row] = (*bag.rows[row][:3], np.random.default_rng(0).bytes(40))
+        bag.pressure(START + k * PERIOD, np.nan if (problem, k) == ("NaN", 3) else 1e5 + k)
+    if problem == "bytes":
+        row = [k for k, row in enumerate(bag.rows) if row[0] == "/gas"][3]
+        bag.rows[row] = (*bag.rows[row][:3], np.random.default_rng(0).bytes(40))
     path = bag.write(tmp_path)
     assert info(path).frames == 6
     with Recording(path) as recording:
