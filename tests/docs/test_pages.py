@@ -124,7 +124,7 @@ def test_commands_of_a_page_run(page, folder):
         run(replace(command, words=words))
 
 
-SHORT = {"--minutes": "0.1"}
+SHORT = {"--minutes": "0.1", "--seconds": "2"}
 """In place of what a page gives."""
 
 
