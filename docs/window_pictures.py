@@ -62,7 +62,7 @@ def rest(session: WindowSession) -> None:
     session.wait_for(lambda: time.monotonic() > end, "the panel")
 
 
-def settled(session: WindowSession) -> None:
+def wait_for_frame(session: WindowSession) -> None:
     """Wait until the frame is solved and drawn."""
     state, controller = session.state, session.controller
     session.wait_for(
@@ -80,7 +80,7 @@ def picture(session: WindowSession, out: Path, size: tuple[int, int]) -> None:
     """Write the whole window."""
     for _ in range(2):  # the docks' place, on which the least size depends, follows the size
         session.window.resize(*size)
-        settled(session)
+        wait_for_frame(session)
     rest(session)
     session.wait_until_drawn()
     session.save(out)

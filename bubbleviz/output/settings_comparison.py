@@ -62,14 +62,14 @@ class SettingsComparison:
         truth: Truth | None = None,
         *,
         # independent of earlier frames; else warm-started from the previous frame, as in playback
-        settled: bool = False,
+        alone: bool = False,
     ) -> ComparedResult:
         """Process a frame with a setting.
 
         Raises InputError: invalid settings.
         """
         pipeline = self._pipeline(options)
-        if settled or not pipeline.counts:
+        if alone or not pipeline.counts:
             pipeline.converge(frame)
         result = pipeline.process(frame, PRODUCTS, rule)
         estimate, patch = result.solution

@@ -541,8 +541,8 @@ class MainWindow(QMainWindow):
         if result is not None and facts is not None:
             self.playback.show_frame()
             self.kappa.show_result(result)
-            settled = self.state.settled
-            self.status.show_result(result, facts, self.state.history, settled=settled)
+            final = self.state.final
+            self.status.show_result(result, facts, self.state.history, final=final)
 
     def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
         """Draw coloured points instead of the measured ones until the next frame is shown."""

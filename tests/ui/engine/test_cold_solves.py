@@ -14,14 +14,14 @@ from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 
 
-def settled_by_itself(driver):
+def solved_from_rest(driver):
     """Wait for the cold solve of the frame at the cursor."""
     driver.wait(lambda: driver.shows_cursor_frame() and driver.window.controller.cold_solved)
 
 
 def shown(driver):
     """Force, N, and area, m², of the patch shown, after its cold solve."""
-    settled_by_itself(driver)
+    solved_from_rest(driver)
     patch = driver.result.patch
     return float(np.linalg.norm(patch.force_n)), patch.area_m2
 
@@ -69,7 +69,7 @@ def test_a_force_that_the_next_pause_may_change_is_marked(drive):
     controller.shown.connect(note)
     driver.state.change(every_frame=True)
     play_past(driver, CONTACT)
-    settled_by_itself(driver)
+    solved_from_rest(driver)
     controller.shown.disconnect(note)
     assert len(marked) > 3 and all(marked) and not any("≈" in text for text in texts())
 
@@ -87,7 +87,7 @@ def test_pose_of_a_paused_frame_is_registered_once(drive):
 
     client.solved.connect(note)
     play_past(driver, CONTACT)
-    settled_by_itself(driver)
+    solved_from_rest(driver)
     assert client.demand.images and not client.images_outdated
     assert driver.result.pose is not None
     assert found[driver.state.frame] == 1
@@ -113,7 +113,7 @@ def test_cold_solve_uses_settings_changed_meanwhile(drive):
         controller.cold_solve()
         driver.show("threshold")
         driver.wait(lambda: controller.inspection.kappa_curve is not None)
-        settled_by_itself(driver)
+        solved_from_rest(driver)
         assert controller.inspection.kappa_curve is not None
         driver.window.panels["threshold"].hide()
 

@@ -191,7 +191,7 @@ def test_video_contains_each_frame_of_the_range_with_its_caption(bench, tmp_path
 
 
 def test_video_shows_the_same_as_the_paused_window(drive, sensor, monkeypatch, tmp_path):
-    """Each frame settled, as a pipeline that has seen nothing else finds it."""
+    """Each frame as a pipeline finds it that has seen no other."""
     drawn = list[tuple[int, float]]()
     bench = Bench(drive(frame=110), monkeypatch)
     driver = bench
@@ -205,7 +205,7 @@ def test_video_shows_the_same_as_the_paused_window(drive, sensor, monkeypatch, t
     driver.state.change(picture_size=(320, 240))
     driver.state.set_range((73, 76))
     driver.state.set_playing(True)
-    bench.export("Video of the view", tmp_path / "settled.mp4")
+    bench.export("Video of the view", tmp_path / "final.mp4")
     source, pipeline = default_press(sensor), Pipeline.of(sensor)
     options = driver.window.controller.client.demand.options
     assert [frame for frame, _ in drawn] == [73, 74, 75, 76]

@@ -88,7 +88,7 @@ def test_threshold_line_is_dragged_and_a_hidden_comparison_is_not_computed(drive
     driver.state.seek(2)
     driver.wait(lambda: status.text() == "no_contact")
     driver.wait_until_shown()
-    assert driver.pipeline.counts["estimate"] == own + 2  # at once, and settled
+    assert driver.pipeline.counts["estimate"] == own + 2  # at once, and from rest
     driver.window.panels["kappa"].raise_()  # behind a tab is hidden, too
     driver.wait(lambda: status.text() == "–" and not bench.pipelines)
     dock.raise_()

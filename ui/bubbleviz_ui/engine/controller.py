@@ -356,7 +356,7 @@ class Controller(QObject):
         seen = shown is not None and shown.frame.index == result.frame.index
         if seen:
             self.state.shown_frame = result.frame.index
-            self.state.settled = self._grows or self.client.cold_solved
+            self.state.final = self._grows or self.client.cold_solved
         self.state.history_changed.emit()
         if seen:
             self.shown.emit(shown)

@@ -345,7 +345,7 @@ class Solver:
             frame = current.opened.stream.zero.applied(frame)
         for options, rule in settings:
             try:
-                measured.append(bench.measure(options, frame, rule, truth, settled=cold))
+                measured.append(bench.measure(options, frame, rule, truth, alone=cold))
             except InputError as error:
                 measured.append(str(error))
         return tuple(measured)

@@ -34,7 +34,7 @@ class SessionState(QObject):
         self.settings = settings or Settings()
         self.facts: SourceFacts | None = None  # None until a source is open
         self.frame = self.shown_frame = 0  # Frame at the cursor; frame drawn last
-        self.settled = True  # Its numbers do not depend on the frames drawn before
+        self.final = True  # Its numbers do not depend on the frames drawn before
         self.playing = False
         self.frozen = False  # The cursor stays while the live source continues
         self.cloud_decimation = 1  # While playing, every n-th point of the cloud is drawn

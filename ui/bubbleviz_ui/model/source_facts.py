@@ -100,17 +100,17 @@ def untrusted_text(result: Result) -> str:
     return f"{headline}: {estimate.reason}" if estimate.reason else headline
 
 
-def force_text(result: Result, units: Units, *, settled: bool = True) -> str:
+def force_text(result: Result, units: Units, *, final: bool = True) -> str:
     """|F| ± half of its 95 % interval, if known; a dash for an untrusted result.
 
-    `settled`: Whether it is final; ≈ marks one that is not.
+    `final`: Whether it does not depend on the frames drawn before; ≈ marks one that does.
     """
     estimate, patch = result.trusted_estimate, result.trusted_patch
     if estimate is None or patch is None:
         return units.force.text(None)
     force = float(np.linalg.norm(patch.force_n))
     text = units.force.with_interval(force, estimate.force_half_width_n)
-    return text if settled or estimate.status == "no_contact" else f"≈ {text}"
+    return text if final or estimate.status == "no_contact" else f"≈ {text}"
 
 
 def tangential_text(result: Result, units: Units) -> str:

@@ -128,10 +128,8 @@ class KappaPanel(QWidget):
         found = None if result is None else result.object_patch
         self.by_object.setText("" if found is None else units.area.text(found.area_m2))
         self._form.setRowVisible(self.by_object, found is not None)
-        settled = self._state.settled
-        force = (
-            units.force.text(None) if result is None else force_text(result, units, settled=settled)
-        )
+        final = self._state.final
+        force = units.force.text(None) if result is None else force_text(result, units, final=final)
         self.force.setText(force)
         self.doubt.setText("" if result is None else untrusted_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))

@@ -129,9 +129,9 @@ class StatusBar(QStatusBar):
         self.show_latency(None)
 
     def show_result(
-        self, result: Result, facts: SourceFacts, history: FrameHistory, *, settled: bool
+        self, result: Result, facts: SourceFacts, history: FrameHistory, *, final: bool
     ) -> None:
-        """Show the numbers of a result; `settled`: whether they are final."""
+        """Show the numbers of a result; `final`: whether they are final."""
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         time_text = units.time.text(frame.time_s)
@@ -139,7 +139,7 @@ class StatusBar(QStatusBar):
         place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
             "frame": f"frame {DASH}" if facts.is_empty else place,
-            "force": "force " + force_text(result, units, settled=settled),
+            "force": "force " + force_text(result, units, final=final),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),
             "residual": "residual "

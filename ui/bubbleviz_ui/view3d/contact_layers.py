@@ -349,7 +349,7 @@ class ReadoutLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Update the text."""
-        head, rest = readout(picture.result, self.canvas.units, settled=picture.settled)
+        head, rest = readout(picture.result, self.canvas.units, final=picture.final)
         doubtful = picture.result.estimate is not None and not picture.result.estimate.trusted
         self._head.SetInput("" if doubtful else head)
         self._alarm.SetInput(head if doubtful else "")
@@ -390,8 +390,8 @@ class ReadoutLayer(Layer):
         return width * (left_of_bars(width) - LEFT) * view.pixel_ratio / max(box[1] - box[0], 1.0)
 
 
-def readout(result: Result, units: Units, *, settled: bool) -> tuple[str, str]:
-    """Headline and details of a result; `settled`: whether its numbers are final."""
+def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
+    """Headline and details of a result; `final`: whether its numbers are final."""
     estimate, patch = result.estimate, result.patch
     if estimate is None or patch is None:
         return "", ""
@@ -411,7 +411,7 @@ def readout(result: Result, units: Units, *, settled: bool) -> tuple[str, str]:
         del parts[1]
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
-    force = force_text(result, units, settled=settled)
+    force = force_text(result, units, final=final)
     return f"contact  {force}", f"{SEPARATOR.join(parts)}{hatched}"
 
 

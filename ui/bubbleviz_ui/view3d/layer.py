@@ -155,7 +155,7 @@ class Picture:
     shape: Shape | None
     ranges: Ranges
     settings: Settings
-    settled: bool  # Its numbers are final
+    final: bool  # Its numbers are final
 
 
 class Layer:

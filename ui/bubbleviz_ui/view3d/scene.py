@@ -100,11 +100,11 @@ class DrawnLayers:
             layer.set_sensor(sensor, mesh)
 
     def draw(
-        self, result: Result, settings: Settings, history: FrameHistory, *, settled: bool = True
+        self, result: Result, settings: Settings, history: FrameHistory, *, final: bool = True
     ) -> None:
         """Draw a result, with scales for all frames of its history."""
         self._scales.show(self, history, result)
-        self._draw(result, settings, settled=settled)
+        self._draw(result, settings, final=final)
 
     def hide(self) -> None:
         """Remove the picture, and its influence on the scales."""
@@ -115,16 +115,16 @@ class DrawnLayers:
         """Redraw if another frame or sensor has changed the scales."""
         drawn = self._picture
         if drawn is not None and drawn.ranges != self._scales.of(drawn.settings):
-            self._draw(drawn.result, drawn.settings, settled=drawn.settled)
+            self._draw(drawn.result, drawn.settings, final=drawn.final)
 
-    def _draw(self, result: Result, settings: Settings, *, settled: bool) -> None:
+    def _draw(self, result: Result, settings: Settings, *, final: bool) -> None:
         shape = None
         if any(layer.clipped for name, layer in self.by_name.items() if name in settings.layers):
             shape = self.surface.shape_of(result.estimate, settings.exaggeration)
         if shape is not None:
             self.surface.draw(shape)
         ranges = self._scales.of(settings)
-        self._picture = picture = Picture(result, shape, ranges, settings, settled)
+        self._picture = picture = Picture(result, shape, ranges, settings, final)
         for name, layer in self.by_name.items():
             layer.set_visible(name in settings.layers)
             if name in settings.layers:
@@ -219,7 +219,7 @@ class Scene:
         self._result, self._settings = result, settings
         self.section.apply(settings)
         state = self._state
-        self._drawn.draw(result, settings, state.history, settled=state.settled)
+        self._drawn.draw(result, settings, state.history, final=state.final)
         # known bounds, as VTK would compute them from every point of every layer
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
