@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bubbleviz.camera import FlowField
 from bubbleviz.membrane import Gas, MembraneMesh, TriangleScene, build_mesh, build_rubber
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result, Traction
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.shear import FlowField
 from bubbleviz.simulation import DepthNoise
 from bubbleviz.study.harness import (
     Case,

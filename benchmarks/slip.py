@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 
 from benchmarks.shear import DEPTH_NOISE, HEADING, ShearGrid
-from bubbleviz.camera import MembraneView
+from bubbleviz.camera import FlowField, MembraneView
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.shear import FlowField, FlowPreset, OpticalFlow
+from bubbleviz.shear import FlowPreset, OpticalFlow
 from bubbleviz.simulation import PrintedMembrane, Speckle
 from bubbleviz.study.harness import Case, Column, Report, Study, Table, at_most
 from tests.oracles.flow_sighting import sighting

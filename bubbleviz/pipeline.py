@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from bubbleviz.camera import DepthCamera, Intrinsics
+from bubbleviz.camera import DepthCamera, FlowField, FlowObserver, Intrinsics, MeasuredFlow
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import (
     LINEAR,
@@ -39,14 +38,7 @@ from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
     from bubbleviz.pose import ObjectPatchFinder, PoseTracker
-    from bubbleviz.shear import (
-        FlowField,
-        SlipFinder,
-        SlipStart,
-        TractionEstimator,
-        TractionOptions,
-        TractionStart,
-    )
+    from bubbleviz.shear import SlipFinder, SlipStart
 
 _T = TypeVar("_T")
 _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
@@ -113,8 +105,6 @@ class Pipeline:
         self._state: Any = None  # for the warm start; the type depends on the estimator
         self.optical_flow: FlowFunction | None = None  # see `use_optical_flow`
         self._colour_camera = self.camera
-        self._traction_options: TractionOptions | None = None
-        self._traction_state: TractionStart | None = None
         self._slip_state: SlipStart | None = None
 
     @classmethod
@@ -165,18 +155,11 @@ class Pipeline:
         times: dict[str, float] = {}
         result = Result(self.paired(frame))
 
-        def run(name: Product, result: Result) -> Result:
-            with self._timed(name, times):
-                return _STAGES[name].run(self, result, options)
-
-        with self._timed("total", times), ThreadPoolExecutor(1) as executor:
-            # OpenCV releases the GIL: a second core computes the flow during the estimate
-            flow = executor.submit(run, "flow", result) if "flow" in needed else None
+        with self._timed("total", times):
             for name in _STAGES:
-                if name == "flow" and flow is not None:
-                    result = replace(result, flow=flow.result().flow)
-                elif name in needed and self._is_available(name, options):
-                    result = run(name, result)
+                if name in needed and self._is_available(name, options):
+                    with self._timed(name, times):
+                        result = _STAGES[name].run(self, result, options)
         return self.diagnose(replace(result, times_ms=times), products, options)
 
     def diagnose(
@@ -208,7 +191,7 @@ class Pipeline:
 
     def restart(self) -> None:
         """Discard the warm start: the next frame is solved from rest."""
-        self._state = self._traction_state = self._slip_state = None
+        self._state = self._slip_state = None
 
     def converge(self, frame: Frame) -> None:
         """Warm-start the next solve from the converged solution of this frame.
@@ -246,9 +229,13 @@ class Pipeline:
         self._check_size(frame)
         return self._estimated(frame, self._state)[0]
 
-    def _estimated(self, frame: Frame, state: Any) -> tuple[Estimate, Any]:
-        pressure, sigma = frame.gas_pressure_pa, frame.gas_sigma_pa
-        return self.estimator.estimate(frame.depth_m, pressure, state, sigma)
+    def _estimated(
+        self, frame: Frame, state: Any, flow: MeasuredFlow | None = None
+    ) -> tuple[Estimate, Any]:
+        measured = frame.depth_m, frame.gas_pressure_pa, state, frame.gas_sigma_pa
+        if flow is None:  # as for solvers of other packages
+            return self.estimator.estimate(*measured)
+        return self.estimator.estimate(*measured, flow)
 
     def prepare(self, products: frozenset[Product]) -> None:
         """Build the solvers in advance, so that the first frame is not delayed."""
@@ -260,7 +247,7 @@ class Pipeline:
         if "residual" in needed:
             _ = self.model.view.at_rest
         if "traction" in needed:
-            _ = self.traction_estimator
+            _ = self.flow_observer
 
     def track(self, obj: RigidObject | None, initial_pose: np.ndarray | None = None) -> None:
         """Track an object from the next frame on, or none.
@@ -294,37 +281,42 @@ class Pipeline:
         optical_flow: FlowFunction | None,  # None: without colour, traction from depth alone
         # colour camera; None: the depth camera, as for images aligned to depth
         camera: DepthCamera | None = None,
-        options: TractionOptions | None = None,
     ) -> None:
-        """Compute traction with friction and slip from optical flow, from the next frame on."""
+        """Use optical flow, where it is requested, from the next frame on."""
         self.optical_flow, self._colour_camera = optical_flow, camera or self.camera
-        self._traction_options = options
-        self._traction_state = self._slip_state = None
-        for name in ("traction_estimator", "_slip_finder"):
+        self._slip_state = None
+        for name in ("flow_observer", "_slip_finder"):
             self.__dict__.pop(name, None)
 
     @cached_property
-    def traction_estimator(self) -> TractionEstimator:
-        """The inverse solver with friction, built on first use.
+    def flow_observer(self) -> FlowObserver:
+        """Model of the optical flow, built on first use.
 
-        Raises InputError: the solver is not that of the exact membrane.
+        Raises InputError: the solver is not that of the exact membrane, or the colour camera does
+        not see it.
         """
-        from bubbleviz.shear import TractionEstimator  # only needed here
+        _ = self._exact_bubble
+        return FlowObserver(self._colour_camera, self.mesh)
 
+    @property
+    def _exact_bubble(self) -> RubberBubble:
+        """Raises InputError: the solver is not that of the exact membrane."""
+        bubble = self.estimator.bubble
         if self.estimator.solver_name != RUBBER:
             default = f" (the default, as sensor {self.model.sensor.name} has no prestretch)"
             raise InputError(
                 f"solver {self.options.solver or self.estimator.solver_name + default}: "
                 "cannot estimate shear; choose --solver rubber"
             )
-        return TractionEstimator(self.estimator, self._colour_camera, self._traction_options)
+        assert isinstance(bubble, RubberBubble)
+        return bubble
 
     @cached_property
     def _slip_finder(self) -> SlipFinder:
         from bubbleviz.shear import SlipFinder  # only needed here
 
         held, resolution = self.estimator.held_pressure_pa, self.estimator.resolution_m
-        return SlipFinder(self.traction_estimator.flow_observer, self.mesh, held, resolution)
+        return SlipFinder(self.flow_observer, self.mesh, held, resolution)
 
     def patch(
         self, estimate: Estimate, options: FrameOptions | None = None, *, pixel_mask: bool = False
@@ -355,11 +347,18 @@ class Pipeline:
 
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
         frame = result.frame
-        estimate, self._state = self._estimated(frame, self._state)
+        estimate, self._state = self._estimated(frame, self._state, self._measured_flow(result))
         if frame.gas_sigma_pa and estimate.trusted:  # later stages use the estimated gas pressure
             estimated = self.model.gas.P0 + estimate.gas_pressure_change_pa
             frame = replace(frame, gas_pressure_pa=estimated, gas_sigma_pa=0.0)
         return replace(result, estimate=estimate, frame=frame)
+
+    def _measured_flow(self, result: Result) -> MeasuredFlow | None:
+        """The frame's optical flow for the estimator; None where there is none, or no friction."""
+        flow = result.flow
+        if flow is None or not len(flow.pixel) or self.estimator.solver_name != RUBBER:
+            return None
+        return self.flow_observer.measure(flow)
 
     def _fine_contact_stage(self, result: Result, options: FrameOptions) -> Result:
         estimate = _required(result.estimate)
@@ -395,15 +394,10 @@ class Pipeline:
         return replace(result, flow=flow)
 
     def _traction_stage(self, result: Result, options: FrameOptions) -> Result:
-        frame = result.frame
-        traction, self._traction_state = self.traction_estimator.estimate(
-            result.flow,
-            frame.gas_pressure_pa,
-            _required(result.estimate),
-            self._state,
-            self._traction_state,
-        )
-        return replace(result, traction=traction)
+        from bubbleviz.shear import traction_of  # only needed here
+
+        found = traction_of(self._exact_bubble, _required(result.estimate), result.flow)
+        return replace(result, traction=found)
 
     def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
         slip, self._slip_state = self._slip_finder.find(
@@ -465,13 +459,13 @@ class _Stage:
 
 
 _STAGES: dict[Product, _Stage] = {
+    "flow": _Stage((), Pipeline._flow_stage),
     "estimate": _Stage((), Pipeline._estimate_stage),
     "fine_contact": _Stage(("estimate",), Pipeline._fine_contact_stage),
     "patch": _Stage(("fine_contact",), Pipeline._patch_stage),
     "pixel_mask": _Stage(("patch",), Pipeline._pixel_mask_stage),
     "pose": _Stage(("patch",), Pipeline._pose_stage),
     "object_patch": _Stage(("pose",), Pipeline._object_patch_stage),
-    "flow": _Stage((), Pipeline._flow_stage),
     "traction": _Stage(("estimate", "flow"), Pipeline._traction_stage),
     "slip": _Stage(("traction", "flow"), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),

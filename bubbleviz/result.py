@@ -10,9 +10,9 @@ import numpy as np
 from bubbleviz.recordings import Frame, Texture
 
 if TYPE_CHECKING:
+    from bubbleviz.camera import FlowField
     from bubbleviz.diagnostics import Inspection
     from bubbleviz.membrane import MembraneMesh
-    from bubbleviz.shear import FlowField
 
 Status = Literal["ok", "no_contact", "no_data", "not_converged", "implausible"]
 """`implausible`: the sensor's membrane cannot look like the depth image under the measured gas
@@ -55,6 +55,25 @@ class FineContact:
         shared = self.ends[:, 0] == self.ends[:, 1]
         full[self.ends[shared, 0]] = level[shared]
         return full
+
+
+@dataclass(frozen=True)
+class FlowFit:
+    """How well the optical flow of a contact is fitted.
+
+    Attributes
+    ----------
+    rms_px : float
+        Measured minus modelled motion in the image.
+    noise : float
+        Residual over its noise, by which its weight is reduced.
+    displacement_sigma_m : float
+        rms over the contact of the standard deviation of a node's displacement, per axis.
+    """
+
+    rms_px: float
+    noise: float
+    displacement_sigma_m: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,6 +129,8 @@ class Estimate:
     image_errors : (4,) array or None
         Errors of the entire depth image since calibration, see `bubbleviz.camera.IMAGE_ERRORS`;
         None if not estimated.
+    flow : FlowFit or None
+        None where no optical flow of a contact was used.
     """
 
     status: Status
@@ -132,6 +153,7 @@ class Estimate:
     fine: FineContact | None = None
     seen_share: float = np.nan
     image_errors: np.ndarray | None = None
+    flow: FlowFit | None = None
 
     @property
     def trusted(self) -> bool:

@@ -1,7 +1,6 @@
 """The pipeline runs only the stages of the requested products."""
 
 import sys
-import threading
 from dataclasses import fields
 from pathlib import Path
 
@@ -9,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from bubbleviz.camera import RangeObserver
+from bubbleviz.camera import FlowField
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import ContactProblem
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.recordings import Frame
-from bubbleviz.shear import FlowField
 
 sys.path.insert(0, str(Path(__file__).parent / "ui"))
 from fakes import FRAMES, DentSource, small_sensor
@@ -170,23 +168,15 @@ def test_another_image_size_is_refused(pipeline):
     assert not pipeline.counts
 
 
-def test_flow_is_computed_in_parallel_with_the_estimate(pipeline, source, monkeypatch):
-    begun, measure = threading.Event(), RangeObserver.measure
-    found = FlowField(np.zeros(1, int), np.zeros((1, 2)), np.ones(1), (2, 2))
-
-    def measured_after(observer, depth_m):
-        assert begun.wait(10.0)
-        return measure(observer, depth_m)
-
-    def flow_of(_):
-        begun.set()
-        return found
-
-    monkeypatch.setattr(RangeObserver, "measure", measured_after)
-    pipeline.use_optical_flow(flow_of)
+def test_flow_that_saw_nothing_leaves_the_estimate_as_it_is(pipeline, source):
+    nothing = FlowField(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0), (2, 2), "no texture")
+    alone = pipeline.process(source[PRESSED], frozenset({"estimate"})).estimate
+    pipeline.restart()
+    pipeline.use_optical_flow(lambda _: nothing)
     wanted = frozenset[Product]({"estimate", "flow"})
     result = pipeline.process(source[PRESSED], wanted)
-    assert result.flow is found and result.estimate is not None
+    assert result.flow is nothing
+    np.testing.assert_array_equal(result.estimate.force_n, alone.force_n)
     assert set(result.times_ms) == wanted | {"total"}
 
 

@@ -120,7 +120,6 @@ def estimate(
         (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
     friction : float, optional
         Expected coefficient of friction on the exact membrane, 1 by default; 0 for no friction.
-        With `shear` it also limits tangential over normal traction.
     zero_gas : bool
         Shift the measured gas pressure so that contact-free frames have that of the sensor file.
         Without such frames the interval of the force includes the ±2 kPa of the weather. False: no
@@ -172,7 +171,7 @@ def estimate(
         name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
         texture, products = None, _PRODUCTS
         if shear:
-            texture, products = watch_texture(chosen, pipeline, friction), products | SHEAR
+            texture, products = watch_texture(chosen, pipeline), products | SHEAR
         zero, run = _new_run(chosen, name, pipeline, out, **solving)
         run.context |= {
             "solver": run.provenance["solver"],
@@ -342,7 +341,7 @@ def sensor_for(frames: Frames, sensor: SensorName) -> tuple[str, Sensor, Intrins
     return *fitting_sensor(source, sensor), intrinsics
 
 
-def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) -> str:
+def watch_texture(frames: Frames, pipeline: Pipeline) -> str:
     """Use a recording's colour images for shear; returns a text about their reference."""
     from bubbleviz.shear import watch_recorded_texture  # needs OpenCV
 
@@ -352,9 +351,7 @@ def watch_texture(frames: Frames, pipeline: Pipeline, friction: float | None) ->
             "simulation first), or leave out shear"
         )
     source = frames.source
-    return watch_recorded_texture(
-        pipeline, source, lambda: find_contact_free(source).frames, friction
-    )
+    return watch_recorded_texture(pipeline, source, lambda: find_contact_free(source).frames)
 
 
 def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:

@@ -104,7 +104,7 @@ class Estimator:
         self._sensor = with_colour_delay(load_sensor(sensor), colour_delay_s)
         self._estimator_options = EstimatorOptions.named(solver, friction)
         self._options = patch_options(kappa)
-        self._zero_gas, self._shear, self._friction = zero_gas, shear, friction
+        self._zero_gas, self._shear = zero_gas, shear
         self._build(intrinsics)
 
     def _build(self, intrinsics: Intrinsics | None) -> None:
@@ -121,7 +121,7 @@ class Estimator:
         if self._shear:
             from bubbleviz.shear import PassingTexture  # needs OpenCV
 
-            texture = PassingTexture(pipeline, self._friction)
+            texture = PassingTexture(pipeline)
         zero = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self.solver = FrameSolver(pipeline, products, self._options, zero, texture)

@@ -94,7 +94,7 @@ def export(
     with OneBlasThread():
         _, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
         if shear:
-            watch_texture(chosen, pipeline, friction)
+            watch_texture(chosen, pipeline)
         besides = SHEAR if shear else frozenset()
         summary = export_frames(chosen, pipeline, options, plan, progress, besides)
     note = chosen.source.bag.note if isinstance(chosen.source, Recording) else ""

@@ -7,6 +7,14 @@ from .colour_image import (
     check_rows as check_rows,
     readable as readable,
 )
+from .flow_observer import (
+    BLOCK_PX as BLOCK_PX,
+    FlowField as FlowField,
+    FlowObserver as FlowObserver,
+    MeasuredFlow as MeasuredFlow,
+    PinnedPoints as PinnedPoints,
+    ShapeFlow as ShapeFlow,
+)
 from .intrinsics import (
     DepthCamera as DepthCamera,
     DistortionModel as DistortionModel,

@@ -55,8 +55,7 @@ zero_gas_option = click.option(
 shear_option = click.option(
     "--shear",
     is_flag=True,
-    help="Also estimate friction at every node, and slip, from colour images; --friction then "
-    "is the largest ratio of friction to pressure.",
+    help="Also estimate friction at every node, and slip, from colour images.",
 )
 colour_delay_option = click.option(
     "--colour-delay",

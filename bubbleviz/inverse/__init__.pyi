@@ -1,12 +1,9 @@
 from .contact_problem import (
     ContactPressure as ContactPressure,
     ContactProblem as ContactProblem,
-    Nuisances as Nuisances,
     Prior as Prior,
-    Ranges as Ranges,
     Selection as Selection,
     SupportProblem as SupportProblem,
-    friction_loads as friction_loads,
     significant_contact as significant_contact,
 )
 from .contact_refiner import (
@@ -25,13 +22,16 @@ from .estimator import (
     Estimator as Estimator,
     EstimatorOptions as EstimatorOptions,
 )
+from .friction import (
+    friction_loads as friction_loads,
+)
 from .gauss_newton import (
-    CONVERGED_MOTION as CONVERGED_MOTION,
-    LARGE_MOTION as LARGE_MOTION,
     MODEL_ERROR as MODEL_ERROR,
-    TANGENT_REUSE as TANGENT_REUSE,
     GaussNewton as GaussNewton,
-    Start as Start,
+)
+from .measurements import (
+    Measurements as Measurements,
+    Nuisances as Nuisances,
 )
 from .paper import (
     PaperEstimator as PaperEstimator,
@@ -51,12 +51,10 @@ from .patch_edge import (
 )
 from .pivoting import (
     nonnegative_qp as nonnegative_qp,
-    part as part,
 )
 from .plausibility import (
     GAS_NOISE as GAS_NOISE,
     contradicts_measured_gas as contradicts_measured_gas,
-    gas_sigma as gas_sigma,
     reason_against_fit as reason_against_fit,
     reason_against_gas as reason_against_gas,
 )

@@ -1,17 +1,18 @@
-"""The contact pressure that explains a range image, linearised at a shape of the membrane.
+"""The contact pressure that explains the measurements of a frame, linearised at a shape.
 
     min  ½ ‖e − D (δ − S Δp) − R c‖²_W + ½ λ pᵀ L p + ½ cᵀ Σ⁻¹ c + τᵀ p   over p = p₀ + Δp ≥ 0
 
-with e the range residual of the shape, D the derivative of the ranges by the nodes and δ the
-motion to equilibrium under the present pressure p₀. The nuisance amplitudes c (errors of a measured
-gas pressure and of the whole image, friction of each contact) change the ranges by R c; they have a
-prior and are eliminated from the misfit. The problem is solved with the L1 term first, to find
-where there is contact, then without it on the support of maximal evidence, which removes its bias.
+with e the residual of the shape, in ranges and, where there is colour, in optical flow, D their
+derivative by the nodes and δ the motion to equilibrium under the present pressure p₀. The nuisance
+amplitudes c (errors of a measured gas pressure and of the whole image, friction of each contact)
+change the measurements by R c; they have a prior and are eliminated from the misfit. The problem is
+solved with the L1 term first, to find where there is contact, then without it on the support of
+maximal evidence, which removes its bias.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log
@@ -21,6 +22,7 @@ from scipy import sparse
 from scipy.linalg import solve
 from scipy.linalg.blas import dger
 
+from bubbleviz.inverse.measurements import Measurements
 from bubbleviz.inverse.pivoting import nonnegative_qp, part
 from bubbleviz.inverse.resolution import universal_threshold
 from bubbleviz.inverse.response import Tangent
@@ -210,111 +212,6 @@ def smoothness(mesh: MembraneMesh, weight: float) -> sparse.csr_array:
 
 
 @dataclass(frozen=True)
-class Nuisances:
-    """Nuisances, which change the ranges besides contact pressure, by unknown amplitudes.
-
-    Attributes
-    ----------
-    motions : (n, 3, a) array
-        B: motion of the membrane under a unit of each, m.
-    sigma : (a,) array
-        Prior standard deviation of each amplitude; 0 for one that is fixed to zero.
-    forces : (n, 3, a) array
-        Contact forces on the nodes for a unit of each, N.
-    errors_m : (k, a) array
-        E: error of the measured ranges under a unit of each.
-    """
-
-    motions: np.ndarray
-    sigma: np.ndarray
-    forces: np.ndarray
-    errors_m: np.ndarray
-
-    @classmethod
-    def none(cls, nodes: int) -> Nuisances:
-        """No nuisances, for a membrane of so many nodes."""
-        empty = np.zeros((nodes, 3, 0))
-        return cls(empty, np.zeros(0), empty, np.zeros((1, 0)))
-
-    @classmethod
-    def of_motions(
-        cls, motions: np.ndarray, sigma: np.ndarray, forces: np.ndarray, ranges: int
-    ) -> Nuisances:
-        """Nuisances that move the membrane, for so many error-free ranges."""
-        return cls(motions, sigma, forces, np.zeros((ranges, len(sigma))))
-
-    @classmethod
-    def of_image(cls, errors_m: np.ndarray, sigma: np.ndarray, nodes: int) -> Nuisances:
-        """Nuisances that are range errors, for a membrane of so many nodes."""
-        zeros = np.zeros((nodes, 3, len(sigma)))
-        return cls(zeros, sigma, zeros, errors_m)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Nuisances]) -> Nuisances:
-        """Several nuisances as one, in their order."""
-        return cls(
-            np.concatenate([part.motions for part in parts], axis=2),
-            np.concatenate([part.sigma for part in parts]),
-            np.concatenate([part.forces for part in parts], axis=2),
-            np.concatenate([part.errors_m for part in parts], axis=1),
-        )
-
-
-@dataclass(frozen=True)
-class Ranges:
-    """Range residuals at a shape, with their derivative, weights and nuisances.
-
-    Attributes
-    ----------
-    jacobian : (k, 3n) sparse array
-        D.
-    error_m : (k,) array
-        e: measured less modelled ranges.
-    weight : (k,) array
-        1/σ².
-    nuisances : Nuisances
-    """
-
-    jacobian: sparse.csr_array
-    error_m: np.ndarray
-    weight: np.ndarray
-    nuisances: Nuisances
-
-    @cached_property
-    def transposed(self) -> sparse.csc_array:
-        """Dᵀ, (3n, k)."""
-        return self.jacobian.T
-
-    @cached_property
-    def by_nuisances(self) -> np.ndarray:
-        """R = D B + E: ranges under a unit of each nuisance, (k, a), m."""
-        motions = self.nuisances.motions
-        moved = self.jacobian @ motions.reshape(3 * len(motions), motions.shape[2])
-        return moved + self.nuisances.errors_m
-
-    @cached_property
-    def nuisances_weighed(self) -> np.ndarray:
-        """W R, (k, a)."""
-        return self.weight[:, None] * self.by_nuisances
-
-    @cached_property
-    def nuisance_covariance(self) -> np.ndarray:
-        """(Σ⁻¹ + RᵀWR)⁻¹: covariance of the amplitudes given everything else, (a, a)."""
-        sigma = np.diag(self.nuisances.sigma)  # may have zeros
-        data = self.nuisances_weighed.T @ self.by_nuisances
-        scaled = np.linalg.inv(np.eye(len(sigma)) + sigma @ data @ sigma)
-        return np.asarray(sigma @ scaled @ sigma)
-
-    def amplitudes(self, unexplained_m: np.ndarray) -> np.ndarray:
-        """Most likely amplitudes (a,) for unexplained ranges (k,)."""
-        return self.nuisance_covariance @ (self.nuisances_weighed.T @ unexplained_m)
-
-    def weighed(self, ranges_m: np.ndarray) -> np.ndarray:
-        """Ranges (k,) times the inverse of their covariance with nuisances (Woodbury)."""
-        return self.weight * ranges_m - self.nuisances_weighed @ self.amplitudes(ranges_m)
-
-
-@dataclass(frozen=True)
 class Selection:
     """Support of the contact, by the problem with the L1 term.
 
@@ -384,7 +281,7 @@ class ContactProblem:
     Parameters
     ----------
     membrane : Tangent
-    ranges : Ranges
+    measurements : Measurements
     prior : Prior
     pressure : (n,) array
         p₀, Pa.
@@ -395,18 +292,18 @@ class ContactProblem:
     def __init__(
         self,
         membrane: Tangent,
-        ranges: Ranges,
+        measurements: Measurements,
         prior: Prior,
         pressure: np.ndarray,
         relaxation: np.ndarray,
     ) -> None:
-        self._membrane, self._ranges, self._prior = membrane, ranges, prior
+        self._membrane, self._measurements, self._prior = membrane, measurements, prior
         self._p0, self._relaxation = pressure, relaxation
         self._nodes = self._assembled = np.empty(0, int)
         self._hessian = np.empty((0, 0))
         self._position = np.full(len(pressure), -1)
         self._data_hessian = np.empty((0, 0))
-        self._by_nuisances = np.empty((0, len(ranges.nuisances.sigma)))
+        self._by_nuisances = np.empty((0, len(measurements.nuisances.sigma)))
         """Jᵀ W R of the assembled nodes, with J = D S, (assembled, a)."""
         self._weighed: np.ndarray | None = None
         """Of the assembled nodes, see `_hessian_factors`."""
@@ -414,8 +311,8 @@ class ContactProblem:
     @cached_property
     def _gradient_at_p0(self) -> np.ndarray:
         """Gradient of the misfit at p₀, (n,), 1/Pa."""
-        relaxed = self._ranges.jacobian @ self._relaxation.ravel()
-        return self._pull(self._ranges.error_m - relaxed)
+        relaxed = self._measurements.jacobian @ self._relaxation.ravel()
+        return self._pull(self._measurements.error - relaxed)
 
     def zero_is_optimal(self) -> bool:
         """Whether zero contact pressure is the solution; for p₀ = 0."""
@@ -502,12 +399,12 @@ class ContactProblem:
             if np.array_equal(kept, support):
                 break
             support = kept
-        motion, ranges = self._motion(pressure), self._ranges
-        amplitudes = ranges.amplitudes(ranges.error_m - ranges.jacobian @ motion.ravel())
+        motion, measured = self._motion(pressure), self._measurements
+        amplitudes = measured.amplitudes(measured.error - measured.jacobian @ motion.ravel())
         return ContactPressure(
             support,
             pressure,
-            motion + ranges.nuisances.motions @ amplitudes,
+            motion + measured.nuisances.moved(amplitudes),
             pivots,
             selection.converged and solved,
             selection.complete,
@@ -524,7 +421,7 @@ class ContactProblem:
         """Of pressures of nodes (s,) and amplitudes, if no others touch, (s + a, s + a)."""
         if not np.isin(nodes, self._nodes).all():
             self._restrict_to(nodes)
-        amplitude_cov = self._ranges.nuisance_covariance
+        amplitude_cov = self._measurements.nuisance_covariance
         pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._nodes, nodes)))
         slope = (
             amplitude_cov @ self._by_nuisances[self._position[nodes]].T
@@ -536,17 +433,17 @@ class ContactProblem:
         """Of q quantities, linear in those unknowns with coefficients (s + a, q), (q, q)."""
         if not np.isin(nodes, self._nodes).all():
             self._restrict_to(nodes)
-        amplitude_cov, by_amplitudes = self._ranges.nuisance_covariance, unit[len(nodes) :]
+        amplitude_cov, by_amplitudes = self._measurements.nuisance_covariance, unit[len(nodes) :]
         hessian = part(self._hessian, np.searchsorted(self._nodes, nodes))
         by_nuisances = self._by_nuisances[self._position[nodes]]
         by_pressures = unit[: len(nodes)] + by_nuisances @ amplitude_cov @ by_amplitudes
         covariance: np.ndarray = by_pressures.T @ solve(hessian, by_pressures, assume_a="pos")
         return covariance + by_amplitudes.T @ amplitude_cov @ by_amplitudes
 
-    def misfit_gradient(self, nodes: np.ndarray, ranges_m: np.ndarray) -> np.ndarray:
-        """Gradient of the misfit by pressures of nodes (s,), for residuals (k,), 1/Pa."""
+    def misfit_gradient(self, nodes: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """Gradient of the misfit by pressures of nodes (s,), for a residual (k,), 1/Pa."""
         S = self._membrane.coordinates(nodes)
-        return S.T @ (self._rows.T @ self._ranges.weighed(ranges_m))
+        return S.T @ (self._rows.T @ self._measurements.weighed(residual))
 
     def _solve_on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support only."""
@@ -566,16 +463,16 @@ class ContactProblem:
         where = self._position[work]
         self._hessian = part(self._data_hessian, where) + dense_part(self._prior.smoothness, work)
         by_nuisances = self._by_nuisances[where]
-        self._hessian -= by_nuisances @ self._ranges.nuisance_covariance @ by_nuisances.T
+        self._hessian -= by_nuisances @ self._measurements.nuisance_covariance @ by_nuisances.T
         gradient = self.gradient(self._p0)[work]
         self._linear = gradient - self._hessian @ self._p0[work]
 
     def _assemble_columns(self, nodes: np.ndarray) -> None:
-        """Add the columns of the ranges' derivative by pressures of more nodes (c,)."""
+        """Add the columns of the measurements' derivative by pressures of more nodes (c,)."""
         if not len(nodes):
             return
         S = self._membrane.coordinates(nodes)
-        by_nuisances = S.T @ (self._rows.T @ self._ranges.nuisances_weighed)
+        by_nuisances = S.T @ (self._rows.T @ self._measurements.nuisances_weighed)
         self._by_nuisances = np.concatenate([self._by_nuisances, by_nuisances])
         half, weighed = self._hessian_factors(S)
         before = len(self._assembled)
@@ -593,7 +490,7 @@ class ContactProblem:
     @cached_property
     def _rows(self) -> sparse.csr_array:
         """D by the membrane's coordinates, (k, m)."""
-        return self._membrane.by_coordinates(self._ranges.jacobian)
+        return self._membrane.by_coordinates(self._measurements.jacobian)
 
     @cached_property
     def _information(self) -> sparse.csr_array | None:
@@ -601,7 +498,7 @@ class ContactProblem:
         rows = self._rows
         if rows.shape[0] < 2 * rows.shape[1]:
             return None
-        return (rows.T @ sparse.diags_array(self._ranges.weight) @ rows).tocsr()
+        return (rows.T @ sparse.diags_array(self._measurements.weight) @ rows).tocsr()
 
     def _hessian_factors(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Two matrices (…, c) for motions S (m, c), the first of which times the second is SᵀDᵀWDS.
@@ -611,7 +508,7 @@ class ContactProblem:
         if self._information is not None:
             return S, self._information @ S
         root = self._rows @ S
-        root *= np.sqrt(self._ranges.weight)[:, None]
+        root *= np.sqrt(self._measurements.weight)[:, None]
         return root, root
 
     def _steepest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -624,7 +521,7 @@ class ContactProblem:
         data = self._gradient_at_p0
         if pressure is not self._p0:
             moved = self._motion(pressure) - self._relaxation
-            data = data - self._pull(self._ranges.jacobian @ moved.ravel())
+            data = data - self._pull(self._measurements.jacobian @ moved.ravel())
         return data + self._prior.smoothness @ pressure
 
     def kkt_residual(self, pressure: np.ndarray) -> float:
@@ -652,8 +549,8 @@ class ContactProblem:
             self._membrane.coordinates(nodes) @ change[nodes]
         )
 
-    def _pull(self, ranges_m: np.ndarray) -> np.ndarray:
-        weighted = self._ranges.transposed @ self._ranges.weighed(ranges_m)
+    def _pull(self, residual: np.ndarray) -> np.ndarray:
+        weighted = self._measurements.transposed @ self._measurements.weighed(residual)
         return self._membrane.adjoint(weighted.reshape(-1, 3))
 
     def _scatter(self, x: np.ndarray) -> np.ndarray:
@@ -703,71 +600,3 @@ def significant_contact(mesh: MembraneMesh, contact: ContactPressure) -> np.ndar
     kept[np.argmax(loads)] = True
     found[nodes] = np.array(kept)[part]
     return found
-
-
-# Friction of contacts, estimated from a depth image alone.
-#
-# A depth image does not show friction, but friction moves the membrane: without it, the estimate
-# would explain that motion by pressure where nothing touches. Each contact has three unknowns:
-# slides along two directions across its mean normal, and a spin about it. Each is a traction
-# proportional to the contact pressure, so that its amplitude is the share of Coulomb's friction
-# that acts.
-
-
-FRICTION = 1.0
-"""Standard deviation of the amplitudes: dry latex on common materials has coefficients of friction
-between 0.5 and 1.5. On rubber dragged and twisted by another solver, half and twice of it change
-the force by 0.2 % in the median and 2.4 % at most at 1 % of depth noise."""
-
-_MIN_LOAD_SHARE = 0.25
-"""Share of the largest contact's load from which a contact has amplitudes of its own. While the
-real press is being loaded, those of single nodes with a tenth of it fitted what the model misses
-there, and the solution alternated between two supports."""
-
-
-def friction_loads(
-    x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray, rings: np.ndarray
-) -> np.ndarray:
-    """Forces on the nodes for a unit of each amplitude, (n, 3, 3 contacts), N.
-
-    Contacts that are small beside the largest have no amplitudes.
-
-    Parameters
-    ----------
-    x : (n, 3) array
-        Shape, m.
-    area_vectors : (n, 3) array
-        Of its nodes, m².
-    pressure : (n,) array
-        p_c, Pa; connected nodes under pressure are a contact.
-    rings : (d, n) int array
-        As of `MembraneMesh`.
-    """
-    touching = pressure > 0.0
-    count, contact = connected_parts(rings, touching)
-    nodes = np.flatnonzero(touching)
-    load = pressure[nodes] * np.linalg.norm(area_vectors[nodes], axis=1)
-    loads = np.bincount(contact, load, minlength=count)
-    large = np.flatnonzero(loads >= _MIN_LOAD_SHARE * loads.max())
-    forces = np.zeros((len(x), 3, 3 * len(large)))
-    for k, number in enumerate(large):
-        own = nodes[contact == number]
-        forces[own, :, 3 * k : 3 * k + 3] = _loads(x[own], area_vectors[own], pressure[own])
-    return forces
-
-
-def _loads(x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-    """Two slides and a spin of one contact of c nodes, (c, 3, 3), N."""
-    area = np.linalg.norm(area_vectors, axis=1, keepdims=True)
-    load, normal = pressure * area[:, 0], area_vectors / area
-    axis = load @ normal
-    axis /= np.linalg.norm(axis)
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    first /= np.linalg.norm(first)
-    spin = np.cross(axis, x - load @ x / load.sum())
-    radius = np.sqrt(load @ (spin**2).sum(axis=1) / load.sum())  # 0 of a single node
-    spin /= max(radius, np.finfo(float).tiny)
-    slides = np.stack([first, np.cross(axis, first)], axis=1)
-    along = np.concatenate([np.broadcast_to(slides, (len(x), 3, 2)), spin[:, :, None]], axis=2)
-    along = along - normal[:, :, None] * np.einsum("ci,cij->cj", normal, along)[:, None]
-    return load[:, None, None] * along

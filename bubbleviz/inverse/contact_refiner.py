@@ -15,14 +15,13 @@ from bubbleviz.camera import RangeObserver, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
-    Nuisances,
     Prior,
-    Ranges,
     Selection,
     smoothness,
 )
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.gauss_newton import TANGENT_REUSE
+from bubbleviz.inverse.measurements import Measurements, Nuisances
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
 from bubbleviz.inverse.response import Bubble, ConstantTension, RubberBubble
 from bubbleviz.membrane import MembraneMesh, Refined, grown, parts_with, refined_part
@@ -184,7 +183,7 @@ class ContactRefiner:
             observation = observer.weigh(measured, expected)
             error = observation.residual_m[view.block] - expected[view.block]
             weight = observation.weight[view.block] / noise**2
-            ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(x)))
+            ranges = Measurements(view.jacobian, error, weight, Nuisances.none(len(x)))
             if response is None or float(np.abs(x - response.x).max()) > self._reuse_m:
                 response = bubble.linearised(x, pressure, gas)
             relaxing = response.motion(friction - bubble.residual(x, pressure, gas))

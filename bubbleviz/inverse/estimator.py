@@ -7,16 +7,17 @@ from math import pi, sqrt
 
 import numpy as np
 
-from bubbleviz.camera import RangeObserver
+from bubbleviz.camera import MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError
-from bubbleviz.inverse.contact_problem import FRICTION, smoothness
+from bubbleviz.inverse.contact_problem import smoothness
+from bubbleviz.inverse.friction import FRICTION
 from bubbleviz.inverse.gauss_newton import (
     IMAGE_ERROR,
-    FailedFrame,
     GaussNewton,
     SolvedFrame,
     Start,
 )
+from bubbleviz.inverse.measurements import FrameData
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
     STATUS_REASONS,
@@ -184,6 +185,7 @@ class Estimator:
         gas_pressure_pa: float | None = None,
         start: Start | None = None,
         gas_sigma_pa: float = 0.0,
+        flow: MeasuredFlow | None = None,
     ) -> tuple[Estimate, Start]:
         """Estimate of one frame, and the warm start of the next one.
 
@@ -197,6 +199,8 @@ class Estimator:
             Of the previous frame; None: solve from rest.
         gas_sigma_pa : float
             Standard deviation of the zero of the gas pressure, Pa.
+        flow : MeasuredFlow, optional
+            Of the colour image of the same moment; the membrane must be the exact one.
         """
         start, newton, behind = start or Start(), self._newton, self.bubble.gas
         if gas_sigma_pa:
@@ -204,23 +208,20 @@ class Estimator:
         gas = behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
             return no_estimate(self.mesh, "implausible", beyond), Start()
-        measured = self.observer.measure(depth_m)
+        data = FrameData(self.observer.measure(depth_m), gas, flow)
         try:
-            answer = newton.solve(measured, gas, start)
+            answer = newton.solve(data, start)
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
-            answer = FailedFrame("not_converged")
-        if isinstance(answer, FailedFrame):
-            nothing = no_estimate(self.mesh, answer.status, STATUS_REASONS[answer.status])
-            return nothing, Start(final_state=answer.final_state, measured=measured)
+            answer = "not_converged"
+        if isinstance(answer, str):
+            return no_estimate(self.mesh, answer, STATUS_REASONS[answer]), Start()
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
         doubt = doubt or reason_against_gas(answer.step.state.gas, behind, measured=False)
         if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m):
-            nothing = no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m)
-            return nothing, Start(final_state=answer.step.state, measured=measured)
+            return no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m), Start()
         state, tangent = answer.step.state, answer.step.last_tangent
         touching = state if state.pressure.any() else None
-        start = Start(touching, tangent, answer.noise, state, measured, answer.view)
-        return self._report(answer), start
+        return self._report(answer), Start(touching, tangent, answer.noise, answer.view)
 
     def is_untouched(self, depth_m: np.ndarray) -> bool:
         """Whether an image (H, W), without the gas pressure, is explained without contact."""
@@ -252,9 +253,10 @@ class Estimator:
             force_n=force.sum(axis=0),
             wrench_covariance=answer.wrench_covariance,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
-            resolution_m=at_noise(self.resolution_m, answer.noise),
+            resolution_m=at_noise(self.resolution_m, answer.noise.ranges),
             seen_share=answer.visible_share,
             image_errors=state.image_errors if state.image_errors.any() else None,
+            flow=answer.flow,
         )
 
 

@@ -4,31 +4,28 @@ from __future__ import annotations
 
 import time
 from copy import copy
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from math import log
 
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import (
-    IMAGE_ERRORS,
-    UPPER_95,
-    Measured,
-    Misfit,
-    Observation,
-    RangeObserver,
-    ShapeRanges,
-)
+from bubbleviz.camera import IMAGE_ERRORS, UPPER_95, Measured, Misfit, RangeObserver, ShapeRanges
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
     ContactProblem,
-    Nuisances,
     Prior,
-    Ranges,
     Selection,
-    friction_loads,
     significant_contact,
+)
+from bubbleviz.inverse.friction import friction_nuisances, traced_by_flow
+from bubbleviz.inverse.measurements import (
+    FlowResidual,
+    FrameData,
+    LinearisedFrame,
+    Measurements,
+    Noise,
+    Nuisances,
 )
 from bubbleviz.inverse.plausibility import (
     IMPLAUSIBLE_MISFIT,
@@ -39,7 +36,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.resolution import sampled, universal_threshold
 from bubbleviz.inverse.response import Bubble, Tangent
 from bubbleviz.membrane import Gas, parts_with
-from bubbleviz.result import Status, wrench_about
+from bubbleviz.result import FlowFit, Status, wrench_about
 
 CONVERGED_MOTION, TANGENT_REUSE, LARGE_MOTION = 0.05, 0.2, 0.5
 """Motions of the nodes over the mesh edge. A frame has converged when a step moves it by less than
@@ -88,6 +85,9 @@ a standard deviation: an image of correlated noise is worth some 650 samples, wh
 5 %. Factors below 1 are less certain, and their ratio is `UPPER_95`."""
 
 
+_AS_EXPECTED = Noise(1.0)
+
+
 @dataclass(frozen=True)
 class State:
     """Solution of a frame, and a warm start of the next.
@@ -126,81 +126,16 @@ class Start:
         None: the frame had no contact, or was not solved.
     tangent : Tangent or None
         Last tangent used.
-    noise : float
-        Noise factor of the frame, a first guess for the next one.
-    final_state : State or None
-        State after the last step, plausible or not: the traction estimator continues from it. None
-        if there was no step.
-    measured : Measured or None
-        Measurements of this frame's image; None if it was not evaluated.
+    noise : Noise
+        Noise factors of the frame, a first guess for the next one.
     view : ShapeRanges or None
         Camera model at the last shape at which it was computed.
     """
 
     state: State | None = None
     tangent: Tangent | None = None
-    noise: float = 1.0
-    final_state: State | None = None
-    measured: Measured | None = None
+    noise: Noise = _AS_EXPECTED
     view: ShapeRanges | None = None
-
-
-@dataclass(frozen=True)
-class FailedFrame:
-    """A frame that could not be solved.
-
-    Attributes
-    ----------
-    status : Status
-    final_state : State or None
-        State after the last step.
-    """
-
-    status: Status
-    final_state: State | None = None
-
-
-@dataclass(frozen=True)
-class _Linearisation:
-    """Camera model linearised at a shape, and the residual of an image there.
-
-    Attributes
-    ----------
-    view : ShapeRanges
-    observation : Observation
-    error_m : (k,) array
-        Measured minus modelled ranges of the blocks in `view`.
-    image : Nuisances
-        Errors of the whole image.
-    """
-
-    view: ShapeRanges
-    observation: Observation
-    error_m: np.ndarray
-    image: Nuisances
-
-    @property
-    def weight(self) -> np.ndarray:
-        """1/σ² of the blocks in `view`, (k,), 1/m²."""
-        return self.observation.weight[self.view.block]
-
-    def misfit(self, error_m: np.ndarray) -> float:
-        """χ² of errors (k,), minimised over the errors of the whole image."""
-        return float(error_m @ self._by_image.weighed(error_m))
-
-    def fits_rest_better(self, error_m: np.ndarray) -> bool:
-        """Whether the membrane at rest has a smaller misfit than errors (k,)."""
-        at_rest = self.observation.residual_m[self.view.block]
-        return self.misfit(error_m) > self.misfit(at_rest)
-
-    def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
-        """Errors (k,) less the fitted errors of the whole image."""
-        explained: np.ndarray = self.image.errors_m @ self._by_image.amplitudes(error_m)
-        return error_m - explained
-
-    @cached_property
-    def _by_image(self) -> Ranges:
-        return Ranges(self.view.jacobian, self.error_m, self.weight, self.image)
 
 
 @dataclass(frozen=True)
@@ -213,15 +148,17 @@ class Step:
         State after it.
     balanced : bool
         Whether that is an equilibrium.
-    motion_m, normal_motion_m : float
-        Largest motion of a node along an axis, and along the membrane's normals: a depth image
-        does not show motion along the membrane.
+    motion : (n, 3) array
+        m.
+    normal_motion_m : float
+        Largest motion of a node along the membrane's normals: a depth image does not show motion
+        along the membrane.
     contact : ContactPressure
     tangent : Tangent
         Of the step.
     last_tangent : Tangent
         The last one computed, which may be nearer to the new shape.
-    ranges : Ranges
+    measurements : Measurements
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
     solve_ms : float
@@ -229,20 +166,24 @@ class Step:
 
     state: State
     balanced: bool
-    motion_m: float
+    motion: np.ndarray
     normal_motion_m: float
     contact: ContactPressure
     tangent: Tangent
     last_tangent: Tangent
-    ranges: Ranges
+    measurements: Measurements
     residual_m: np.ndarray
     solve_ms: float
 
     @property
     def image_error_m(self) -> np.ndarray:
         """Range errors (k,) due to those of the whole image; 0 where these were not fitted."""
-        errors: np.ndarray = self.ranges.nuisances.errors_m @ self.contact.amplitudes
-        return errors
+        return self.measurements.nuisances.error(self.contact.amplitudes)
+
+    @property
+    def motion_m(self) -> float:
+        """Largest motion of a node along an axis."""
+        return float(np.abs(self.motion).max())
 
 
 @dataclass(frozen=True)
@@ -266,18 +207,21 @@ class SolvedFrame:
         Of its force, N, and its torque about the origin of B, N·m.
     visible_share : float
         Share of the contact area visible to the camera; NaN without contact.
+    flow : FlowFit or None
+        None where flow saw no contact.
     solve_ms : float
         Of all steps.
     """
 
     step: Step
     view: ShapeRanges
-    noise: float
+    noise: Noise
     misfit: Misfit
     contradicts_gas: bool
     contact: np.ndarray
     wrench_covariance: np.ndarray
     visible_share: float
+    flow: FlowFit | None
     solve_ms: float
 
 
@@ -349,9 +293,7 @@ class GaussNewton:
         self._weight = float(weight.sum())
         self.weight_density = float(weight.sum() / mesh.facet_areas.sum())
 
-    def solve(
-        self, measured: Measured, measured_gas: float | None, start: Start
-    ) -> SolvedFrame | FailedFrame:
+    def solve(self, data: FrameData, start: Start) -> SolvedFrame | Status:
         """Estimate shape and contact pressure of a frame by Gauss–Newton steps.
 
         1. Observe: model the image at the present shape and linearise the model there. Restart
@@ -373,9 +315,7 @@ class GaussNewton:
 
         Parameters
         ----------
-        measured : Measured
-        measured_gas : float or None
-            p_v, Pa; None: computed from the volume.
+        data : FrameData
         start : Start
 
         Raises
@@ -385,15 +325,15 @@ class GaussNewton:
         """
         state, warm = start.state or self._rest, start.state is not None
         view, tangent, noise = start.view, start.tangent, start.noise
-        noises: list[float] = []  # factors solved with; inf: only used for a first guess
+        noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         selecting, selections, large_steps, steps, solve_ms = True, 0, 0, 0, 0.0
-        following = self._observe(measured, state, view) if warm else None
+        following = self._observe(data, state, view) if warm else None
         near = warm
         image_shows_rest = following is None or self._shows_rest(following, state.pressure)
         best_misfit, stalled, large = np.inf, 0, False
         while steps < _MAX_STEPS and stalled < _MAX_STALLED:
             steps += 1
-            observed = following or self._observe(measured, state, view)
+            observed = following or self._observe(data, state, view)
             following = None
             misfit = observed.misfit(observed.error_m)
             poor = large and misfit >= _STALLED_SHARE * best_misfit
@@ -402,18 +342,18 @@ class GaussNewton:
             if np.abs(state.x - self.mesh.nodes).max() > self._length_m:
                 break
             first_warm = warm and steps == 1 and not noises
-            if first_warm and self._restarts_from_rest(measured, measured_gas, observed, noise):
-                return self.solve(measured, measured_gas, Start())
+            if first_warm and self._restarts_from_rest(data, observed, noise.ranges):
+                return self.solve(data, Start())
             if failure := self._reject_image(observed, state):
                 return failure
-            no_contact = state is self._rest and self._fits_without_contact(observed, measured_gas)
+            no_contact = state is self._rest and self._fits_without_contact(observed, data.gas_pa)
             near = near or no_contact
             noise_known = warm or bool(noises)
             rounds = _SELECTION_ROUNDS if noise_known else 1
             if no_contact or not selecting:
                 rounds = 0
             fit_image = near and image_shows_rest
-            step = self._step(tangent, state, observed, measured_gas, noise, rounds, fit_image)
+            step = self._step(tangent, state, observed, data.gas_pa, noise, rounds, fit_image)
             if step is None:
                 break
             state, view, tangent = step.state, observed.view, step.last_tangent
@@ -427,24 +367,24 @@ class GaussNewton:
                 image_shows_rest = image_shows_rest and self._shows_rest(observed, pressure)
             small = self._converged_m < step.normal_motion_m <= self._reuse_m
             if first_warm and step.balanced and small:
-                following = self._observe(measured, state, view)
+                following = self._observe(data, state, view)
                 converged = self._was_linear(step, observed, following)
             converged = converged and fit_image == (near and image_shows_rest)
             done = converged and (
                 (selecting and step.contact.complete) or selections > _MAX_SELECTIONS
             )
             first_guess = (
-                step.balanced and not noise_known and not self._contradicts(state.gas, measured_gas)
+                step.balanced and not noise_known and not self._contradicts(state.gas, data.gas_pa)
             )
             searched = rounds > 0 or no_contact or step.contact.pressure.any()
             known = step.balanced and noise_known and not large and searched
             if done or first_guess or known:
                 updated = self._updated_noise(step, observed, noise, image_shows_rest)
-                if done and _noise_converged(updated, noise, noises):
+                if done and _noises_converged(updated, noise, noises):
                     last = (following or observed).view
-                    return self._result(step, observed, last, measured_gas, noise, solve_ms)
+                    return self._result(step, observed, last, data.gas_pa, noise, solve_ms)
                 if done or first_guess:
-                    noises.append(noise if done else np.inf)
+                    noises.append(noise if done else Noise(np.inf, np.inf))
                     selections, steps, stalled = 0, 0, 0
                 noise = updated
             if converged:
@@ -453,32 +393,30 @@ class GaussNewton:
                 break
             else:
                 selecting = large or first_guess
-        implausible = stalled == _MAX_STALLED or noise > IMPLAUSIBLE_MISFIT
-        return FailedFrame("implausible" if implausible else "not_converged", state)
+        implausible = stalled == _MAX_STALLED or noise.ranges > IMPLAUSIBLE_MISFIT
+        return "implausible" if implausible else "not_converged"
 
-    def _observe(
-        self, measured: Measured, state: State, last: ShapeRanges | None
-    ) -> _Linearisation:
+    def _observe(self, data: FrameData, state: State, last: ShapeRanges | None) -> LinearisedFrame:
         """Camera model and residual at a state; `last` is a model at a shape nearby."""
         at_rest = state is self._rest
         view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
         expected = view.model_m + self.observer.image_errors @ state.image_errors
-        observation = self.observer.weigh(measured, expected)
+        observation = self.observer.weigh(data.ranges, expected)
         error = observation.residual_m[view.block] - view.model_m[view.block]
         errors_m = self.observer.image_errors[view.block]
-        image = Nuisances.of_image(errors_m, self._image_sigma, len(state.x))
-        return _Linearisation(view, observation, error, image)
+        flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
+        return LinearisedFrame(view, observation, error, errors_m, self._image_sigma, flow)
 
-    def _shows_rest(self, observed: _Linearisation, pressure: np.ndarray) -> bool:
+    def _shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
         outside = np.count_nonzero(observed.weight) - _contact_blocks(observed, pressure)
         return bool(outside >= _MIN_CONTACT_FREE * len(self._view_at_rest.block))
 
-    def _reject_image(self, observed: _Linearisation, state: State) -> FailedFrame | None:
+    def _reject_image(self, observed: LinearisedFrame, state: State) -> Status | None:
         """Failure if the image does not fit the membrane, or None."""
         seen = observed.weight > 0.0
         if np.count_nonzero(seen) < MINIMUM_BLOCKS:
-            return FailedFrame("no_data")
+            return "no_data"
         error = observed.error_m[seen]
         # Contact only pushes inwards: a surface far outside the membrane at rest is not of it.
         outside = state is self._rest and np.sqrt(np.mean(np.maximum(error, 0.0) ** 2))
@@ -486,79 +424,96 @@ class GaussNewton:
             outside > IMPLAUSIBLE_SHARE * self._length_m
             or np.median(np.abs(error)) > self._length_m
         ):
-            return FailedFrame("implausible", state)
+            return "implausible"
         return None
 
-    def _restarts_from_rest(
-        self, measured: Measured, gas: float | None, observed: _Linearisation, noise: float
-    ) -> bool:
+    def _restarts_from_rest(self, data: FrameData, observed: LinearisedFrame, noise: float) -> bool:
         """Whether a frame should be solved from rest instead of its warm start."""
         # With a noise factor below 1 a contact could persist that the sensor's own noise explains.
-        at_rest = self._observe(measured, self._rest, None) if noise < 1.0 else None
-        if at_rest and self._fits_without_contact(at_rest, gas):
+        at_rest = self._observe(data, self._rest, None) if noise < 1.0 else None
+        if at_rest and self._fits_without_contact(at_rest, data.gas_pa):
             return True
         return observed.fits_rest_better(observed.error_m)
 
     def is_untouched(self, measured: Measured) -> bool:
         """Whether an image alone, without a gas pressure, is explained without contact."""
-        observed = self._observe(measured, self._rest, None)
+        observed = self._observe(FrameData(measured), self._rest, None)
         if self._reject_image(observed, self._rest):
             return False
         fits = self._fits_without_contact(observed, None)
-        step = self._step(None, self._rest, observed, None, 1.0, int(not fits), fits)
+        step = self._step(None, self._rest, observed, None, _AS_EXPECTED, int(not fits), fits)
         if step is None or not step.balanced:
             return False
         shows_rest = self._shows_rest(observed, step.contact.pressure)
-        noise = self._updated_noise(step, observed, 1.0, shows_rest)
+        noise = self._updated_noise(step, observed, _AS_EXPECTED, shows_rest).ranges
         untouched = fits or self._fits_without_contact(observed, None, noise)
         return untouched and noise <= IMPLAUSIBLE_MISFIT
 
     def _fits_without_contact(
-        self, at_rest: _Linearisation, gas: float | None, noise: float = 1.0
+        self, at_rest: LinearisedFrame, gas: float | None, noise: float = 1.0
     ) -> bool:
         """Whether an image of the membrane at rest is explained without contact."""
         tangent = self._rest_tangent[gas is not None]
-        ranges = self._ranges(tangent, self._rest, at_rest, gas, noise)
-        return self._problem(tangent, ranges, self._rest, gas).zero_is_optimal()
+        measurements = self._measurements(tangent, self._rest, at_rest, gas, Noise(noise))
+        return self._problem(tangent, measurements, self._rest, gas).zero_is_optimal()
 
     def _updated_noise(
-        self, step: Step, observed: _Linearisation, noise: float, fit_image: bool
-    ) -> float:
-        """Noise factor by the residual of a step that assumed the factor `noise`."""
+        self, step: Step, observed: LinearisedFrame, noise: Noise, fit_image: bool
+    ) -> Noise:
+        """Noise factors by the residual of a step that assumed the factors `noise`."""
         touching = bool(step.contact.pressure.any())
         if step.contact.pivots and not touching:
             return noise  # no contact was found: the residual still has what it would explain
         left = observed.without_image_errors(step.residual_m) if fit_image else step.residual_m
         factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
-        return _on_noise_grid(factor) if touching else max(_on_noise_grid(factor), 1.0)
+        by_ranges = _on_noise_grid(factor) if touching else max(_on_noise_grid(factor), 1.0)
+        by_flow = 1.0
+        if observed.flow is not None:
+            by_flow = _on_noise_grid(observed.flow.noise_factor(step.motion))
+        return Noise(by_ranges, by_flow)
 
     def _result(
         self,
         step: Step,
-        observed: _Linearisation,
+        observed: LinearisedFrame,
         last: ShapeRanges,
         gas: float | None,
-        noise: float,
+        noise: Noise,
         solve_ms: float,
-    ) -> SolvedFrame | FailedFrame:
+    ) -> SolvedFrame | Status:
         pressure = step.contact.pressure
         if _contact_blocks(observed, pressure) < np.count_nonzero(pressure):
-            return FailedFrame("no_data", step.state)
+            return "no_data"
         touching = pressure.any()
         if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
-            return FailedFrame("implausible", step.state)  # contact does not improve the fit
-        if not touching and noise > IMPLAUSIBLE_MISFIT:
-            return FailedFrame("implausible", step.state)  # nor does the membrane at rest fit
+            return "implausible"  # contact does not improve the fit
+        if not touching and noise.ranges > IMPLAUSIBLE_MISFIT:
+            return "implausible"  # nor does the membrane at rest fit
         misfit = self.observer.misfit(observed.observation, observed.view.block, step.residual_m)
         contradicts = self._contradicts(step.state.gas, gas)
         contact = significant_contact(self.mesh, step.contact)
-        covariance = self._wrench_covariance(step, contact)
+        covariance = self._wrench_covariance(step, observed, contact)
         share = self._visible_share(observed, contact)
+        flow = self._flow_fit(step, observed, noise)
         return SolvedFrame(
-            step, last, noise, misfit, contradicts, contact, covariance, share, solve_ms
+            step, last, noise, misfit, contradicts, contact, covariance, share, flow, solve_ms
         )
 
-    def _visible_share(self, observed: _Linearisation, contact: np.ndarray) -> float:
+    def _flow_fit(self, step: Step, observed: LinearisedFrame, noise: Noise) -> FlowFit | None:
+        """How well the optical flow is fitted; None where it saw no contact."""
+        contact, flow = step.contact, observed.flow
+        seen = traced_by_flow(contact.pressure, self.mesh.rings, observed.seen_by_flow)
+        if flow is None or not seen.any():
+            return None
+        rms_px = float(np.sqrt(np.mean(flow.after(step.motion) ** 2)))
+        own = step.measurements.nuisances.motions[contact.nodes]
+        pushed = step.tangent.responses(contact.nodes).reshape(len(seen), 3, -1)[contact.nodes]
+        motions = np.concatenate([-pushed, own], axis=2).reshape(3 * len(own), -1)
+        covariance = contact.covariance[: motions.shape[1], : motions.shape[1]]
+        variance = np.einsum("ij,jk,ik->i", motions, covariance, motions, optimize=True)
+        return FlowFit(rms_px, noise.flow, float(np.sqrt(variance.mean())))
+
+    def _visible_share(self, observed: LinearisedFrame, contact: np.ndarray) -> float:
         """Share of the area of nodes (n,) bool whose facets are visible."""
         jacobian, visible = observed.view.jacobian, np.zeros(len(contact), bool)
         weighed = np.repeat(observed.weight > 0.0, np.diff(jacobian.indptr))
@@ -572,9 +527,9 @@ class GaussNewton:
         self,
         last: Tangent | None,
         state: State,
-        observed: _Linearisation,
+        observed: LinearisedFrame,
         gas: float | None,
-        noise: float,
+        noise: Noise,
         rounds: int,
         fit_image: bool,
     ) -> Step | None:
@@ -583,77 +538,80 @@ class GaussNewton:
         Its support is selected in so many rounds; errors of the whole image are fitted or zero.
         """
         tangent = self._tangent_at(state, gas, last)
-        ranges = self._ranges(tangent, state, observed, gas, noise, fit_image)
+        measurements = self._measurements(tangent, state, observed, gas, noise, fit_image)
         began = time.perf_counter()
-        contact = self._contact(tangent, ranges, state, gas, rounds)
+        contact = self._contact(tangent, measurements, state, gas, rounds)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
-        after, balanced, last = self._advance(tangent, state, ranges, contact, gas)
+        after, balanced, last = self._advance(tangent, state, measurements.nuisances, contact, gas)
         motion = after.x - state.x
         residual = observed.error_m - observed.view.jacobian @ motion.ravel()
-        residual -= ranges.nuisances.errors_m @ contact.amplitudes
+        residual -= measurements.nuisances.error(contact.amplitudes)
         size = np.maximum(np.linalg.norm(tangent.area_vectors, axis=1), np.finfo(float).tiny)
         along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
-        most, normal = float(np.abs(motion).max()), float(np.abs(along).max())
         return Step(
-            after, balanced, most, normal, contact, tangent, last, ranges, residual, solve_ms
+            after,
+            balanced,
+            motion,
+            float(np.abs(along).max()),
+            contact,
+            tangent,
+            last,
+            measurements,
+            residual,
+            solve_ms,
         )
 
-    def _ranges(
+    def _measurements(
         self,
         tangent: Tangent,
         state: State,
-        observed: _Linearisation,
+        observed: LinearisedFrame,
         gas: float | None,
-        noise: float = 1.0,
+        noise: Noise,
         fit_image: bool = True,
-    ) -> Ranges:
-        """Residual and weights of an image with a noise factor, and its nuisances."""
-        weight = observed.weight / noise**2
+    ) -> Measurements:
+        """Residual and weights of a frame with noise factors, and its nuisances."""
         # A noise factor above 1 is partly an error of the model: the priors of gas pressure and
         # image errors are widened by it, too, or they would pull the shape away from the image.
-        doubt = max(noise, 1.0)
-        known = self._nuisances(tangent, state, len(weight), gas, doubt)
-        image = replace(observed.image, sigma=fit_image * doubt * observed.image.sigma)
-        nuisances = Nuisances.joined([*known, image])
-        return Ranges(observed.view.jacobian, observed.error_m, weight, nuisances)
-
-    def _nuisances(
-        self, tangent: Tangent, state: State, ranges: int, gas: float | None, doubt: float
-    ) -> list[Nuisances]:
-        """Error of a measured gas pressure, and friction of the contacts of a state."""
-        parts = []
+        doubt = max(noise.ranges, 1.0)
+        moving = [Nuisances.none(len(state.x))]
         if gas is not None:
             sigma = np.array([doubt * gas_sigma(self.bubble.gas, gas)])
-            bulge, no_force = tangent.bulge[:, :, None], np.zeros((*state.x.shape, 1))
-            parts.append(Nuisances.of_motions(bulge, sigma, no_force, ranges))
+            bulge = tangent.bulge[:, :, None]
+            moving.append(Nuisances.of_motions(bulge, np.zeros_like(bulge), sigma))
         if self._friction > 0.0 and state.pressure.any():
-            loads = friction_loads(tangent.x, tangent.area_vectors, state.pressure, self.mesh.rings)
-            sigma = np.full(loads.shape[2], self._friction)
-            parts.append(Nuisances.of_motions(tangent.motion(loads), sigma, loads, ranges))
-        return parts
+            moving += friction_nuisances(
+                tangent,
+                state.pressure,
+                self._friction,
+                self.mesh.rings,
+                self._smoothness,
+                observed.seen_by_flow,
+            )
+        return observed.measurements(noise, moving, fit_image * doubt)
 
-    def threshold(self, ranges: Ranges) -> np.ndarray:
+    def threshold(self, measurements: Measurements) -> np.ndarray:
         """τ of the L1 term (n,) for an image's weights, 1/Pa."""
-        return self._tau * np.sqrt(ranges.weight.sum() / self._weight)
+        return self._tau * np.sqrt(measurements.weight.sum() / self._weight)
 
     def _problem(
-        self, tangent: Tangent, ranges: Ranges, state: State, gas: float | None
+        self, tangent: Tangent, measurements: Measurements, state: State, gas: float | None
     ) -> ContactProblem:
-        prior = Prior(self._smoothness, self.threshold(ranges), self.mesh.rings)
+        prior = Prior(self._smoothness, self.threshold(measurements), self.mesh.rings)
         relaxing = self._relaxation(tangent, state, gas)
-        return ContactProblem(tangent, ranges, prior, state.pressure, relaxing)
+        return ContactProblem(tangent, measurements, prior, state.pressure, relaxing)
 
     def _contact(
         self,
         tangent: Tangent,
-        ranges: Ranges,
+        measurements: Measurements,
         state: State,
         gas: float | None,
         rounds: int,
     ) -> ContactPressure:
-        problem = self._problem(tangent, ranges, state, gas)
+        problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.zero_is_optimal()):
             selection = problem.select(state.support, rounds)
@@ -679,7 +637,7 @@ class GaussNewton:
         self,
         tangent: Tangent,
         state: State,
-        ranges: Ranges,
+        nuisances: Nuisances,
         contact: ContactPressure,
         gas: float | None,
     ) -> tuple[State, bool, Tangent]:
@@ -694,7 +652,7 @@ class GaussNewton:
         linear, inside = state.x + share * contact.motion, gas
         if gas is not None:
             inside = state.gas + share * (gas + float(contact.amplitudes[0]) - state.gas)
-        friction = ranges.nuisances.forces @ contact.amplitudes
+        friction = nuisances.force(contact.amplitudes)
         x, balanced = linear, state is self._rest and not contact.motion.any()
         if share == 1.0 and not balanced:
             x, balanced, tangent = self.bubble.equilibrium(
@@ -729,7 +687,9 @@ class GaussNewton:
             shape_pa, measured_pa, gas, gauge
         )
 
-    def _was_linear(self, step: Step, observed: _Linearisation, following: _Linearisation) -> bool:
+    def _was_linear(
+        self, step: Step, observed: LinearisedFrame, following: LinearisedFrame
+    ) -> bool:
         """Whether the error of a step's linearisation changes its force by less than noise does."""
         touching = step.contact.pressure > 0.0
         if not touching.any():
@@ -740,11 +700,16 @@ class GaussNewton:
         beyond = np.nan_to_num(exact[observed.view.block] - linear)
         nodes = step.contact.nodes
         force = self._unit_wrenches(step, touching, nodes)[:, :3]
+        if observed.flow is not None and following.flow is not None:
+            beyond_flow = following.flow.error_px - observed.flow.after(step.motion)
+            beyond = np.concatenate([beyond, beyond_flow])
         change = self._change(step, beyond) @ force
         variance = np.diag(step.contact.problem.covariance_of(nodes, force))
         return bool((change**2 <= variance).all())
 
-    def _wrench_covariance(self, step: Step, contact: np.ndarray) -> np.ndarray:
+    def _wrench_covariance(
+        self, step: Step, observed: LinearisedFrame, contact: np.ndarray
+    ) -> np.ndarray:
         """Covariance (6, 6) of the wrench due to noise, nuisances, material and model.
 
         The support is uncertain by one node: its neighbours may touch, too.
@@ -754,13 +719,14 @@ class GaussNewton:
         nodes, problem = step.contact.nodes, step.contact.problem
         unit = self._unit_wrenches(step, contact, nodes)
         by_material = [
-            self._change(step, step.ranges.jacobian @ motion) @ unit
+            self._change(step, step.measurements.jacobian @ motion) @ unit
             for motion in step.tangent.by_material.T
         ]
         unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
         push = np.where(contact, step.contact.pressure, 0.0)[:, None]
         push = push * self.bubble.area_vectors(step.state.x)
-        model = _model_covariance(step.state.x, push, unknowns @ unit, self._friction)
+        blind = ~traced_by_flow(step.contact.pressure, self.mesh.rings, observed.seen_by_flow)
+        model = _model_covariance(step.state.x, push, unknowns @ unit, self._friction * blind)
         around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
         unit = self._unit_wrenches(step, problem.with_neighbours(contact), around)
         covariance = model + problem.covariance_of(around, unit)
@@ -768,12 +734,12 @@ class GaussNewton:
             covariance += np.outer(change, change)
         return covariance
 
-    def _change(self, step: Step, ranges_m: np.ndarray) -> np.ndarray:
-        """Change of pressures and amplitudes (s + a,) for a change of the ranges (k,)."""
+    def _change(self, step: Step, measured: np.ndarray) -> np.ndarray:
+        """Change of pressures and amplitudes (s + a,) for a change of the measurements (k,)."""
         contact, count = step.contact, len(step.contact.nodes)
-        gradient = contact.problem.misfit_gradient(contact.nodes, ranges_m)
+        gradient = contact.problem.misfit_gradient(contact.nodes, measured)
         change: np.ndarray = -contact.covariance[:, :count] @ gradient
-        change[count:] += step.ranges.amplitudes(ranges_m)
+        change[count:] += step.measurements.amplitudes(measured)
         return change
 
     def _unit_wrenches(self, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -782,14 +748,16 @@ class GaussNewton:
         For unit pressures of nodes (s,) and unit amplitudes.
         """
         x, push = step.state.x, -self.bubble.area_vectors(step.state.x) * counted[:, None]
-        loads, at = step.ranges.nuisances.forces[counted].swapaxes(1, 2), x[counted][:, None]
+        nuisances = step.measurements.nuisances
+        loads, at = nuisances.forces[counted].swapaxes(1, 2), x[counted][:, None]
         by_pressures = np.hstack([push[nodes], np.cross(x[nodes], push[nodes])])
         by_amplitudes = np.hstack([loads.sum(axis=0), np.cross(at, loads).sum(axis=0)])
-        return np.concatenate([by_pressures, by_amplitudes])
+        of_image = np.zeros((nuisances.errors.shape[1], 6))  # errors of it are no forces
+        return np.concatenate([by_pressures, by_amplitudes, of_image])
 
 
 def _model_covariance(
-    x: np.ndarray, push: np.ndarray, wrench: np.ndarray, friction: float
+    x: np.ndarray, push: np.ndarray, wrench: np.ndarray, friction: np.ndarray
 ) -> np.ndarray:
     """Covariance (6, 6) of a wrench (6,) by errors of the model.
 
@@ -801,7 +769,8 @@ def _model_covariance(
     load = np.linalg.norm(push, axis=1)
     center, normal = load @ x / load.sum(), push.sum(axis=0) / np.linalg.norm(push.sum(axis=0))
     arm = np.linalg.norm(np.cross(x - center, normal), axis=1)
-    spin = friction * np.sqrt((load @ arm**2) * load.sum())
+    unknown = friction * load
+    spin = np.sqrt((unknown @ arm**2) * unknown.sum())
     size = np.linalg.norm((wrench_about(center) @ wrench).reshape(2, 3), axis=1)
     sigma = np.column_stack([np.diag(MODEL_ERROR * np.repeat(size, 3)), np.zeros(6)])
     sigma[3:, 6] = spin * normal
@@ -809,13 +778,18 @@ def _model_covariance(
     return back @ back.T
 
 
-def _contact_blocks(observed: _Linearisation, pressure: np.ndarray) -> int:
+def _contact_blocks(observed: LinearisedFrame, pressure: np.ndarray) -> int:
     """Number of blocks of pixels that see a facet with a node under pressure (n,)."""
     jacobian = observed.view.jacobian
     touched = (pressure > 0.0)[jacobian.indices // 3]
     row = np.repeat(np.arange(jacobian.shape[0]), np.diff(jacobian.indptr))
     sees = np.bincount(row[touched], minlength=jacobian.shape[0]) > 0
     return int(np.count_nonzero(sees & (observed.weight > 0.0)))
+
+
+def _noises_converged(updated: Noise, noise: Noise, earlier: list[Noise]) -> bool:
+    each = zip(updated, noise, zip(*earlier, strict=True) if earlier else ((), ()), strict=True)
+    return all(_noise_converged(u, n, list(e)) for u, n, e in each)
 
 
 def _noise_converged(updated: float, noise: float, earlier: list[float]) -> bool:

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import RangeObserver
-from bubbleviz.inverse.contact_problem import ContactProblem, Nuisances, Prior, Ranges
+from bubbleviz.camera import MeasuredFlow, RangeObserver
+from bubbleviz.inverse.contact_problem import ContactProblem, Prior
 from bubbleviz.inverse.estimator import PAPER, Estimator, EstimatorOptions, no_estimate
 from bubbleviz.inverse.gauss_newton import MINIMUM_BLOCKS, Start
+from bubbleviz.inverse.measurements import Measurements, Nuisances
 from bubbleviz.inverse.plausibility import STATUS_REASONS, reason_against_fit, reason_against_gas
 from bubbleviz.inverse.response import ConstantTension
 from bubbleviz.membrane import cotangent_laplacian, parts_with
@@ -63,8 +64,9 @@ class PaperEstimator(Estimator):
         gas_pressure_pa: float | None = None,
         start: Start | None = None,
         gas_sigma_pa: float = 0.0,
+        flow: MeasuredFlow | None = None,
     ) -> tuple[Estimate, Start]:
-        """Solve one frame; a gas pressure with an uncertain zero is not used."""
+        """Solve one frame; optical flow and a gas pressure with an uncertain zero are not used."""
         mesh, behind = self.mesh, self.bubble.gas
         gas = None if gas_sigma_pa else behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
@@ -73,7 +75,7 @@ class PaperEstimator(Estimator):
         error, weight = (v[self._view.block] for v in (observation.residual_m, observation.weight))
         if np.count_nonzero(weight) < MINIMUM_BLOCKS:
             return no_estimate(mesh, "no_data", STATUS_REASONS["no_data"]), Start()
-        ranges = Ranges(self._view.jacobian, error, weight, Nuisances.none(len(mesh.nodes)))
+        ranges = Measurements(self._view.jacobian, error, weight, Nuisances.none(len(mesh.nodes)))
         problem, prior = self._problem(ranges, gas)
         began, iterations, converged = time.perf_counter(), 0, True
         pressure = np.zeros(len(mesh.nodes))
@@ -127,7 +129,7 @@ class PaperEstimator(Estimator):
         x, balanced, _ = self.bubble.equilibrium(tangent, nodes + motion, pressure, gas)
         return x - nodes, balanced
 
-    def _problem(self, ranges: Ranges, gas: float | None) -> tuple[ContactProblem, Prior]:
+    def _problem(self, ranges: Measurements, gas: float | None) -> tuple[ContactProblem, Prior]:
         """The problem in p_c alone (Eq. 24), for its gradient."""
         mesh, nothing = self.mesh, np.zeros(len(self.mesh.nodes))
         tangent = self.bubble.linearised(mesh.nodes, nothing, gas)
@@ -135,7 +137,7 @@ class PaperEstimator(Estimator):
         return ContactProblem(tangent, ranges, prior, nothing, (gas or 0.0) * tangent.bulge), prior
 
     def _solved(
-        self, ranges: Ranges, gas: float | None, threshold: np.ndarray, allowed: np.ndarray
+        self, ranges: Measurements, gas: float | None, threshold: np.ndarray, allowed: np.ndarray
     ) -> tuple[np.ndarray, int, bool]:
         """Contact pressure (n,) on the allowed nodes, Pa; iterations; whether it converged."""
         import osqp  # only where it is the chosen solver
@@ -146,7 +148,7 @@ class PaperEstimator(Estimator):
         scale = 1.0 / max(Q.diagonal().mean(), 1e-12)
         H1 = self._pressure_pa**2 * self.smoothness[nodes][:, nodes]
         hessian = sparse.block_diag((Q, H1, sparse.csc_array((1, 1))))
-        pull = self._D.T @ (ranges.weight * ranges.error_m)
+        pull = self._D.T @ (ranges.weight * ranges.error)
         linear = np.concatenate([-pull, self._pressure_pa * threshold[nodes], [0.0]])
         rows: Any = [
             [

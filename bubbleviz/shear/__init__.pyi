@@ -1,8 +1,4 @@
-from .flow_observer import (
-    BLOCK_PX as BLOCK_PX,
-)
 from .optical_flow import (
-    FlowField as FlowField,
     FlowPreset as FlowPreset,
     OpticalFlow as OpticalFlow,
 )
@@ -16,11 +12,6 @@ from .texture_flow import (
     recorded_texture as recorded_texture,
     watch_recorded_texture as watch_recorded_texture,
 )
-from .traction_estimator import (
-    TractionEstimator as TractionEstimator,
-    TractionOptions as TractionOptions,
-    TractionStart as TractionStart,
-)
-from .traction_problem import (
-    within_cone as within_cone,
+from .traction import (
+    traction_of as traction_of,
 )

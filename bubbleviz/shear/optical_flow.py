@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 
+from bubbleviz.camera import BLOCK_PX, FlowField
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import MIN_FRAMES, mean_inflation, temporal_correlation
 from bubbleviz.wording import how_to_install
@@ -98,8 +98,6 @@ FlowPreset = Literal["fast", "balanced", "fine"]
 """Finest level of the pyramid and rounds of refinement, a trade-off of time and error. The default
 is the fastest with the same force error as the others (`benchmarks shear`)."""
 
-BLOCK_PX = 8  # side of a block with one motion; the size of OpenCV's patches
-
 _PYRAMID: dict[FlowPreset, tuple[int, int]] = {"fast": (2, 0), "balanced": (1, 0), "fine": (1, 5)}
 _WINDOW_PX = BLOCK_PX + 1  # about the middle pixel of a block, so that its mean is that pixel's
 _SATURATED = 250  # grey level of a pixel that may be saturated
@@ -111,25 +109,6 @@ _DISAGREEMENT_VARIANCE, _CURVATURE_VARIANCE = 0.5, 0.1
 over blocks, part of which averaging removes. Fitted to synthetic motions."""
 _MIN_BLOCK_SHARE = 0.01  # of blocks with texture; chosen
 _MAX_IMAGES = 40  # for the noise: more cost time and do not improve it
-
-
-@dataclass(frozen=True)
-class FlowField:
-    """Motion of the texture from the reference image to a frame."""
-
-    pixel: np.ndarray  # (k,) int, flat index in the reference image, ascending
-    moved_px: np.ndarray  # (k, 2), motion, x to the right and y down, pixels
-    sigma_px: np.ndarray  # (k,), standard deviation of each component, pixels
-    shape: tuple[int, int]  # height and width of the reference image
-    # reason for little or no flow, one clause; empty for enough
-    problem: str = ""
-
-    def lengths_px(self) -> np.ndarray:
-        """Length of the motion as an image of blocks (H // 8, W // 8), px; NaN where unknown."""
-        image = np.full([side // BLOCK_PX for side in self.shape], np.nan)
-        row, column = np.divmod(self.pixel, self.shape[1])
-        image[row // BLOCK_PX, column // BLOCK_PX] = np.linalg.norm(self.moved_px, axis=1)
-        return image
 
 
 class OpticalFlow:

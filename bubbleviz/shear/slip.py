@@ -16,13 +16,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
+from bubbleviz.camera import FlowObserver, PinnedPoints
 from bubbleviz.inverse import PatchEdge
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.result import Slip, Traction
-from bubbleviz.shear.flow_observer import FlowObserver, PinnedPoints
 
 if TYPE_CHECKING:
-    from bubbleviz.shear.optical_flow import FlowField
+    from bubbleviz.camera import FlowField
 
 
 _FALSE_ALARMS = 0.01  # share of frames without slip in which noise may be detected as slip

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from bubbleviz.camera import ColourCamera, DepthCamera, readable
+from bubbleviz.camera import ColourCamera, DepthCamera, FlowField, readable
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import LAG, MIN_FRAMES, NO_COLOUR, Frame, Recording, placed
 from bubbleviz.result import Result
-from bubbleviz.shear.optical_flow import FlowField, FlowPreset, OpticalFlow
-from bubbleviz.shear.traction_estimator import TractionOptions
+from bubbleviz.shear.optical_flow import FlowPreset, OpticalFlow
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,17 +48,17 @@ class TextureFlow:
         except InputError as error:
             return self._flow.nothing(str(error))
 
-    def attach_to(self, pipeline: Pipeline, camera: DepthCamera, options: TractionOptions) -> None:
+    def attach_to(self, pipeline: Pipeline, camera: DepthCamera) -> None:
         """Have a pipeline estimate tractions by this flow.
 
         Raises InputError: the camera does not see the membrane, or the estimator is not of the
         exact membrane; the pipeline then uses depth only.
         """
-        pipeline.use_optical_flow(self, camera, options)
+        pipeline.use_optical_flow(self, camera)
         try:
             pipeline.prepare(frozenset({"traction"}))
         except InputError:
-            pipeline.use_optical_flow(None, options=options)
+            pipeline.use_optical_flow(None)
             raise
 
 
@@ -100,18 +99,13 @@ class PassingTexture:
     def __init__(
         self,
         pipeline: Pipeline,  # by depth only until then
-        friction: float | None = None,  # Coulomb's bound μ of tangential over normal traction
         preset: FlowPreset = "fast",
     ) -> None:
         self.words = ""
-        self._pipeline, self._options, self._preset = (
-            pipeline,
-            TractionOptions(friction or None),
-            preset,
-        )
+        self._pipeline, self._preset = pipeline, preset
         self._images: dict[int, np.ndarray] | None = {}  # None after they are collected
         self._recent: dict[int, np.ndarray] = {}  # colour may show a contact before depth
-        pipeline.use_optical_flow(None, options=self._options)
+        pipeline.use_optical_flow(None)
 
     def take(self, result: Result) -> None:
         """Take the colour image of a frame without contact, until there are enough."""
@@ -155,7 +149,7 @@ class PassingTexture:
             camera = flow_camera(colour, self._pipeline.camera, "colour camera")
             flow = OpticalFlow.of(images.values(), self._preset)
             texture = TextureFlow(flow, reference, colour.remark)
-            texture.attach_to(self._pipeline, camera, self._options)
+            texture.attach_to(self._pipeline, camera)
         except InputError as error:
             self.words = f"Depth alone: {error}"
             return
@@ -194,7 +188,6 @@ def watch_recorded_texture(
     pipeline: Pipeline,
     recording: Recording,
     contact_free: Callable[[], Sequence[int]],  # finds the frames before the first contact
-    friction: float | None = None,
     preset: FlowPreset = "fast",
 ) -> str:
     """Have a pipeline estimate tractions by a recording's colour images; returns a description.
@@ -203,10 +196,9 @@ def watch_recorded_texture(
     """
     if recording.colour is None:
         raise InputError(f"{recording.path}: {NO_COLOUR}; record them, or leave out --shear")
-    options = TractionOptions(friction or None)
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
     texture = recorded_texture(
         recording, contact_free(), preset, pipeline.model.sensor.camera.colour_delay_s
     )
-    texture.attach_to(pipeline, camera, options)
+    texture.attach_to(pipeline, camera)
     return texture.remark

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.inverse import ContactProblem, GaussNewton, Nuisances, Prior, Ranges
+from bubbleviz.inverse import ContactProblem, GaussNewton, Measurements, Nuisances, Prior
 
 from .conftest import estimator
 
@@ -23,7 +23,7 @@ def weights():
     pulls, rng = [], np.random.default_rng(0)
     for _ in range(DRAWS):
         noise = rng.standard_normal(len(weight)) / np.sqrt(weight)
-        ranges = Ranges(view.jacobian, noise, weight, none(len(nothing)))
+        ranges = Measurements(view.jacobian, noise, weight, none(len(nothing)))
         problem = ContactProblem(tangent, ranges, prior, nothing, np.zeros_like(mesh.nodes))
         pulls.append((problem.gradient(nothing) / mesh.areas)[mesh.free])
     return (newton.threshold(ranges) / mesh.areas)[mesh.free], np.array(pulls)

@@ -11,9 +11,9 @@ from scipy.stats import multivariate_normal
 from bubbleviz.inverse import (
     ContactProblem,
     LinearisedRubber,
+    Measurements,
     Nuisances,
     Prior,
-    Ranges,
     Selection,
     SupportProblem,
 )
@@ -103,7 +103,7 @@ def test_a_rim_node_never_touches():
     jacobian = sparse.csr_array(sparse.eye_array(dome.nodes.size))
     seen = -500.0 * rubber.responses(np.flatnonzero(beside)).sum(axis=1)
     weight = np.full(len(seen), 1e8)
-    ranges = Ranges(jacobian, seen, weight, Nuisances.none(len(dome.nodes)))
+    ranges = Measurements(jacobian, seen, weight, Nuisances.none(len(dome.nodes)))
     problem = ContactProblem(
         rubber, ranges, prior, np.zeros(len(dome.nodes)), np.zeros_like(dome.nodes)
     )

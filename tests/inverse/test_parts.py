@@ -9,9 +9,9 @@ from bubbleviz.inverse import (
     ConstantTension,
     ContactProblem,
     GaussNewton,
+    Measurements,
     Nuisances,
     Prior,
-    Ranges,
     area_above,
     nonnegative_qp,
 )
@@ -114,7 +114,7 @@ def problem_of(sphere):
     newton = GaussNewton(solver.observer, film, solver.smoothness, 0.1, 0.0, 0.0)
     view, observation = solver.observer.around(mesh.nodes), solver.observer.observe(depth)
     error, weight = observation.residual_m[view.block], observation.weight[view.block]
-    ranges = Ranges(view.jacobian, error, weight, Nuisances.none(len(nothing)))
+    ranges = Measurements(view.jacobian, error, weight, Nuisances.none(len(nothing)))
     tau = newton.threshold(ranges)
 
     def of(gas_pa):

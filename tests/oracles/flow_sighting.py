@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bubbleviz.camera import DepthCamera, MembraneView
-from bubbleviz.shear import BLOCK_PX, FlowField
+from bubbleviz.camera import BLOCK_PX, DepthCamera, FlowField, MembraneView
 from bubbleviz.simulation import DepthNoise
 from tests.oracles.stuck_press import ShearTruth
 

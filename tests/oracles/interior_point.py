@@ -8,13 +8,13 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.inverse import ConstantTension, Ranges
+from bubbleviz.inverse import ConstantTension, Measurements
 from bubbleviz.membrane import cotangent_laplacian
 
 
 def interior_point(
     membrane: ConstantTension,
-    ranges: Ranges,
+    ranges: Measurements,
     smoothness: sparse.sparray,
     threshold: np.ndarray,
     allowed: np.ndarray,
@@ -30,7 +30,7 @@ def interior_point(
     D = unit_m * (ranges.jacobian @ normals).tocsc()[:, free]
     H1 = unit_pa**2 * smoothness.tocsc()[free][:, free][k][:, k]
     P = sparse.block_diag((D.T @ sparse.diags_array(ranges.weight) @ D, H1, np.zeros((1, 1))))
-    q = [-D.T @ (ranges.weight * ranges.error_m), unit_pa * threshold[free][k], np.zeros(1)]
+    q = [-D.T @ (ranges.weight * ranges.error), unit_pa * threshold[free][k], np.zeros(1)]
     scale = 1.0 / np.abs(q[0]).max()
     K = membrane.tension_n_per_m * unit_m / unit_pa * cotangent_laplacian(mesh)[free][:, free]
     A = sparse.diags_array(mesh.areas[free]).tocsc()

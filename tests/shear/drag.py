@@ -6,7 +6,6 @@ import numpy as np
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
-from bubbleviz.shear import TractionOptions
 from bubbleviz.simulation import DepthNoise
 from tests.oracles.flow_sighting import FlowSighting, sighting
 from tests.oracles.stuck_press import Motion, ShearTruth, pressed, shear_sensor
@@ -41,11 +40,10 @@ def stuck(name, depth_m, drag_m, twist_deg):
 class Eyes:
     """A pipeline of the sensor and rendered images of simulated frames, in order."""
 
-    def __init__(self, nodes=600, **options):
+    def __init__(self, nodes=600):
         self.pipeline = Pipeline.of(sensor(nodes))
         self.flows: list[FlowSighting] = []
-        chosen = TractionOptions(**options)
-        self.pipeline.use_optical_flow(lambda frame: self.flows[frame.index].flow, options=chosen)
+        self.pipeline.use_optical_flow(lambda frame: self.flows[frame.index].flow)
 
     def see(self, truth, seed=0, flow_px=FLOW_PX):
         """The next frame."""

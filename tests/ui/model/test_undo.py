@@ -48,7 +48,6 @@ CHANGES = {
     "pose_track": True,
     "pose_stage": 1,
     "flow_preset": "fine",
-    "friction": 0.8,
     "compared": (ComparedSetting(nodes=300), ComparedSetting(solver="osqp")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,
@@ -226,7 +225,7 @@ def test_controls_follow_undo(drive):
             window.pose.stage.currentText(), window.threshold.least.value(),
             window.compare.a.controls["nodes"].value(),
             window.compare.b.controls["solver"].currentText(),
-            window.shear.flow.currentText(), window.shear.bounded.isChecked(),
+            window.shear.flow.currentText(),
             [action.isChecked() for action in window.plots.boxes.values()],
             [action.isChecked() for action in window.images.boxes.values()],
         ]  # fmt: skip

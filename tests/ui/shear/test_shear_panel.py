@@ -47,9 +47,9 @@ def test_traction_is_requested_only_by_what_shows_it():
     plots = replace(NOTHING, panels=frozenset({"plots"}), plots=frozenset({"slip"}))
     assert needed_products(plots) == {"slip"}
     assert not needed_products(Settings()) & {"flow", "traction", "slip", "texture"}
-    # another bound changes the demand only while shear is visible
+    # another preset changes the demand only while shear is visible
     for settings, same in ((panel, False), (NOTHING, True)):
-        other = Demand.of(replace(settings, friction=0.5))
+        other = Demand.of(replace(settings, flow_preset="fine"))
         assert Demand.of(settings).covers(other) is same
 
 
@@ -176,7 +176,7 @@ def dragged(driver, status="ok"):
     return replace(result, traction=traction, slip=slip)
 
 
-def test_arrows_numbers_with_intervals_and_friction_bound(drive, sensor, qtbot):
+def test_arrows_numbers_with_intervals_and_flow_preset(drive, sensor, qtbot):
     driver, _ = opened(drive, sensor)
     settings = replace(driver.state.settings, layers=frozenset({"membrane", "traction"}))
     layer = driver.window.scene.layers["traction"]
@@ -201,17 +201,12 @@ def test_arrows_numbers_with_intervals_and_friction_bound(drive, sensor, qtbot):
     assert alone["state"] == "depth alone: no texture" and alone["tangential"] == "–"
     text = shear_report(dragged(driver), Units())
     assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
-    # the bound is off by default, and its check box can be undone
+    # the preset can be undone
     panel, window = driver.window.shear, driver.window
-    assert driver.state.settings.friction is None and not panel.friction.isEnabled()
-    panel.bounded.click()
-    panel.friction.setValue(0.8)
-    assert driver.state.settings.friction == 0.8
     panel.flow.setCurrentIndex(panel.flow.findData("fine"))
     assert driver.state.settings.flow_preset == "fine"
-    for _ in range(3):
-        window.undo_stack.undo()
-    assert driver.state.settings.friction is None and driver.state.settings.flow_preset == "fast"
+    window.undo_stack.undo()
+    assert driver.state.settings.flow_preset == "fast"
 
 
 def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):

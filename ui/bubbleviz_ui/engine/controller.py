@@ -93,7 +93,7 @@ class Analysis(QObject):
         if self._frames:
             settings = self._state.settings
             options = FrameOptions(*settings.patch_rule)
-            demand = Demand(self._products, options=options, shear=Demand.of(settings).shear)
+            demand = Demand(self._products, options, settings.flow_preset)
             frames, client = self._frames, self._client()
             function = partial(client.solver.analyse, frames, demand, cached_only=self._cached_only)
             client.worker.submit(function, partial(self._take, frames, demand), key="analyse")

@@ -44,27 +44,18 @@ CLOUD_COLOURS: Mapping[str, Products] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class ShearOptions:
-    """Options of traction with friction: optical-flow preset, and friction bound μ or None."""
-
-    flow: FlowPreset = "fast"
-    friction: float | None = None
-
-
-@dataclass(frozen=True)
 class Demand:
     """Products to compute of a frame, with their options; part of every request."""
 
     products: Products
     options: FrameOptions = field(default_factory=FrameOptions)  # Of patch and cloud
-    shear: ShearOptions = field(default_factory=ShearOptions)
+    flow_preset: FlowPreset = "fast"
 
     @classmethod
     def of(cls, settings: Settings) -> Demand:
         """Demand of the visible layers and panels."""
         options = FrameOptions(*settings.patch_rule, settings.cloud_points)
-        shear = ShearOptions(settings.flow_preset, settings.friction)
-        return cls(needed_products(settings), options, shear)
+        return cls(needed_products(settings), options, settings.flow_preset)
 
     @property
     def patch_rule(self) -> PatchRule:
@@ -94,7 +85,11 @@ class Demand:
 
     def covers(self, other: Demand) -> bool:
         """Whether this demand includes everything in another one."""
-        same = other.shear == self.shear or not other.products & {"flow", "traction", "slip"}
+        same = other.flow_preset == self.flow_preset or not other.products & {
+            "flow",
+            "traction",
+            "slip",
+        }
         return same and other.products <= self.products
 
 

@@ -314,13 +314,6 @@ class Settings(_SettingsBase):
         "Optical flow of the colour images; balanced and fine take longer for finer motion",
         titles=_own_titles("fast", "balanced", "fine"),
     )
-    # Coulomb bound μ on tangential over normal traction; None: no bound
-    friction: float | None = _setting(
-        None,
-        "Friction bound",
-        "Ticked: the tangential traction is at most μ times the normal one (Coulomb)",
-        low=0.01, high=MOST_FRICTION, step=0.05,
-    )  # fmt: skip
     # Settings A and B of the Compare panel
     compared: tuple[ComparedSetting, ComparedSetting] = _setting(
         (ComparedSetting(), ComparedSetting(solver="linear")), "compared settings"

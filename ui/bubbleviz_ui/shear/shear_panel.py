@@ -7,8 +7,6 @@ import math
 import numpy as np
 from PySide6.QtGui import QColor, QGuiApplication
 from PySide6.QtWidgets import (
-    QCheckBox,
-    QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
     QLabel,
@@ -21,9 +19,8 @@ from bubbleviz.diagnostics import Measure, ShearEllipse, ShearNumbers
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import bind, control, form
+from bubbleviz_ui.panels.binding import control, form
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE
@@ -134,8 +131,6 @@ def _text(measure: Measure, unit: Unit) -> str:
 
 
 SEARCHING = "Looking for contact-free colour images…"
-INITIAL_MU = 0.5
-"""Initial friction bound."""
 
 
 class ShearPanel(QWidget):
@@ -153,14 +148,6 @@ class ShearPanel(QWidget):
             "Find the contact-free colour images again; do not touch a live sensor meanwhile"
         )
         self.flow = control(state, "flow_preset")
-        info = Settings.info("friction")
-        self.bounded = QCheckBox(info.label)
-        self.friction = QDoubleSpinBox(
-            minimum=info.low, maximum=info.high, singleStep=info.step, prefix="μ = "
-        )
-        for box in (self.bounded, self.friction):
-            box.setToolTip(info.tip)
-        self.friction.setKeyboardTracking(False)
         self.state = QLabel(DASH, wordWrap=True)
         self.values = {name: QLabel(DASH, wordWrap=True) for name in NUMBERS}
         for name, label in self.values.items():
@@ -177,7 +164,6 @@ class ShearPanel(QWidget):
         numbers, settings = QFormLayout(), form(self.flow)
         for name, title in NUMBERS.items():
             numbers.addRow(title, self.values[name])
-        settings.addRow(self.bounded, self.friction)
         for rows in (numbers, settings):
             rows.setHorizontalSpacing(16)
         fill(
@@ -194,22 +180,12 @@ class ShearPanel(QWidget):
         )
 
     def _connect(self, state: SessionState, controller: Controller) -> None:
-        bind(self.bounded, state, "friction", lambda mu: mu is not None, self._bound)
-        self._mu = bind(self.friction, state, "friction")
-        if state.settings.friction is None:
-            self._mu.show(INITIAL_MU)
         self.search_reference.clicked.connect(controller.find_reference)
         self.copy.clicked.connect(self._copy)
         controller.shown.connect(self._write)
         state.settings_changed.connect(self._on_settings)
-        self._on_settings(frozenset({"friction"}))
-
-    def _bound(self, on: bool) -> float | None:
-        return self.friction.value() if on else None
 
     def _on_settings(self, names: frozenset[str]) -> None:
-        if "friction" in names:
-            self.friction.setEnabled(self._state.settings.friction is not None)
         if names & (UNIT_CHOICES.keys() | {"panels"}):
             self._write()
 

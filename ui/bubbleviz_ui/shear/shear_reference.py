@@ -9,10 +9,10 @@ from bubbleviz.inverse import RUBBER
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import FrameSource, Recording
 from bubbleviz.result import Result
-from bubbleviz_ui.model.demand import Demand, ShearOptions
+from bubbleviz_ui.model.demand import Demand
 
 if TYPE_CHECKING:
-    from bubbleviz.shear import PassingTexture
+    from bubbleviz.shear import FlowPreset, PassingTexture
 
 
 MAX_SEARCHED = 3000
@@ -30,14 +30,14 @@ class ShearReference:
 
     def __init__(self) -> None:
         self.message = ""  # Description of the reference, or why there is none
-        self._options: ShearOptions | None = None
+        self._preset: FlowPreset | None = None
         self._possible = True
         self._passing: PassingTexture | None = None
         self._frame = 0
 
     def reset(self) -> None:
         """Search the reference again at the next frame."""
-        self._options = None
+        self._preset = None
 
     def products(
         self, source: FrameSource, pipeline: Pipeline, index: int, demand: Demand
@@ -45,9 +45,9 @@ class ShearReference:
         """Products of a demand that are possible for a frame; provides the reference if needed."""
         if not demand.products & SHEAR:
             return demand.products
-        if demand.shear != self._options:
-            self._options, self._passing = demand.shear, None
-            self._begin(source, pipeline, demand.shear)
+        if demand.flow_preset != self._preset:
+            self._preset, self._passing = demand.flow_preset, None
+            self._begin(source, pipeline, demand.flow_preset)
         elif index < self._frame:
             pipeline.restart()  # slip needs frames in order
         self._frame = index
@@ -59,26 +59,22 @@ class ShearReference:
             self._passing.take(result)
             self.message = self._passing.words
 
-    def _begin(self, source: FrameSource, pipeline: Pipeline, options: ShearOptions) -> None:
+    def _begin(self, source: FrameSource, pipeline: Pipeline, preset: FlowPreset) -> None:
         # slow imports that only shear needs
         from bubbleviz.recordings import find_contact_free
-        from bubbleviz.shear import PassingTexture, TractionOptions, watch_recorded_texture
+        from bubbleviz.shear import PassingTexture, watch_recorded_texture
 
         self._possible = pipeline.estimator.solver_name == RUBBER
         if not self._possible:
             self.message = NEEDS_RUBBER
             return
         if not isinstance(source, Recording) or source.colour is None or len(source) > MAX_SEARCHED:
-            self._passing = PassingTexture(pipeline, options.friction, options.flow)
+            self._passing = PassingTexture(pipeline, preset)
             return
-        pipeline.use_optical_flow(None, options=TractionOptions(options.friction))
+        pipeline.use_optical_flow(None)
         try:
             self.message = watch_recorded_texture(
-                pipeline,
-                source,
-                lambda: find_contact_free(source).frames,
-                options.friction,
-                options.flow,
+                pipeline, source, lambda: find_contact_free(source).frames, preset
             )
         except InputError as error:
             self.message = f"Depth alone: {error}"

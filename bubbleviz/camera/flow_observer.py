@@ -3,20 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import BlockSquares, DepthCamera, RayCaster, sagittas
+from bubbleviz.camera.intrinsics import DepthCamera
+from bubbleviz.camera.observer import BlockSquares, sagittas
+from bubbleviz.camera.raycast import RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 
-if TYPE_CHECKING:
-    from bubbleviz.shear.optical_flow import FlowField
+BLOCK_PX = 8  # side of a block with one motion; the size of OpenCV's patches
 
 
-BLOCK_PX = 8  # side of the blocks for which flow has one motion each
+@dataclass(frozen=True)
+class FlowField:
+    """Motion of the texture from the reference image to a frame."""
+
+    pixel: np.ndarray  # (k,) int, flat index in the reference image, ascending
+    moved_px: np.ndarray  # (k, 2), motion, x to the right and y down, pixels
+    sigma_px: np.ndarray  # (k,), standard deviation of each component, pixels
+    shape: tuple[int, int]  # height and width of the reference image
+    # reason for little or no flow, one clause; empty for enough
+    problem: str = ""
+
+    def lengths_px(self) -> np.ndarray:
+        """Length of the motion as an image of blocks (H // 8, W // 8), px; NaN where unknown."""
+        image = np.full([side // BLOCK_PX for side in self.shape], np.nan)
+        row, column = np.divmod(self.pixel, self.shape[1])
+        image[row // BLOCK_PX, column // BLOCK_PX] = np.linalg.norm(self.moved_px, axis=1)
+        return image
 
 
 @dataclass(frozen=True)
@@ -29,6 +46,16 @@ class MeasuredFlow:
     moved_px: np.ndarray  # (k, 2)
     sigma_px: np.ndarray  # (k,), standard deviation of each component
     squares: BlockSquares  # parts of the image within which errors are correlated
+    observer: FlowObserver
+
+    def at(self, nodes: np.ndarray) -> ShapeFlow:
+        """Model of the motion, linearised at a shape, nodes (n, 3) in B, m."""
+        return self.observer.around(nodes, self.point)
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Nodes next to which flow was measured, (n,) bool."""
+        return self.observer.nodes_of(self.point)
 
     def noise_factor(self, error_px: np.ndarray) -> float:
         """Factor by which errors (k, 2) exceed the noise, at least 1."""
@@ -94,14 +121,18 @@ class FlowObserver:
         row, column = np.divmod(flow.pixel[valid], self._camera.intrinsics.width)
         block = (row // BLOCK_PX) * columns + column // BLOCK_PX
         return MeasuredFlow(
-            point[valid], flow.moved_px[valid], flow.sigma_px[valid], BlockSquares(block, columns)
+            point[valid],
+            flow.moved_px[valid],
+            flow.sigma_px[valid],
+            BlockSquares(block, columns),
+            self,
         )
 
-    def flow_share(self, measured: MeasuredFlow, nodes: np.ndarray) -> float:
-        """Share of nodes (n,) bool with measured flow on an adjacent triangle."""
-        measured_nodes = np.zeros(len(nodes), bool)
-        measured_nodes[self._corners[measured.point]] = True
-        return int(np.count_nonzero(measured_nodes & nodes)) / max(1, int(np.count_nonzero(nodes)))
+    def nodes_of(self, point: np.ndarray) -> np.ndarray:
+        """Nodes (n,) bool of the triangles that points (k,) lie on."""
+        nodes = np.zeros(len(self._mesh.nodes), bool)
+        nodes[self._corners[point]] = True
+        return nodes
 
     def interpolated(self, values: np.ndarray, point: np.ndarray) -> np.ndarray:
         """Values of the nodes (n,) at points (k,)."""

@@ -1,0 +1,269 @@
+"""Measurements of a frame, and their residuals at a shape of the membrane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from bubbleviz.camera import Measured, MeasuredFlow, Observation, ShapeRanges
+
+
+class Noise(NamedTuple):
+    """Noise factors: σ of the residual over that of the noise."""
+
+    ranges: float
+    flow: float = 1.0
+
+
+@dataclass(frozen=True)
+class FrameData:
+    """Measurements of one frame.
+
+    Attributes
+    ----------
+    ranges : Measured
+    gas_pa : float or None
+        p_v, Pa; None: computed from the volume.
+    flow : MeasuredFlow or None
+        Of the colour image.
+    """
+
+    ranges: Measured
+    gas_pa: float | None = None
+    flow: MeasuredFlow | None = None
+
+
+@dataclass(frozen=True)
+class Nuisances:
+    """Unknown amplitudes, with a prior, that change the measurements besides contact pressure.
+
+    The first m move the membrane, the others are errors of the measurements.
+
+    Attributes
+    ----------
+    motions : (n, 3, m) array
+        B: motion of the membrane under a unit of each, m.
+    forces : (n, 3, m) array
+        Contact forces on the nodes for a unit of each, N.
+    errors : (r, e) array
+        E: error of the first r measurements under a unit of each.
+    sigma : (m + e,) array
+        Prior standard deviation of each amplitude; 0 for one that is fixed to zero.
+    """
+
+    motions: np.ndarray
+    forces: np.ndarray
+    errors: np.ndarray
+    sigma: np.ndarray
+
+    @classmethod
+    def none(cls, nodes: int) -> Nuisances:
+        """No nuisances, for a membrane of so many nodes."""
+        empty = np.zeros((nodes, 3, 0))
+        return cls.of_motions(empty, empty, np.zeros(0))
+
+    @classmethod
+    def of_motions(cls, motions: np.ndarray, forces: np.ndarray, sigma: np.ndarray) -> Nuisances:
+        """Nuisances that move the membrane."""
+        return cls(motions, forces, np.zeros((0, 0)), sigma)
+
+    @classmethod
+    def joined(
+        cls, moving: Sequence[Nuisances], errors: np.ndarray, error_sigma: np.ndarray
+    ) -> Nuisances:
+        """Several that move the membrane, and errors (r, e) with standard deviations (e,)."""
+        return cls(
+            np.concatenate([each.motions for each in moving], axis=2),
+            np.concatenate([each.forces for each in moving], axis=2),
+            errors,
+            np.concatenate([*(each.sigma for each in moving), error_sigma]),
+        )
+
+    def moved(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Motion (n, 3) for amplitudes (m + e,), m."""
+        motion: np.ndarray = self.motions @ amplitudes[: self.motions.shape[2]]
+        return motion
+
+    def force(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Contact forces (n, 3) for amplitudes (m + e,), N."""
+        force: np.ndarray = self.forces @ amplitudes[: self.forces.shape[2]]
+        return force
+
+    def error(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Errors (r,) of the first measurements for amplitudes (m + e,)."""
+        error: np.ndarray = self.errors @ amplitudes[self.motions.shape[2] :]
+        return error
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Residuals of ranges and optical flow at a shape: derivative, weights and nuisances.
+
+    Attributes
+    ----------
+    jacobian : (k, 3n) sparse array
+        D.
+    error : (k,) array
+        e: measured less modelled, ranges in m, then components of flow in pixels.
+    weight : (k,) array
+        1/σ².
+    nuisances : Nuisances
+    """
+
+    jacobian: sparse.csr_array
+    error: np.ndarray
+    weight: np.ndarray
+    nuisances: Nuisances
+
+    @cached_property
+    def transposed(self) -> sparse.csc_array:
+        """Dᵀ, (3n, k)."""
+        return self.jacobian.T
+
+    @cached_property
+    def by_nuisances(self) -> np.ndarray:
+        """R = D B + E: change by a unit of each nuisance, (k, a)."""
+        motions, errors = self.nuisances.motions, self.nuisances.errors
+        moved = self.jacobian @ motions.reshape(3 * len(motions), motions.shape[2])
+        rest = len(moved) - len(errors)
+        return np.hstack([moved, np.pad(errors, ((0, rest), (0, 0)))])
+
+    @cached_property
+    def nuisances_weighed(self) -> np.ndarray:
+        """W R, (k, a)."""
+        return self.weight[:, None] * self.by_nuisances
+
+    @cached_property
+    def nuisance_covariance(self) -> np.ndarray:
+        """(Σ⁻¹ + RᵀWR)⁻¹: covariance of the amplitudes given everything else, (a, a)."""
+        sigma = np.diag(self.nuisances.sigma)  # may have zeros
+        data = self.nuisances_weighed.T @ self.by_nuisances
+        scaled = np.linalg.inv(np.eye(len(sigma)) + sigma @ data @ sigma)
+        return np.asarray(sigma @ scaled @ sigma)
+
+    def amplitudes(self, unexplained: np.ndarray) -> np.ndarray:
+        """Most likely amplitudes (a,) for an unexplained residual (k,)."""
+        return self.nuisance_covariance @ (self.nuisances_weighed.T @ unexplained)
+
+    def weighed(self, residual: np.ndarray) -> np.ndarray:
+        """A residual (k,) times the inverse of its covariance with nuisances (Woodbury)."""
+        return self.weight * residual - self.nuisances_weighed @ self.amplitudes(residual)
+
+
+@dataclass(frozen=True)
+class FlowResidual:
+    """Optical flow, linearised at a shape.
+
+    Attributes
+    ----------
+    measured : MeasuredFlow
+    jacobian : (2 j, 3n) sparse array
+        Of the modelled motions, px/m.
+    error_px : (2 j,) array
+        Measured minus modelled.
+    """
+
+    measured: MeasuredFlow
+    jacobian: sparse.csr_array
+    error_px: np.ndarray
+
+    @classmethod
+    def at(cls, nodes: np.ndarray, measured: MeasuredFlow) -> FlowResidual:
+        """Residual at a shape, nodes (n, 3) in B, m."""
+        model = measured.at(nodes)
+        return cls(measured, model.jacobian, (measured.moved_px - model.moved_px).ravel())
+
+    def weight(self, noise: float) -> np.ndarray:
+        """1/σ² at a noise factor, (2 j,), 1/px²."""
+        return np.repeat(1.0 / (noise * self.measured.sigma_px) ** 2, 2)
+
+    def noise_factor(self, motion: np.ndarray) -> float:
+        """Noise factor of the residual after a motion (n, 3)."""
+        return self.measured.noise_factor(self.after(motion).reshape(-1, 2))
+
+    def after(self, motion: np.ndarray) -> np.ndarray:
+        """Residual (2 j,) after a motion (n, 3), to first order."""
+        left: np.ndarray = self.error_px - self.jacobian @ motion.ravel()
+        return left
+
+
+@dataclass(frozen=True)
+class LinearisedFrame:
+    """Camera model linearised at a shape, and the residual of an image there.
+
+    Attributes
+    ----------
+    view : ShapeRanges
+    observation : Observation
+    error_m : (k,) array
+        Measured minus modelled ranges of the blocks in `view`.
+    image_errors_m : (k, e) array
+        Range errors of those blocks under a unit of each error of the whole image.
+    image_sigma : (e,) array
+        Prior standard deviations of these.
+    flow : FlowResidual or None
+    """
+
+    view: ShapeRanges
+    observation: Observation
+    error_m: np.ndarray
+    image_errors_m: np.ndarray
+    image_sigma: np.ndarray
+    flow: FlowResidual | None
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1/σ² of the blocks in `view`, (k,), 1/m²."""
+        return self.observation.weight[self.view.block]
+
+    @property
+    def seen_by_flow(self) -> np.ndarray:
+        """Nodes next to which flow was measured, (n,) bool."""
+        nodes = self.view.jacobian.shape[1] // 3
+        return np.zeros(nodes, bool) if self.flow is None else self.flow.measured.seen
+
+    def misfit(self, error_m: np.ndarray) -> float:
+        """χ² of errors (k,), minimised over the errors of the whole image."""
+        return float(error_m @ self._by_image.weighed(error_m))
+
+    def fits_rest_better(self, error_m: np.ndarray) -> bool:
+        """Whether the membrane at rest has a smaller misfit than errors (k,)."""
+        at_rest = self.observation.residual_m[self.view.block]
+        return self.misfit(error_m) > self.misfit(at_rest)
+
+    def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
+        """Errors (k,) less the fitted errors of the whole image."""
+        explained: np.ndarray = self.image_errors_m @ self._by_image.amplitudes(error_m)
+        return error_m - explained
+
+    def measurements(
+        self, noise: Noise, moving: Sequence[Nuisances], doubt: float = 1.0
+    ) -> Measurements:
+        """Ranges and flow at noise factors, with nuisances.
+
+        Parameters
+        ----------
+        noise : Noise
+        moving : sequence of Nuisances
+            That move the membrane.
+        doubt : float
+            Factor of the prior of the image's errors; 0: they are not fitted.
+        """
+        jacobian, error, weight = self.view.jacobian, self.error_m, self.weight / noise.ranges**2
+        if self.flow is not None:
+            jacobian = sparse.vstack([jacobian, self.flow.jacobian], format="csr")
+            error = np.concatenate([error, self.flow.error_px])
+            weight = np.concatenate([weight, self.flow.weight(noise.flow)])
+        nuisances = Nuisances.joined(moving, self.image_errors_m, doubt * self.image_sigma)
+        return Measurements(jacobian, error, weight, nuisances)
+
+    @cached_property
+    def _by_image(self) -> Measurements:
+        nothing = Nuisances.none(self.view.jacobian.shape[1] // 3)
+        nuisances = Nuisances.joined([nothing], self.image_errors_m, self.image_sigma)
+        return Measurements(self.view.jacobian, self.error_m, self.weight, nuisances)
