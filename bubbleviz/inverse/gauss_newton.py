@@ -83,6 +83,9 @@ _NOISE_RATIO, _MAX_NOISES = 1.1, 8
 are tried in a frame. Without a grid, the result would depend on the first one. Half a step is about
 a standard deviation: an image of correlated noise is worth some 650 samples, which determine it to
 5 %. Factors below 1 are less certain, and their ratio is `UPPER_95`."""
+_FLOW_RATIO = 1.3
+"""The same for optical flow: by its two components in some forty squares, its noise factor is
+determined to 14 %."""
 
 
 _AS_EXPECTED = Noise(1.0)
@@ -304,7 +307,8 @@ class GaussNewton:
            long as steps are large, and after a first guess of the noise factor. After a small step
            the support is kept, as the solution could alternate between two supports for ever.
            Errors of the whole image are fitted only near the solution, where they cannot explain
-           errors of the linearisation.
+           errors of the linearisation. Optical flow counts only there, and only with a contact: no
+           unknown but friction explains motion along the membrane.
         3. Once the shape has converged, select the support again, until it is complete.
         4. Update the noise factor, by which the image is weighted, from the residual of each step
            to an equilibrium; repeat from 1 until noise and solution agree, so that the result does
@@ -327,13 +331,14 @@ class GaussNewton:
         view, tangent, noise = start.view, start.tangent, start.noise
         noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         selecting, selections, large_steps, steps, solve_ms = True, 0, 0, 0, 0.0
-        following = self._observe(data, state, view) if warm else None
+        following = self._observe(data, state, view, by_flow=True) if warm else None
         near = warm
         image_shows_rest = following is None or self._shows_rest(following, state.pressure)
         best_misfit, stalled, large = np.inf, 0, False
         while steps < _MAX_STEPS and stalled < _MAX_STALLED:
             steps += 1
-            observed = following or self._observe(data, state, view)
+            by_flow = near and bool(state.pressure.any())
+            observed = following or self._observe(data, state, view, by_flow=by_flow)
             following = None
             misfit = observed.misfit(observed.error_m)
             poor = large and misfit >= _STALLED_SHARE * best_misfit
@@ -367,9 +372,11 @@ class GaussNewton:
                 image_shows_rest = image_shows_rest and self._shows_rest(observed, pressure)
             small = self._converged_m < step.normal_motion_m <= self._reuse_m
             if first_warm and step.balanced and small:
-                following = self._observe(data, state, view)
+                following = self._observe(data, state, view, by_flow=True)
                 converged = self._was_linear(step, observed, following)
             converged = converged and fit_image == (near and image_shows_rest)
+            if data.flow is not None and observed.flow is None:
+                converged = converged and not step.contact.pressure.any()
             done = converged and (
                 (selecting and step.contact.complete) or selections > _MAX_SELECTIONS
             )
@@ -380,7 +387,7 @@ class GaussNewton:
             known = step.balanced and noise_known and not large and searched
             if done or first_guess or known:
                 updated = self._updated_noise(step, observed, noise, image_shows_rest)
-                if done and _noises_converged(updated, noise, noises):
+                if done and _noise_converged(updated, noise, noises):
                     last = (following or observed).view
                     return self._result(step, observed, last, data.gas_pa, noise, solve_ms)
                 if done or first_guess:
@@ -396,15 +403,21 @@ class GaussNewton:
         implausible = stalled == _MAX_STALLED or noise.ranges > IMPLAUSIBLE_MISFIT
         return "implausible" if implausible else "not_converged"
 
-    def _observe(self, data: FrameData, state: State, last: ShapeRanges | None) -> LinearisedFrame:
-        """Camera model and residual at a state; `last` is a model at a shape nearby."""
+    def _observe(
+        self, data: FrameData, state: State, last: ShapeRanges | None, by_flow: bool = False
+    ) -> LinearisedFrame:
+        """Camera model and residual at a state, with those of the optical flow or without.
+
+        `last` is a model at a shape nearby.
+        """
         at_rest = state is self._rest
         view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
         expected = view.model_m + self.observer.image_errors @ state.image_errors
         observation = self.observer.weigh(data.ranges, expected)
         error = observation.residual_m[view.block] - view.model_m[view.block]
         errors_m = self.observer.image_errors[view.block]
-        flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
+        used = data.flow if by_flow else None
+        flow = None if used is None else FlowResidual.at(state.x, used)
         return LinearisedFrame(view, observation, error, errors_m, self._image_sigma, flow)
 
     def _shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
@@ -452,7 +465,7 @@ class GaussNewton:
     def _fits_without_contact(
         self, at_rest: LinearisedFrame, gas: float | None, noise: float = 1.0
     ) -> bool:
-        """Whether an image of the membrane at rest is explained without contact."""
+        """Whether a depth image of the membrane at rest is explained without contact."""
         tangent = self._rest_tangent[gas is not None]
         measurements = self._measurements(tangent, self._rest, at_rest, gas, Noise(noise))
         return self._problem(tangent, measurements, self._rest, gas).zero_is_optimal()
@@ -469,7 +482,7 @@ class GaussNewton:
         by_ranges = _on_noise_grid(factor) if touching else max(_on_noise_grid(factor), 1.0)
         by_flow = 1.0
         if observed.flow is not None:
-            by_flow = _on_noise_grid(observed.flow.noise_factor(step.motion))
+            by_flow = _on_noise_grid(observed.flow.noise_factor(step.motion), _FLOW_RATIO)
         return Noise(by_ranges, by_flow)
 
     def _result(
@@ -787,28 +800,33 @@ def _contact_blocks(observed: LinearisedFrame, pressure: np.ndarray) -> int:
     return int(np.count_nonzero(sees & (observed.weight > 0.0)))
 
 
-def _noises_converged(updated: Noise, noise: Noise, earlier: list[Noise]) -> bool:
-    each = zip(updated, noise, zip(*earlier, strict=True) if earlier else ((), ()), strict=True)
-    return all(_noise_converged(u, n, list(e)) for u, n, e in each)
+def _noise_converged(updated: Noise, noise: Noise, earlier: list[Noise]) -> bool:
+    """Whether the noise factors have converged that a frame was solved with."""
+    by_kind = zip(updated, noise, zip(*earlier, strict=True) if earlier else ((), ()), strict=True)
+    same = (
+        _factor_converged(now, before, list(others), ratio)
+        for (now, before, others), ratio in zip(by_kind, (_NOISE_RATIO, _FLOW_RATIO), strict=True)
+    )
+    return len(earlier) + 1 >= _MAX_NOISES or all(same)
 
 
-def _noise_converged(updated: float, noise: float, earlier: list[float]) -> bool:
-    """Whether the noise factor has converged that a frame was solved with.
+def _factor_converged(updated: float, noise: float, earlier: list[float], ratio: float) -> bool:
+    """Whether a noise factor has converged.
 
     Neighbours on the grid count as equal: their ratio is two standard deviations. Two factors
     further apart can alternate for ever, each with its own support: the larger one is taken.
     """
-    near = min(updated, noise) >= 1.0 and abs(_noise_index(updated / noise)) <= 1
+    near = min(updated, noise) >= 1.0 and abs(_grid_index(updated / noise, ratio)) <= 1
     alternating = updated < noise and updated in earlier
-    return updated == noise or near or alternating or len(earlier) + 1 >= _MAX_NOISES
+    return updated == noise or near or alternating
 
 
-def _noise_index(noise: float) -> int:
-    """Nearest power of `_NOISE_RATIO` to a noise factor."""
-    return round(log(noise) / log(_NOISE_RATIO))
+def _grid_index(noise: float, ratio: float) -> int:
+    """Nearest power of a ratio to a noise factor."""
+    return round(log(noise) / log(ratio))
 
 
-def _on_noise_grid(noise: float) -> float:
+def _on_noise_grid(noise: float, ratio: float = _NOISE_RATIO) -> float:
     """Nearest noise factor on the grid."""
-    step = _NOISE_RATIO if noise >= 1.0 else UPPER_95
-    return step ** round(log(noise) / log(step))
+    step = ratio if noise >= 1.0 else UPPER_95
+    return float(step ** _grid_index(noise, step))
