@@ -44,8 +44,12 @@ _T = TypeVar("_T")
 _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
 """Shift of a lattice from row to row over its period, from the golden ratio to avoid stripes."""
 
+_NODE_PIXELS = 10_000
+"""Pixels for the residuals of the nodes: some ten for each."""
+
 Product = Literal[
-    "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch",
+    "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "node_residual",
+    "pose", "object_patch",
     "flow", "traction", "slip", "texture",
     "depth_image", "change_image", "residual_image", "noise_image", "used_image", "colour_image",
     "flow_image", "kappa_curve", "components",
@@ -244,7 +248,7 @@ class Pipeline:
             _ = self.estimator
         if "patch" in needed:
             _ = self._finder, self.model.view
-        if "residual" in needed:
+        if needed & {"residual", "node_residual"}:
             _ = self.model.view.at_rest
         if "traction" in needed:
             _ = self.flow_observer
@@ -417,10 +421,27 @@ class Pipeline:
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
         """Measured minus modelled range of the cloud's pixels, m."""
-        pixels = _required(result.cloud_pixels)
-        modelled = self.model.view.ranges(_required(result.estimate).motion_m, pixels)
-        measured = self.model.ranges(result.frame.depth_m, pixels)
-        return replace(result, cloud_residual_m=measured - modelled)
+        return replace(result, cloud_residual_m=self._residual(result, result.cloud_pixels))
+
+    def _node_residual_stage(self, result: Result, options: FrameOptions) -> Result:
+        """Mean residual of the pixels that see the triangles of a node at rest, m."""
+        seen_at_rest = self.model.view.at_rest
+        pixels = _evenly(seen_at_rest.reshape(result.frame.depth_m.shape) >= 0, _NODE_PIXELS)
+        residual = self._residual(result, pixels)
+        corners = self.mesh.triangles[seen_at_rest[pixels]]
+        seen = np.isfinite(residual)
+        nodes, values = corners[seen].ravel(), np.repeat(residual[seen], 3)
+        count = np.bincount(nodes, minlength=len(self.mesh.nodes))
+        total = np.bincount(nodes, values, minlength=len(count))
+        mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+        return replace(result, node_residual_m=mean)
+
+    def _residual(self, result: Result, pixels: np.ndarray | None) -> np.ndarray:
+        """Measured minus modelled range of pixels (k,), m; NaN where either is missing."""
+        chosen = _required(pixels)
+        modelled = self.model.view.ranges(_required(result.estimate).motion_m, chosen)
+        residual: np.ndarray = self.model.ranges(result.frame.depth_m, chosen) - modelled
+        return residual
 
     def _texture_stage(self, result: Result, options: FrameOptions) -> Result:
         estimate = _required(result.estimate)
@@ -470,6 +491,7 @@ _STAGES: dict[Product, _Stage] = {
     "slip": _Stage(("traction", "flow"), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),
     "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
+    "node_residual": _Stage(("estimate",), Pipeline._node_residual_stage),
     "texture": _Stage(("estimate",), Pipeline._texture_stage),
 }
 """The stage of each product, in the order in which they run."""

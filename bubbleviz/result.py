@@ -463,6 +463,7 @@ class Result:
     cloud_pixels: np.ndarray | None = None  # (k,) int, flat pixel index of each point of the cloud
     # (k,), measured minus modelled range of each point, m (NaN where the model has no surface)
     cloud_residual_m: np.ndarray | None = None
+    node_residual_m: np.ndarray | None = None  # (n,), its mean around each node; NaN if not seen
     pose: Pose | None = None  # None also without object
     object_patch: ObjectPatch | None = None  # None also if the pose is lost
     flow: FlowField | None = None  # None also without colour image or contact-free reference

@@ -264,6 +264,11 @@ class FrameSolver:
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
+    def also_compute(self, products: frozenset[Product]) -> None:
+        """Compute these products of every frame, too."""
+        self.pipeline.prepare(products)
+        self._products |= products
+
     def solve(self, frame: Frame) -> Result:
         """The products of the next frame."""
         self._measured_pa = self._measured_pa or frame.gas_pressure_pa

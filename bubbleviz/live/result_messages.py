@@ -122,11 +122,12 @@ def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:
 def _membrane(messages: ResultMessages, header: Any, result: Result) -> Any:
     """All nodes; for an untrusted estimate at rest, with NaN pressure."""
     mesh = messages.mesh
+    unknown = np.full(len(mesh.nodes), np.nan)
     if (trusted := result.trusted_estimate) is None:
-        count = len(mesh.nodes)
-        return _cloud(header, mesh.nodes, np.full(count, np.nan), np.zeros(count, bool))
-    inside = result.solution[1].node_mask
-    return _cloud(header, mesh.deformed(trusted.motion_m), trusted.contact_pressure_pa, inside)
+        return _cloud(header, mesh.nodes, unknown, unknown, np.zeros(len(unknown), bool))
+    residual = unknown if result.node_residual_m is None else result.node_residual_m
+    x, inside = mesh.deformed(trusted.motion_m), result.solution[1].node_mask
+    return _cloud(header, x, trusted.contact_pressure_pa, residual, inside)
 
 
 def _patch(messages: ResultMessages, header: Any, result: Result) -> Any:
@@ -139,10 +140,16 @@ def _patch(messages: ResultMessages, header: Any, result: Result) -> Any:
 
 
 def _cloud(
-    header: Any, points: np.ndarray, pressure_pa: np.ndarray, inside: np.ndarray | None = None
+    header: Any,
+    points: np.ndarray,
+    pressure_pa: np.ndarray,
+    residual_m: np.ndarray | None = None,
+    inside: np.ndarray | None = None,
 ) -> Any:
-    """x, y, z and pressure as float32, and whether in the patch as uint8."""
+    """x, y, z, pressure and residual as float32, and whether in the patch as uint8."""
     columns = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "pressure": pressure_pa}
+    if residual_m is not None:
+        columns["residual"] = residual_m
     kinds = dict.fromkeys(columns, "<f4")
     if inside is not None:
         columns["in_patch"], kinds["in_patch"] = inside, "u1"
@@ -162,7 +169,7 @@ def _cloud(
         point_step=size,
         row_step=size * len(table),
         data=table.view(np.uint8).reshape(-1),
-        is_dense=bool(np.isfinite(pressure_pa).all()),
+        is_dense=all(np.isfinite(column).all() for column in columns.values()),
     )
 
 

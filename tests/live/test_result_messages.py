@@ -128,7 +128,8 @@ def test_membrane_has_all_nodes_where_they_are_now(pipeline, pressed):
     found = decoded(ResultMessages(pipeline.mesh).of(pressed))
     cloud, patch = found["/bubble/membrane"], rows_of(found["/bubble/contact_patch"])
     rows, estimate = rows_of(cloud), pressed.estimate
-    assert cloud.is_dense and rows.dtype.names == ("x", "y", "z", "pressure", "in_patch")
+    assert rows.dtype.names == ("x", "y", "z", "pressure", "residual", "in_patch")
+    assert np.isnan(rows["residual"]).all() and not cloud.is_dense  # not requested
     nodes = np.column_stack([rows["x"], rows["y"], rows["z"]])
     np.testing.assert_allclose(nodes, pipeline.mesh.deformed(estimate.motion_m), atol=1e-7)
     np.testing.assert_allclose(rows["pressure"], estimate.contact_pressure_pa, rtol=1e-6)
@@ -446,3 +447,20 @@ def test_pending_zero_checks_few_frames_during_contact():
             zero.learn(1e5 + 20.0, contact_free=True)
     assert zero.offset_pa == 20.0 and rested < 21
     assert not zero.wants_next()
+
+
+def test_membrane_shows_the_residual_around_each_node(pipeline, pressed):
+    """A ripple of the depth image that no contact explains is where it was added."""
+    _, column = np.indices(pressed.frame.depth_m.shape)
+    ripple = 2e-4 * np.sin(2.0 * np.pi * column / 16.0)
+    frame = replace(pressed.frame, depth_m=pressed.frame.depth_m + ripple.astype(np.float32))
+    pipeline.restart()
+    result = pipeline.process(frame, frozenset({"patch", "node_residual"}))
+    assert result.estimate.status == "ok"
+    rows = rows_of(decoded(ResultMessages(pipeline.mesh).of(result))["/bubble/membrane"])
+    camera, x = pipeline.camera, pipeline.mesh.nodes
+    places = camera.intrinsics.project((x - camera.center) @ camera.T_B_C[:3, :3])
+    expected = 2e-4 * np.sin(2.0 * np.pi * places[:, 0] / 16.0)
+    known = np.isfinite(rows["residual"])
+    assert np.count_nonzero(known) > 0.7 * len(x)  # the camera does not see the rim
+    assert np.corrcoef(rows["residual"][known], expected[known])[0, 1] > 0.7

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Sends the results of one sensor as ROS 2 messages. No Qt.
 
 
-PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose", "node_residual"})
 """Products that are published; the pose only while an object is tracked."""
 DIAGNOSTICS_S = 1.0  # period of diagnostics, as usual in ROS
 
