@@ -167,9 +167,14 @@ class SourceUri:
 def parse_uri(text: str) -> SourceUri:
     """Parse a source URI.
 
-    Raises InputError: it begins with none of the schemes, an option is not `name=value`, is given
-    twice or unknown to the scheme, or its value is none of those it may have.
+    Raises InputError: it is no text, begins with none of the schemes, an option is not
+    `name=value`, is given twice or unknown to the scheme, or its value is not one it may have.
     """
+    if not isinstance(text, str):  # as Python passes anything
+        raise InputError(
+            f'source: give a text such as "zenoh:", not a {type(text).__name__}; to solve a stream '
+            "that is open already, use estimate or track"
+        )
     text = text.strip()
     try:
         parts = urlsplit(text, allow_fragments=False)

@@ -2,6 +2,7 @@
 
 import pytest
 
+import bubbleviz as bv
 from bubbleviz.errors import InputError
 from bubbleviz.live import open_stream, parse_uri
 
@@ -47,3 +48,9 @@ def test_errors_are_one_line_with_the_source(source, says, small_sensor, tmp_pat
     with pytest.raises(InputError, match=says.replace("(", r"\(")) as caught:
         open_stream(source, small_sensor)
     assert "\n" not in str(caught.value)
+
+
+def test_an_open_stream_is_no_source():
+    stream = bv.connect("synthetic:sphere")
+    with pytest.raises(InputError, match=r"not a LiveStream; .* use estimate or track"):
+        bv.watch(stream)
