@@ -38,11 +38,13 @@ from bubbleviz.inverse.response import Bubble, Tangent
 from bubbleviz.membrane import Gas, parts_with
 from bubbleviz.result import FlowFit, Status, wrench_about
 
-CONVERGED_MOTION, TANGENT_REUSE, LARGE_MOTION = 0.05, 0.2, 0.5
+CONVERGED_MOTION, TANGENT_REUSE, LARGE_MOTION = 0.02, 0.2, 0.5
 """Motions of the nodes over the mesh edge. A frame has converged when a step moves it by less than
 `CONVERGED_MOTION`, or the first step from a warm start by less than `TANGENT_REUSE`; a step is
 large beyond `LARGE_MOTION`. A tangent is used again within `TANGENT_REUSE` of the shape that it was
-computed at: the residual is always exact."""
+computed at: the residual is always exact. Chosen on the real press: with 0.05 the area of a frame
+that is reached on other ways differs by up to 7 % in nine of ten cases, with 0.02 by 3 %; with 0.01
+the steps with a kept tangent do not get there in one frame."""
 _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
 `_MAX_STEP`: a frame that has not converged by then contradicts the model."""
