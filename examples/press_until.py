@@ -56,6 +56,7 @@ def press_until(stream: LiveStream, robot: Robot, force_n: float) -> FrameResult
     try:
         for last in bv.estimate(stream):
             known = last.status in ("ok", "no_contact")
+            known = known and not stream.counters.equal_in_a_row  # a camera that hung
             highest_n = last.force_magnitude_n + last.force_magnitude_half_width_n
             if not (known and highest_n < force_n):  # nor where the interval is not known
                 break

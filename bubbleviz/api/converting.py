@@ -58,9 +58,14 @@ def convert(
     source: str | Path,
     out: str | Path,
     *,
+    intrinsics: str | Path | None = None,
+    times: str | Path | None = None,
+    gas_pressure: str | Path | None = None,
+    wrench: str | Path | None = None,
+    rate_hz: float | None = None,
+    metres_per_unit: float | None = None,
     overwrite: bool = False,
     progress: Progress = quiet,
-    **image_options: str | Path | float | None,
 ) -> ConvertSummary:
     """Convert a recording or a folder of depth images to MCAP.
 
@@ -70,14 +75,14 @@ def convert(
         A folder of images, or a recording for `open`.
     out : path
         `X.mcap`, or a new folder for a rosbag2.
+    intrinsics, times, gas_pressure, wrench : path, optional
+        Files for a folder of images, see `bubbleviz.recordings.image_folder`; defaults for the
+        first two are `intrinsics.toml` or `.json` and `times.csv` in the folder.
+    rate_hz, metres_per_unit : float, optional
+        For a folder of images: images per second, where they have no times; and unit of depth.
     overwrite : bool
         Replace existing files.
     progress : Progress
-    **image_options
-        For a folder of images: files `intrinsics`, `times`, `gas_pressure` and `wrench` (see
-        `bubbleviz.recordings.image_folder`; defaults for the first two are `intrinsics.toml` or
-        `.json` and `times.csv` in the folder), `rate_hz` for images without times, and
-        `metres_per_unit`.
 
     Raises
     ------
@@ -86,12 +91,12 @@ def convert(
     """
     refuse_existing(out, overwrite=overwrite)
     source = Path(source)
-    image_options = {name: value for name, value in image_options.items() if value is not None}
     progress("opening", 0.0)
+    files = intrinsics, times, gas_pressure, wrench
     if is_image_folder(source):
-        images = _images_of(source, **image_options)  # type: ignore[arg-type]
+        images = _images_of(source, *files, rate_hz, metres_per_unit)
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
-    if image_options:
+    if any(option is not None for option in (*files, rate_hz, metres_per_unit)):
         raise InputError(
             f"{source}: not a folder of depth images, and only these take --intrinsics, --rate, "
             "--times, --metres-per-unit, --gas-pressure and --wrench; correct the path, or leave "
@@ -104,13 +109,12 @@ def convert(
 
 def _images_of(
     folder: Path,
-    *,
-    intrinsics: Path | None = None,
-    times: Path | None = None,
-    gas_pressure: Path | None = None,
-    wrench: Path | None = None,
-    rate_hz: float | None = None,
-    metres_per_unit: float | None = None,
+    intrinsics: str | Path | None,
+    times: str | Path | None,
+    gas_pressure: str | Path | None,
+    wrench: str | Path | None,
+    rate_hz: float | None,
+    metres_per_unit: float | None,
 ) -> ImageFolder:
     if rate_hz is not None and times is not None:
         raise InputError(f"{folder}: give either --rate or --times, not both")
