@@ -44,6 +44,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.recordings import (
     SIGNIFICANT,
+    DepthStatistics,
     error_of_mean,
     robust_sigma,
     tukey_loss,
@@ -76,6 +77,7 @@ _TOLERANCE = 1e-4  # relative change of the sum of squares that ends the fit, fa
 _MAX_EVALUATIONS = 60
 _NEWTON_STEPS, _EQUILIBRIUM = 30, 1e-6
 """Most steps to equilibrium, and its largest residual over the load on a node of mean area."""
+_SLOW = 0.3  # ratio of residuals from which a new factor takes less time than more steps; chosen
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
 Rubber = Callable[[float], RubberMembrane]
@@ -102,6 +104,7 @@ class _MeasuredShape:
 
 
 class _PredictedShape(NamedTuple):
+    rubber: RubberMembrane
     x: np.ndarray  # (n, 3), m
     pressure: float | np.ndarray  # inside minus outside, over G
     factor: Factor  # of the tangent stiffness
@@ -174,8 +177,7 @@ class RubberProblem:
 
     def _start_from_rest(self) -> None:
         """Start the next equilibrium solve at rest, not at the shapes found last."""
-        self._initial: list[tuple[np.ndarray, ShapeRanges | None]]
-        self._initial = [(self._mesh.nodes, None)] * len(self._shapes)
+        self._initial: Sequence[_PredictedShape | None] = [None] * len(self._shapes)
 
     @property
     def change_rms_m(self) -> float:
@@ -194,7 +196,7 @@ class RubberProblem:
         if self._last[0] != key:
             found = self._predicted(vector, self._rubber(float(vector[0])))
             if found is not None:
-                self._initial = [(each.x, each.view) for each in found]
+                self._initial = found
             self._last = key, found
         return self._last[1]
 
@@ -206,21 +208,22 @@ class RubberProblem:
         moved, at_rest = membrane.mesh.nodes - self._mesh.nodes, np.zeros(self._observer.blocks)
         if moved.any():
             at_rest = self._observer.around(membrane.mesh.nodes).model_m
-        for shape, place, rise_pa, (x, last) in zip(
+        for shape, place, rise_pa, last in zip(
             self._shapes, self._places, rises_pa, self._initial, strict=True
         ):
             pressure: float | np.ndarray = 1.0 + rise_pa / gauge_pa
             if len(shape.zone):
-                pressure = np.full(len(x), pressure)
+                pressure = np.full(len(moved), pressure)
                 pressure[shape.zone] -= vector[place]
-            equilibrium = self._equilibrium(membrane, pressure, x + moved)
+            x, factor = (self._mesh.nodes, None) if last is None else (last.x, last.factor)
+            equilibrium = self._equilibrium(membrane, pressure, x + moved, factor)
             if equilibrium is None:
                 return None
             x, factor = equilibrium
-            view = self._observer.around(x, last)
+            view = self._observer.around(x, last and last.view)
             change = np.full(len(at_rest), np.nan)
             change[view.block] = (view.model_m - at_rest)[view.block]
-            out.append(_PredictedShape(x, pressure, factor, change, view))
+            out.append(_PredictedShape(membrane, x, pressure, factor, change, view))
         return out
 
     def _rises_pa(self, vector: np.ndarray) -> list[float]:
@@ -229,32 +232,43 @@ class RubberProblem:
         return [rise + error - off[0] for rise, error in zip(self.rises_pa, off[1:], strict=True)]
 
     def _equilibrium(
-        self, membrane: RubberMembrane, pressure: float | np.ndarray, x: np.ndarray
+        self,
+        membrane: RubberMembrane,
+        pressure: float | np.ndarray,
+        x: np.ndarray,
+        factor: Factor | None,  # of the tangent close to x
     ) -> tuple[np.ndarray, Factor] | None:
-        """Stable equilibrium by Newton's method, with steps of at most a mesh edge."""
-        mesh, moving = membrane.mesh, membrane.moving
+        """Stable equilibrium by Newton's method, with steps of at most a mesh edge.
+
+        The tangent is factorised again at the end, and where a step gains less than it costs.
+        """
+        mesh, moving, before = membrane.mesh, membrane.moving, np.inf
         for _ in range(_NEWTON_STEPS):
             residual = membrane.residual(x, pressure)[moving].ravel()
-            try:
-                factor = self._factoriser.factor(membrane.tangent(x, pressure).data)
-            except RuntimeError:  # singular
-                return None
-            if np.abs(residual).max() < _EQUILIBRIUM * mesh.areas.mean():
-                stable = np.ndim(pressure) > 0 or factor.negative_directions() == 0
-                return (x, factor) if stable else None
+            largest = float(np.abs(residual).max())
+            found = largest < _EQUILIBRIUM * mesh.areas.mean()
+            if factor is None or found or largest > _SLOW * before:
+                try:
+                    factor = self._factoriser.factor(membrane.tangent(x, pressure).data)
+                except RuntimeError:  # singular
+                    return None
             motion = np.zeros_like(x)
             motion[moving] = -factor.solve(residual).reshape(-1, 3)
             longest = float(np.abs(motion).max())
             if not np.isfinite(longest):
                 return None
             x = x + min(1.0, mesh.edge_length / max(longest, 1e-300)) * motion
+            if found:
+                stable = np.ndim(pressure) > 0 or factor.negative_directions() == 0
+                return (x, factor) if stable else None
+            before = largest
         return None
 
     def _slopes(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the changes by the unknowns (D, N), and by the stress at rest (D,)."""
         found, q = self._shapes_at(vector), float(vector[0])
         assert found is not None
-        rubber, rubber_after_step = self._rubber(q), self._rubber((1.0 + _STEP_OF_Q) * q)
+        rubber, rubber_after_step = found[0].rubber, self._rubber((1.0 + _STEP_OF_Q) * q)
         rest_force, slopes, by_stress = rubber.force(rubber.mesh.nodes), [], []
         gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
         error = np.arange(self._size)[self._errors]
@@ -426,6 +440,16 @@ class RubberProblem:
         smoother = _rest_rubber(self._mesh, self._slack_m, STRESS_DEGREE - 2)
         return smoother, _rest_rubber(self._other_mesh, self._slack_m)
 
+    @cached_property
+    def _observed(self) -> list[tuple[DepthStatistics, np.ndarray]]:
+        """Statistics and ranges (F, B) of the blocks, at rest and of each shape, m; NaN: unseen."""
+        out = []
+        for samples in (self._rest, *(shape.samples for shape in self._shapes)):
+            seen = [self._observer.observe(image) for image in samples.depth_m]
+            ranges = [np.where(each.weight > 0.0, each.residual_m, np.nan) for each in seen]
+            out.append((samples.statistics, np.stack(ranges)))
+        return out
+
     def _noise(
         self,
         influence: np.ndarray,  # (D, 2), of every change of range
@@ -434,17 +458,17 @@ class RubberProblem:
         """Covariance (2, 2) by the noise of all frames and the residuals of the model."""
         ends = np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1]
         influences, residuals = np.split(influence, ends), np.split(residual_m, ends)
-        at_rest = self._rest, -np.sum(influences, axis=0), np.zeros(len(influences[0]))
-        samples = [shape.samples for shape in self._shapes]
-        every = at_rest, *zip(samples, influences, residuals, strict=True)
+        influences.insert(0, -np.sum(influences, axis=0))
+        residuals.insert(0, np.zeros(len(influences[0])))
         observer, total = self._observer, np.zeros((2, 2))
-        for recorded, own, residual in every:
+        for (statistics, every_m), own, residual in zip(
+            self._observed, influences, residuals, strict=True
+        ):
             used = np.flatnonzero(own.any(axis=1))
-            seen = [observer.observe(image) for image in recorded.depth_m]
-            frames = np.stack([np.where(o.weight > 0.0, o.residual_m, np.nan)[used] for o in seen])
+            frames = every_m[:, used]
             total += sum(
                 cluster_covariances(
-                    recorded.statistics,
+                    statistics,
                     (observer.block_number[used], observer.columns, observer.block),
                     frames,
                     np.nan_to_num(np.nanmean(frames, axis=0)),

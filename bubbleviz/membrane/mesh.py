@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.membrane.assembly import Assembly
+
 
 @dataclass(frozen=True)
 class MembraneMesh:
@@ -54,6 +56,16 @@ class MembraneMesh:
     def corners(self) -> np.ndarray:
         """The triangles by corner, (3, m): contiguous rows for fast access to one corner of all."""
         return np.ascontiguousarray(self.triangles.T)
+
+    @cached_property
+    def inner_assembly(self) -> Assembly:
+        """Assembly of matrices over the free nodes."""
+        return Assembly.of(self.corners, self.free, len(self.nodes))
+
+    @cached_property
+    def full_assembly(self) -> Assembly:
+        """Assembly of matrices over all nodes."""
+        return Assembly.of(self.corners, np.arange(len(self.nodes)), len(self.nodes))
 
     @cached_property
     def rings(self) -> np.ndarray:

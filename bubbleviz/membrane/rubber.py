@@ -20,13 +20,13 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.errors import InputError
+from bubbleviz.membrane.assembly import FIRST, SECOND, Assembly
 from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
 
 FAR_STRETCHED = 1e3
 """λ in place of infinity: 1/det C is then below rounding, and only the springs remain."""
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
-_FIRST, _SECOND, _SAME = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2], [0, 3, 5]
 _TURNS = ((1, 1.0), (2, -1.0), (4, 1.0))
 """Pairs of different corners, and whether the second follows the first."""
 
@@ -57,42 +57,6 @@ class _Facets(NamedTuple):
         np.multiply(self.edges[0], self.height, out=parts[1])
         parts[2] = self.vector[2] / 6.0
         return parts
-
-
-class _Pattern(NamedTuple):
-    """Assembly pattern: positions of the triangles' entries in a symmetric sparse matrix."""
-
-    # indices, indptr: int arrays, of the columns
-    indices: np.ndarray
-    indptr: np.ndarray
-    # (6 · 9 · m,) int, place in the data of every entry of the blocks (pair of corners, 3, 3, m)
-    slots: np.ndarray
-    mirror: np.ndarray  # int, place of the transposed entry
-
-    @classmethod
-    def of(cls, corners: np.ndarray, moving: np.ndarray, nodes: int) -> _Pattern:
-        """Pattern over the `moving` ones of so many nodes, for triangles (3, m)."""
-        size = 3 * len(moving)
-        dof = np.full((nodes, 3), -1)
-        dof[moving] = np.arange(size).reshape(-1, 3)
-        corner = dof[corners].transpose(0, 2, 1)  # (corner, component, m)
-        row, column = np.broadcast_arrays(corner[_FIRST][:, :, None], corner[_SECOND][:, None])
-        row, column = row.ravel(), column.ravel()
-        kept = (row >= 0) & (column >= 0)
-        there, back = column[kept] * size + row[kept], row[kept] * size + column[kept]
-        keys, where = np.unique(np.concatenate([there, back]), return_inverse=True)
-        slots = np.full(len(row), len(keys))  # fixed nodes: one extra entry
-        slots[kept] = where[: len(there)]
-        columns, rows = np.divmod(keys, size)
-        indptr = np.searchsorted(columns, np.arange(size + 1))
-        mirror = np.searchsorted(keys, rows * size + columns)
-        return cls(rows.astype(np.int32), indptr.astype(np.int32), slots, mirror)
-
-    def assembled(self, blocks: np.ndarray) -> np.ndarray:
-        """Data of the matrix that blocks (6, 3, 3, m) and their transposes add up to."""
-        blocks[_SAME] *= 0.5  # they and their transposes are both on the diagonal
-        half = np.bincount(self.slots, blocks.ravel(), minlength=len(self.indices) + 1)[:-1]
-        return half + half[self.mirror]
 
 
 class RubberMembrane:
@@ -246,7 +210,7 @@ class RubberMembrane:
         Symmetric where the pressure is the same everywhere. The gas law is not in it: it adds
         β g gᵀ with g = ∂V/∂x and β = −dp/dV. The matrices of all calls share their indices.
         """
-        pattern, blocks = self._pattern, self._area_blocks(x)
+        pattern, blocks = self._assembly, self._area_blocks(x)
         if added is not None:
             blocks += added
         if np.ndim(pressure_pa):
@@ -271,7 +235,7 @@ class RubberMembrane:
         e = _cross((n / double)[:, None], facets.edges).swapaxes(0, 1)
         slope, bend = self._area_law(area)
         k = slope * area
-        first, second = e[_FIRST], e[_SECOND]
+        first, second = e[FIRST], e[SECOND]
         blocks = first[:, :, None] * (bend * area**2 * second)[:, None]
         blocks += (k * np.einsum("pim,pim->pm", first, second))[:, None, None] * (n[:, None] * n)
         turn = 0.5 * slope * n  # k (e_a e_bᵀ − e_b e_aᵀ) for b after a: e_a × e_b = n/(2A)
@@ -286,22 +250,23 @@ class RubberMembrane:
         edges, _, height = self._facets(x)
         blocks = np.zeros((6, 3, 3, len(height)))
         sixth = np.stack([-edges[1], edges[0]], axis=1) / 6.0  # (corner, component, m)
-        blocks[:, :2, 2] = sixth[_FIRST]
-        blocks[:, 2, :2] = sixth[_SECOND]
+        blocks[:, :2, 2] = sixth[FIRST]
+        blocks[:, 2, :2] = sixth[SECOND]
         for pair, sign in _TURNS:
             blocks[pair, 0, 1] = sign * height
             blocks[pair, 1, 0] = -sign * height
         return blocks
 
-    @cached_property
-    def _pattern(self) -> _Pattern:
-        return _Pattern.of(self._corners, self.moving, len(self.mesh.nodes))
+    @property
+    def _assembly(self) -> Assembly:
+        mesh = self.mesh
+        return mesh.inner_assembly if len(self.moving) == len(mesh.free) else mesh.full_assembly
 
     @cached_property
     def _constant(self) -> np.ndarray:
         """What of the tangent's data no motion changes: the springs."""
         springs = (self._springs + sparse.diags_array(self.rim_springs)).tocsr()
-        indices, indptr = self._pattern.indices, self._pattern.indptr
+        indices, indptr = self._assembly.indices, self._assembly.indptr
         columns = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
         nodes = self.moving[indices // 3], self.moving[columns // 3]
         same = indices % 3 == columns % 3
