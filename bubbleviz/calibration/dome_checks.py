@@ -104,16 +104,17 @@ def _steep_dents(outside: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
     The distance from the edge explains most of a dent's variance in depth. A false return is as
     far off at its edge as in its middle.
     """
-    pieces, count = ndimage.label(_closed(outside))
+    pieces, _ = ndimage.label(_closed(outside))
     dents = np.zeros_like(outside)
-    for k in range(1, count + 1):
-        region = pieces == k
-        piece = region & outside
+    for k, sides in enumerate(ndimage.find_objects(pieces), start=1):
+        box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in sides)
+        region = pieces[box] == k
+        piece = region & outside[box]
         if np.count_nonzero(piece) < _MIN_DENT_PIXELS:
             continue
-        inwards, depth = ndimage.distance_transform_edt(region)[piece], depth_m[piece]
-        if np.corrcoef(inwards, depth)[0, 1] > np.sqrt(0.5):
-            dents |= piece
+        inwards = ndimage.distance_transform_edt(region)[piece]
+        if np.corrcoef(inwards, depth_m[box][piece])[0, 1] > np.sqrt(0.5):
+            dents[box] |= piece
     return dents
 
 

@@ -93,7 +93,7 @@ def fit_free_form(
             near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse search
             tried = _DECADES[near] if k else _DECADES[::2]
             priors = [prior * (10.0**decade * unit) for decade in tried]
-            errors = left_out(D, target, weights, fold[hit], priors)
+            errors = _left_out(D, target, weights, fold[hit], priors)
             squares = errors.astype(float) ** 2 @ weights / float(weights.sum())
             best = int(np.argmin(squares))
             smoothing, left_out_rms = float(10.0 ** tried[best]), float(np.sqrt(squares[best]))
@@ -133,7 +133,7 @@ def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
     return (row // tile_px * 2 + column // tile_px) % FOLDS
 
 
-def left_out(
+def _left_out(
     D: sparse.csr_array,  # (k, n)
     target: np.ndarray,  # (k,)
     weights: np.ndarray,  # (k,)
@@ -145,10 +145,11 @@ def left_out(
     matrix, right = weighted.T @ D, weighted.T @ target
     errors = np.empty((len(priors), len(target)), np.float32)
     for k in range(FOLDS):
-        own = fold == k
-        rest = matrix - weighted[own].T @ D[own]
-        rest_right = right - weighted[own].T @ target[own]
+        own = np.flatnonzero(fold == k)
+        of_fold, weighted_of_fold, target_of_fold = D[own], weighted[own], target[own]
+        rest = (matrix - weighted_of_fold.T @ of_fold).tocsc()
+        rest_right = right - weighted_of_fold.T @ target_of_fold
         for error, prior in zip(errors, priors, strict=True):
-            solution = symmetric_lu((rest + prior).tocsc()).solve(rest_right)
-            error[own] = target[own] - D[own] @ solution
+            solution = symmetric_lu(rest + prior).solve(rest_right)
+            error[own] = target_of_fold - of_fold @ solution
     return errors

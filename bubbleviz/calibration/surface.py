@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
 
 from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.free_form import FreeForm, fit_free_form, fold_of, left_out
+from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.segmentation import (
     away_from_edges,
@@ -183,10 +182,13 @@ def _left_out_squares(
     missed = free_form.left_out_m.ravel()[pixels] * np.abs(facing)
     weights = tukey_weights(missed - np.median(missed), robust_sigma(missed))
     errors: dict[SurfaceName, np.ndarray] = {"free-form": missed}
-    for name, cap in zip(SURFACE_NAMES, caps, strict=False):  # refitted in one step
-        J = sparse.csr_array(cap.derivatives(points, sphere=name == "sphere"))
-        none = sparse.csc_array((J.shape[1], J.shape[1]))
-        errors[name] = left_out(J, cap.distance(points), weights, fold, [none])[0]
+    for name, cap in zip(SURFACE_NAMES, caps, strict=False):
+        J, distance = cap.derivatives(points, sphere=name == "sphere"), cap.distance(points)
+        errors[name] = distance.copy()
+        for k in range(FOLDS):  # refitted in one step without the fold
+            own, used = fold == k, weights * (fold != k)
+            weighted = J.T * used
+            errors[name][own] -= J[own] @ np.linalg.solve(weighted @ J, weighted @ distance)
     total = np.maximum(np.bincount(tile, weights), 1e-9)
     counted = np.bincount(tile, weights > 0.0) > 0
     return {

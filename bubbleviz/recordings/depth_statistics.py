@@ -66,16 +66,15 @@ def spatial_correlation(
     reach: int = 32,  # largest distance, pixels; less where the image is small
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns."""
-    noise = _standardised(deviations[::stride], sigma)
-    used = np.isfinite(noise)
-    noise = np.where(used, noise, np.float32(0.0))
-    weight = used.astype(np.float32)
-    reach = min(reach, min(noise.shape[1:]) // 2)
+    reach = min(reach, min(sigma.shape) // 2)
     product, pairs = np.zeros(reach + 1), np.zeros(reach + 1)
-    for axis in (0, 1):
-        for image, known in zip(noise, weight, strict=True):
-            product += _lagged_products(image, axis, reach)
-            pairs += _lagged_products(known, axis, reach)
+    for image in deviations[::stride]:
+        noise = _standardised(image, sigma)
+        used = np.isfinite(noise)
+        noise = np.where(used, noise, np.float32(0.0))
+        for axis in (0, 1):
+            product += _lagged_products(noise, axis, reach)
+            pairs += _lagged_products(used.astype(np.float32), axis, reach)
     mean = product / np.maximum(pairs, 1.0)
     return mean / mean[0] if mean[0] > 0.0 else np.eye(1, reach + 1)[0]
 
@@ -161,7 +160,7 @@ LAG = 5  # frames; longer than the memory of the camera's temporal filter
 MIN_FRAMES = 5  # frames below which neither a median nor a spread per pixel means anything
 
 _CLIP_SIGMA = 3.0  # samples further from the median are outliers
-_PART = 2**14  # pixels treated at a time, so that their samples fit the processor's cache
+_PART = 2**12  # pixels treated at a time, so that their samples fit the processor's cache
 
 
 def _parts(pixels: int) -> list[slice]:
