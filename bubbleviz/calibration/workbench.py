@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -168,10 +169,10 @@ class Workbench:
             )
         parts = samples, surfaces, _known(draft.pixels), tension
         found = Identification(self.sensor, *parts, vented)
-        levels = [
-            self._of_other(each, settings.nodes, partial(self._level, draft, progress))
-            for each in settings.levels
-        ]
+        with ThreadPoolExecutor(2) as executor:  # each of them holds its frames in memory
+            measure = partial(self._level, draft, progress)
+            of_level = partial(self._of_other, inputs=settings.nodes, measure=measure)
+            levels = list(executor.map(of_level, settings.levels))
         found = rectify(found, levels)
 
         def fit_rubber() -> Identification:
