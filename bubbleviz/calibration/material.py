@@ -118,13 +118,10 @@ def _estimate(
         shapes_text=f"the press in {names}" if pressed else f"inflation levels: {names}",
         shapes_kind="press" if pressed else "levels",
     )
-    tension = found.tension
-    gauge = tension.gauge_pressure_pa
-    sigma = tension.gauge_sigma_pa or WEATHER_SIGMA_PA
-    relative = tension.of_shape.sigma / tension.of_shape.value
-    given = found.model, found.samples, shapes, found.surfaces.other_mesh, gauge, relative
+    gauge = found.tension.gauge_pressure_pa
+    sigma = found.tension.gauge_sigma_pa or WEATHER_SIGMA_PA
     try:
-        problem = RubberProblem(*given, level_sigma_pa, pressed=pressed)
+        problem = RubberProblem(found, shapes, level_sigma_pa, pressed=pressed)
         alone = problem.fit()
         fit = problem.refit(alone, sigma / gauge)
     except InputError as error:

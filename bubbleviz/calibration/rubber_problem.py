@@ -27,6 +27,7 @@ from scipy.optimize import least_squares
 from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.calibration.cluster_covariance import cluster_covariances, student_factor
+from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.camera import RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
@@ -51,7 +52,6 @@ from bubbleviz.recordings import (
     tukey_slopes,
     tukey_weights,
 )
-from bubbleviz.sensor_model import SensorModel
 
 SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which differs little from constant tension, to 1.005."""
@@ -84,10 +84,14 @@ Rubber = Callable[[float], RubberMembrane]
 """The membrane as a function of q, under a gauge pressure of 1 Pa."""
 
 
-def _rest_rubber(mesh: MembraneMesh, slack_m: float | None, degree: int = STRESS_DEGREE) -> Rubber:
-    """Rubber whose stress at rest follows from its surface; `slack_m` as in `RubberMembrane`."""
+def _rest_rubber(
+    mesh: MembraneMesh,
+    slack_m: float | None,  # as in `RubberMembrane`
+    stress: np.ndarray | None = None,  # at rest, as of `Prestress.on`; None: from the surface
+) -> Rubber:
     tension = 1.0 / mean_curvature(mesh)  # γ0, m
-    stress = Prestress.of(mesh, 1.0, degree).on(mesh)
+    if stress is None:
+        stress = Prestress.of(mesh, 1.0).on(mesh)
     return lambda q: prestressed(mesh, 1.0, tension / (1.0 - q), stress, slack_m)
 
 
@@ -130,24 +134,23 @@ class RubberProblem:
 
     def __init__(
         self,
-        model: SensorModel,
-        rest: FrameSamples,
+        found: Identification,  # without rubber
         shapes: Sequence[FrameSamples],  # levels, or a press
-        other_mesh: MembraneMesh,  # alternative rest surface; the difference in ranges is an error
-        gauge_pa: float,  # initial value
-        stress_sigma: float,  # relative, of the stress from shape and gauge pressure
         level_sigma_pa: float | None,  # of gas pressure differences between recordings
         *,
         pressed: bool,
     ) -> None:
         # the rectification is itself fitted to the levels
-        pixels = None if model.pixels is None else replace(model.pixels, line=None)
-        self._observer = observer = replace(model, pixels=pixels).observer()
-        self._rest, self._gauge_pa, self._stress_sigma = rest, gauge_pa, stress_sigma
-        self._mesh, self._other_mesh = model.mesh, other_mesh
+        model = replace(found.model, pixels=replace(found.pixels, line=None))
+        self._observer = observer = model.observer()
+        self._surfaces, self._rest, self._mesh = found.surfaces, found.samples, found.mesh
+        rest, mesh = self._rest, self._mesh
+        self._gauge_pa = gauge_pa = found.tension.gauge_pressure_pa
+        # relative, of the stress from shape and gauge pressure
+        self._stress_sigma = found.tension.of_shape.sigma / found.tension.of_shape.value
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
-        self._rubber = _rest_rubber(model.mesh, self._slack_m)
+        self._rubber = _rest_rubber(mesh, self._slack_m)
         self._shapes = [_measured(observer, rest, each, pressed=pressed) for each in shapes]
         for shape in self._shapes:
             _check_rise(shape, gauge_pa, pressed=pressed)
@@ -162,7 +165,7 @@ class RubberProblem:
         self._pressure_sigma_pa = np.hypot(noise, 0.0 if pressed else level_sigma_pa)
         # residuals that penalise rough contact pressures
         self._smooth = np.zeros((self._errors.start - 2, self._size))
-        laplacian = cotangent_laplacian(model.mesh).tocsr()
+        laplacian = cotangent_laplacian(mesh).tocsr()
         for shape, place in zip(self._shapes, self._places, strict=True):
             if len(shape.zone):
                 root = np.linalg.cholesky(laplacian[shape.zone][:, shape.zone].toarray()).T
@@ -171,7 +174,7 @@ class RubberProblem:
         self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
         self._change_m = np.concatenate([shape.change_m for shape in self._shapes])
         self._start_from_rest()
-        tangent = self._rubber(_INITIAL_Q[0]).tangent(model.mesh.nodes, 1.0)
+        tangent = self._rubber(_INITIAL_Q[0]).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
         self._last: tuple[bytes, list[_PredictedShape] | None] = (b"", None)
 
@@ -413,11 +416,11 @@ class RubberProblem:
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
             np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
         ]
-        for rubber in self._other_rubbers:
+        for rubber, share in self._other_rubbers:
             other = self._predicted(vector, rubber(float(vector[0])))
             if other is not None:
-                change = np.concatenate([each.change_m for each in other])
-                errors.append(-influence.T @ np.nan_to_num(change - self._change_m + residuals))
+                change = np.concatenate([each.change_m for each in other]) - self._change_m
+                errors.append(-share * influence.T @ np.nan_to_num(change + residuals))
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
         divided = [_view_parts(self._observer, shape) for shape in self._shapes]
@@ -435,10 +438,17 @@ class RubberProblem:
         return Fit(vector, covariance, temper)
 
     @cached_property
-    def _other_rubbers(self) -> tuple[Rubber, ...]:
-        """Rubber with a smoother stress, and on another surface, to estimate model errors."""
-        smoother = _rest_rubber(self._mesh, self._slack_m, STRESS_DEGREE - 2)
-        return smoother, _rest_rubber(self._other_mesh, self._slack_m)
+    def _other_rubbers(self) -> list[tuple[Rubber, float]]:
+        """Rubber to estimate model errors, and the rms share of its difference that is an error."""
+        mesh, slack_m, sheet = self._mesh, self._slack_m, self._surfaces.sheet
+        smoother = Prestress.of(mesh, 1.0, STRESS_DEGREE - 2).on(mesh)
+        others = [
+            (_rest_rubber(mesh, slack_m, smoother), 1.0),
+            (_rest_rubber(self._surfaces.other_mesh, slack_m), 1.0),
+        ]
+        if sheet is not None:  # the stress lies anywhere between that of a film and of a sheet
+            others.append((_rest_rubber(mesh, slack_m, sheet.stress_on(mesh)), 1.0 / np.sqrt(3.0)))
+        return others
 
     @cached_property
     def _observed(self) -> list[tuple[DepthStatistics, np.ndarray]]:

@@ -10,6 +10,7 @@ smaller by more than three standard errors, and by more than the error of the fl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration.flat_sheet import FlatSheet
 from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.segmentation import (
@@ -66,6 +68,11 @@ class Surfaces:
     def facet_error_m(self) -> float:
         """Typical distance of the mesh's flat facets from the surface, m."""
         return facet_error(self.mesh)
+
+    @cached_property
+    def sheet(self) -> FlatSheet | None:
+        """An initially flat sheet over the same rim; None where the surface overhangs it."""
+        return FlatSheet.like(self.mesh)
 
     @property
     def chosen_cap(self) -> Ellipsoid:

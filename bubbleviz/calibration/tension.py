@@ -11,66 +11,16 @@ from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import SurfaceName, Surfaces
-from bubbleviz.errors import SolveError
 from bubbleviz.membrane import (
-    Inflation,
-    MembraneMesh,
-    RubberMembrane,
     balance_gradient,
     balance_tension,
-    inverse_metric,
     least_squares_tension,
-    mean_curvature,
     symmetric_lu,
 )
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of, rounded
-
-# Indeterminacy of the mean tension: comparison with a sheet that was flat over the same rim.
-#
-# With a round rim, shape and pressure determine the stress. With an oval rim they do not: a stress
-# field that loads the rim alone may be added. An inflated flat sheet is tighter across the oval
-# than along it, a soap film is not.
-
-
-_PRESTRETCH = 1.005  # λ of that sheet: the smaller, the more it differs from a film
-_HEIGHT_TOLERANCE = 0.02  # relative, of the inflated sheet
-_MAX_PRESSURES = 12  # tried for that height
-
-
-def sheet_excess(
-    mesh: MembraneMesh,  # surface whose rim and height the sheet has
-) -> float:
-    """Ratio of the mean tension of an initially flat sheet to its tension by force balance, less 1.
-
-    0 where the surface overhangs its rim, so that it has no flat sheet to start from.
-    """
-    flat = replace(mesh, nodes=mesh.nodes * [1.0, 1.0, 0.0])
-    if not (flat.facet_vectors[:, 2] > 0.0).all():
-        return 0.0
-    rubber = RubberMembrane(flat, 0.0, _PRESTRETCH**2 * inverse_metric(flat), 1.0)
-    inflation = Inflation(rubber, np.zeros_like(flat.nodes))
-    height = float(mesh.nodes[:, 2].max())
-    x, solved_pressure = flat.nodes, 0.0
-    stretch = _PRESTRETCH * float(np.sqrt(mesh.facet_areas.sum() / flat.facet_areas.sum()))
-    pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # of a uniformly stretched sheet
-    for _ in range(_MAX_PRESSURES):
-        try:
-            x, solved_pressure = inflation.at(pressure, x), pressure
-        except SolveError:
-            pressure *= 0.7
-            continue
-        height_ratio = height / float(x[:, 2].max())
-        if abs(height_ratio - 1.0) < _HEIGHT_TOLERANCE:
-            break
-        pressure *= float(np.clip(height_ratio, 0.6, 1.5))
-    bulged = replace(flat, nodes=x)
-    half_trace = 0.5 * np.trace(rubber.stress(x), axis1=1, axis2=2)
-    mean = float(half_trace @ bulged.facet_areas / bulged.facet_areas.sum())
-    return mean * mean_curvature(bulged) / solved_pressure - 1.0
-
 
 _CLIP = 3.0  # standard deviations beyond which the mean of a pixel ignores samples
 
@@ -191,7 +141,7 @@ def estimate_tension(
     if surfaces.chosen != "free-form":
         shape.append(_upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other])
     value = now["tension_n_per_m"]
-    excess = value * sheet_excess(surfaces.mesh)
+    excess = 0.0 if surfaces.sheet is None else value * surfaces.sheet.excess
     parts = {
         "pixels": float(tiles[0]),
         "frames": float(frames[0]),

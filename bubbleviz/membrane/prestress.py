@@ -109,6 +109,7 @@ class Prestress:
         mesh: MembraneMesh,  # the surface under the pressure
         gauge_pressure_pa: float,
         degree: int = STRESS_DEGREE,  # of the polynomials and of the virtual displacements
+        near: Prestress | None = None,  # what balance leaves open is as in this; None: uniform
     ) -> Prestress:
         """Field that balances the pressure by least squares.
 
@@ -138,12 +139,31 @@ class Prestress:
             ],
             axis=1,
         ).reshape(load.size, -1)
-        missed = load.ravel() - work[:, 0]  # the first is S = γ I
+        tension = gauge_pressure_pa / curvature
+        start = np.eye(1, work.shape[1])[0]  # S = γ I
+        if near is not None:
+            start = near.weights.ravel() / tension
         scale = curvature * mesh.facet_areas.sum()
-        work, missed = work / scale, missed / scale
+        work, missed = work / scale, (load.ravel() - work @ start) / scale
         z = np.linalg.solve(work.T @ work + _RIDGE * np.eye(work.shape[1]), work.T @ missed)
-        z[0] += 1.0
-        return cls(gauge_pressure_pa / curvature * z.reshape(3, -1))
+        return cls(tension * (start + z).reshape(3, -1))
+
+    @classmethod
+    def fitted(
+        cls,
+        mesh: MembraneMesh,
+        stress: np.ndarray,  # (m, 3, 3), Cauchy stress times thickness, N/m
+    ) -> Prestress:
+        """Field with the least mean square difference from a stress on a surface."""
+        disc, edges = disc_map(mesh), edges_of(mesh)
+        across = np.linalg.solve(edges @ edges.swapaxes(1, 2), edges)
+        tau = across @ stress @ across.swapaxes(1, 2)
+        rows, columns = [0, 0, 1], [0, 1, 1]  # of what differs in a symmetric matrix
+        fields = _fields(mesh, disc)[:, :, rows, columns].transpose(1, 2, 0)
+        parts = np.linalg.solve(fields, tau[:, rows, columns, None])[..., 0]  # (m, 3)
+        weight = np.sqrt(mesh.facet_areas)[:, None]
+        polynomials = _polynomials(mesh, disc, STRESS_DEGREE)
+        return cls(np.linalg.lstsq(weight * polynomials, weight * parts, rcond=None)[0].T)
 
     def times(self, factor: float) -> Prestress:
         """Field of the same surface under a pressure larger by a factor."""

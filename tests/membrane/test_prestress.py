@@ -1,5 +1,7 @@
 """Stress at rest from shape and pressure: against the meridian's equations and by balance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from domes import GAUGE, A, H, force, gas_of, plate, pose
@@ -7,6 +9,7 @@ from domes import GAUGE, A, H, force, gas_of, plate, pose
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import (
     EllipsoidalCap,
+    Inflation,
     MembraneMesh,
     Prestress,
     RubberForward,
@@ -14,6 +17,7 @@ from bubbleviz.membrane import (
     build_mesh,
     build_rubber,
     disc_map,
+    inverse_metric,
     mesh_cap,
     prestressed,
     reference_tension,
@@ -121,6 +125,23 @@ def test_all_meshes_of_a_surface_have_the_same_stress():
         assert prestressed(mesh, 5000.0, 400.0, field).mean_tension == pytest.approx(
             tension, rel=2e-3
         )
+
+
+def test_stress_that_balance_leaves_open_follows_a_given_field():
+    """An inflated oval sheet, flat at rest, against the stress of its own equilibrium."""
+    flat = oval(1500)
+    flat = replace(flat, nodes=flat.nodes * [1.0, 1.0, 0.0])
+    rubber = RubberMembrane(flat, 0.0, 1.05**2 * inverse_metric(flat), 140.0)
+    sheet = replace(flat, nodes=Inflation(rubber, np.zeros_like(flat.nodes)).at(2500.0))
+    exact = Prestress.fitted(sheet, rubber.stress(sheet.nodes))
+    alone, near = Prestress.of(sheet, 2500.0), Prestress.of(sheet, 2500.0, near=exact)
+    errors = [np.linalg.norm(each.weights - exact.weights) for each in (alone, near)]
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[0] > 0.05 * exact.weights[0, 0]
+    tau, corners = exact.on(sheet), sheet.nodes[sheet.triangles]
+    edges = corners[:, 1:] - corners[:, :1]
+    stress = edges.swapaxes(1, 2) @ tau @ edges
+    assert stress == pytest.approx(rubber.stress(sheet.nodes), abs=0.1 * exact.weights[0, 0])
 
 
 def test_membrane_of_a_sensor():
