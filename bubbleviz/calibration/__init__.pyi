@@ -42,9 +42,8 @@ from .sensor_check import (
     check_sensor as check_sensor,
 )
 from .sensor_comparison import (
-    Comparison as Comparison,
     QuantityKind as QuantityKind,
-    compare as compare,
+    SensorComparison as SensorComparison,
 )
 from .surface import (
     SURFACE_NAMES as SURFACE_NAMES,
@@ -58,7 +57,6 @@ from .validation import (
     KnownPress as KnownPress,
     Validation as Validation,
     mean_frame as mean_frame,
-    validate as validate,
 )
 from .verdict import (
     Parameter as Parameter,

@@ -31,7 +31,7 @@ class ComparisonRow:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SensorComparison:
     """The sensor in use against the identified one."""
 
     rows: tuple[ComparisonRow, ...]
@@ -39,47 +39,51 @@ class Comparison:
     # the old one, m; NaN where either has none
     difference_m: np.ndarray
 
+    @classmethod
+    def of(cls, old: Sensor, new: Identification) -> SensorComparison:
+        """Compare the sensor in use with the one identified from its frames.
+
+        Raises InputError: the old sensor's files are unreadable, or of another camera.
+        """
+        intrinsics = new.model.camera.intrinsics
+        if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
+            raise InputError(
+                f"{old.name}: its images have {old.camera.width}×{old.camera.height} pixels, those "
+                f"of the new sensor {intrinsics.width}×{intrinsics.height}; compare with the "
+                "sensor file of this camera"
+            )
+        measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
+        models = SensorModel.of(old, intrinsics), new.model
+        before, after = (_numbers(model, measured) for model in models)
+        known = old.calibration
+        intervals = {
+            "γ0": new.tension.tension,
+            "λ": new.prestretch,
+            "gauge pressure": new.tension.gauge,
+        }
+        names = list(intervals)
+        intervals["height"] = new.tension.dimensions["height_m"]
+        half = {name: None if each is None else each.half_width for name, each in intervals.items()}
+        old_half: dict[str, float] = {}
+        if known is not None:
+            ends = (
+                known.tension_interval_n_per_m,
+                known.prestretch_interval,
+                known.gauge_interval_pa,
+            )
+            pairs = zip(names, ends, strict=True)
+            old_half = {name: 0.5 * (each[1] - each[0]) for name, each in pairs if each}
+        rows = tuple(
+            ComparisonRow(name, kind, value, after[name, kind], half.get(name), old_half.get(name))
+            for (name, kind), value in before.items()
+        )
+        return cls(rows, np.subtract(*(_expected(model)[1] for model in reversed(models))))
+
     @property
     def largest_m(self) -> float:
         """99th percentile of the absolute difference, m."""
         known = np.abs(self.difference_m[np.isfinite(self.difference_m)])
         return max(float(np.percentile(known, 99.0)), 1e-6) if known.size else 1e-6
-
-
-def compare(old: Sensor, new: Identification) -> Comparison:
-    """Compare the sensor in use with the one identified from its frames.
-
-    Raises InputError: the old sensor's files are unreadable, or of another camera.
-    """
-    intrinsics = new.model.camera.intrinsics
-    if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
-        raise InputError(
-            f"{old.name}: its images have {old.camera.width}×{old.camera.height} pixels, those of "
-            f"the new sensor {intrinsics.width}×{intrinsics.height}; compare with the sensor file "
-            "of this camera"
-        )
-    measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
-    models = SensorModel.of(old, intrinsics), new.model
-    before, after = (_numbers(model, measured) for model in models)
-    known = old.calibration
-    intervals = {
-        "γ0": new.tension.tension,
-        "λ": new.prestretch,
-        "gauge pressure": new.tension.gauge,
-    }
-    names = list(intervals)
-    intervals["height"] = new.tension.dimensions["height_m"]
-    half = {name: None if each is None else each.half_width for name, each in intervals.items()}
-    old_half: dict[str, float] = {}
-    if known is not None:
-        ends = known.tension_interval_n_per_m, known.prestretch_interval, known.gauge_interval_pa
-        pairs = zip(names, ends, strict=True)
-        old_half = {name: 0.5 * (each[1] - each[0]) for name, each in pairs if each}
-    rows = tuple(
-        ComparisonRow(name, kind, value, after[name, kind], half.get(name), old_half.get(name))
-        for (name, kind), value in before.items()
-    )
-    return Comparison(rows, np.subtract(*(_expected(model)[1] for model in reversed(models))))
 
 
 def _expected(model: SensorModel) -> tuple[np.ndarray, np.ndarray]:

@@ -44,6 +44,60 @@ class Validation:
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
 
+    @classmethod
+    def of(
+        cls,
+        model: SensorModel,  # as calibrated, with the camera of the frames
+        frames: Sequence[Frame],  # of the object held still; their mean is used
+        obj: RigidObject,
+        T_B_O: np.ndarray,  # (4, 4), its pose in B
+    ) -> Validation:
+        """Predict the press of an object at a pose and compare it with frames of it.
+
+        Raises InputError: no frames, or no pixel on the membrane. Raises SolveError: the forward
+        model has no equilibrium at the pose.
+        """
+        if not frames:
+            raise InputError("validation: no frames; give at least one of the object held still")
+        frame = mean_frame(frames)
+        mesh = simulation_mesh(model)  # the estimator's is too coarse
+        gas = Gas.of(model.sensor.pneumatics, mesh)
+        contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
+        if not contact.converged:
+            raise SolveError(
+                f"validation: no equilibrium of the membrane with {obj.name} at this pose; correct "
+                "the pose or the object"
+            )
+        view = MembraneView(model.camera, mesh)
+        measured = model.range_image(frame.depth_m).astype(float)
+        distance = _distance(view, measured, contact.displacement_m)
+        untouched = _distance(view, measured, np.zeros(len(mesh.nodes)))
+        if not np.isfinite(distance).any():
+            raise InputError(
+                "validation: no pixel has a valid depth on the membrane; choose other pressed "
+                "frames, or the sensor file of this camera"
+            )
+        touching = (contact.contact_pressure_pa > 0.0).astype(float)
+        predicted = view.above(contact.displacement_m, touching, 0.5)
+        result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
+        estimated = np.zeros_like(predicted)
+        force = np.zeros(3)
+        if result.patch is not None and result.patch.pixel_mask is not None:
+            estimated, force = result.patch.pixel_mask, result.patch.force_n
+        union = int(np.count_nonzero(predicted | estimated))
+        return cls(
+            points_m=model.camera.points_at(measured, np.flatnonzero(np.isfinite(distance))),
+            distance_m=distance,
+            untouched_rms_m=float(np.sqrt(np.nanmean(untouched**2))),
+            predicted_patch=predicted,
+            measured_patch=estimated,
+            patch_overlap=np.count_nonzero(predicted & estimated) / union
+            if union
+            else float("nan"),
+            predicted_force_n=-(mesh.areas * contact.contact_pressure_pa) @ mesh.normals,
+            measured_force_n=force,
+        )
+
     @property
     def rms_m(self) -> float:
         """Root mean square of the distance, m."""
@@ -101,7 +155,7 @@ class KnownPress:
     def validate(self, model: SensorModel, source: FrameSource) -> Validation:
         """Predict this press and compare it with its frames in a recording.
 
-        Raises InputError, SolveError: as `validate`; no such object or frames, or an invalid pose.
+        Raises InputError, SolveError: as `Validation.of`; no such object or frames, invalid pose.
         """
         obj, T_B_O = load_object(self.obj), parse_pose(self.pose)
         if not 0 <= self.first < self.stop <= len(source):
@@ -111,58 +165,7 @@ class KnownPress:
                 f"0:{len(source)}"
             )
         frames = [source[k] for k in range(self.first, self.stop)]
-        return validate(model, frames, obj, T_B_O)
-
-
-def validate(
-    model: SensorModel,  # as calibrated, with the camera of the frames
-    frames: Sequence[Frame],  # of the object held still; their mean is used
-    obj: RigidObject,
-    T_B_O: np.ndarray,  # (4, 4), its pose in B
-) -> Validation:
-    """Predict the press of an object at a pose and compare it with frames of it.
-
-    Raises InputError: no frames, or no pixel on the membrane. Raises SolveError: the forward model
-    has no equilibrium at the pose.
-    """
-    if not frames:
-        raise InputError("validation: no frames; give at least one of the object held still")
-    frame = mean_frame(frames)
-    mesh = simulation_mesh(model)  # the estimator's is too coarse
-    gas = Gas.of(model.sensor.pneumatics, mesh)
-    contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
-    if not contact.converged:
-        raise SolveError(
-            f"validation: no equilibrium of the membrane with {obj.name} at this pose; correct the "
-            "pose or the object"
-        )
-    view = MembraneView(model.camera, mesh)
-    measured = model.range_image(frame.depth_m).astype(float)
-    distance = _distance(view, measured, contact.displacement_m)
-    untouched = _distance(view, measured, np.zeros(len(mesh.nodes)))
-    if not np.isfinite(distance).any():
-        raise InputError(
-            "validation: no pixel has a valid depth on the membrane; choose other pressed frames, "
-            "or the sensor file of this camera"
-        )
-    touching = (contact.contact_pressure_pa > 0.0).astype(float)
-    predicted = view.above(contact.displacement_m, touching, 0.5)
-    result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
-    estimated = np.zeros_like(predicted)
-    force = np.zeros(3)
-    if result.patch is not None and result.patch.pixel_mask is not None:
-        estimated, force = result.patch.pixel_mask, result.patch.force_n
-    union = int(np.count_nonzero(predicted | estimated))
-    return Validation(
-        points_m=model.camera.points_at(measured, np.flatnonzero(np.isfinite(distance))),
-        distance_m=distance,
-        untouched_rms_m=float(np.sqrt(np.nanmean(untouched**2))),
-        predicted_patch=predicted,
-        measured_patch=estimated,
-        patch_overlap=np.count_nonzero(predicted & estimated) / union if union else float("nan"),
-        predicted_force_n=-(mesh.areas * contact.contact_pressure_pa) @ mesh.normals,
-        measured_force_n=force,
-    )
+        return Validation.of(model, frames, obj, T_B_O)
 
 
 def mean_frame(frames: Sequence[Frame]) -> Frame:

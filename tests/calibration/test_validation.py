@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import mean_frame, validate
+from bubbleviz.calibration import Validation, mean_frame
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
@@ -39,7 +39,7 @@ def press(sensor):
 
 
 def test_prediction_matches_the_cloud(model, press):
-    found = validate(model, [press[11]], press.obj, press.poses[11])
+    found = Validation.of(model, [press[11]], press.obj, press.poses[11])
     assert found.rms_m < 0.3e-3
     assert found.rms_m < 0.1 * found.untouched_rms_m
     assert found.rms_m < found.p95_m < 3.0 * found.rms_m
@@ -53,17 +53,17 @@ def test_prediction_matches_the_cloud(model, press):
 def test_wrong_pose_is_detected(model, press):
     shifted = press.poses[11].copy()
     shifted[:3, 3] += (0.006, 0.0, 0.002)
-    right = validate(model, [press[11]], press.obj, press.poses[11])
-    wrong = validate(model, [press[11]], press.obj, shifted)
+    right = Validation.of(model, [press[11]], press.obj, press.poses[11])
+    wrong = Validation.of(model, [press[11]], press.obj, shifted)
     assert wrong.rms_m > 2.0 * right.rms_m
     assert wrong.patch_overlap < right.patch_overlap
 
 
 def test_several_frames_average_their_noise(model, press):
     frames = [press[11]] * 2
-    assert validate(model, frames, press.obj, press.poses[11]).rms_m < 0.3e-3
+    assert Validation.of(model, frames, press.obj, press.poses[11]).rms_m < 0.3e-3
     with pytest.raises(InputError, match="no frames"):
-        validate(model, [], press.obj, press.poses[11])
+        Validation.of(model, [], press.obj, press.poses[11])
 
 
 def test_mean_of_frames_omits_pixels_missing_in_most():

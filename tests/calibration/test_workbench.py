@@ -10,11 +10,11 @@ import pytest
 from bubbleviz.calibration import (
     Quantity,
     RubberEstimate,
+    SensorComparison,
     Settings,
     Step,
     Workbench,
     as_ranges,
-    compare,
     frame_numbers,
     save,
     write_sensor,
@@ -143,7 +143,7 @@ def test_frame_ranges():
 
 
 def test_a_sensor_does_not_differ_from_itself(found, tmp_path):
-    same = compare(write_sensor(found, tmp_path / "own.toml"), found)
+    same = SensorComparison.of(write_sensor(found, tmp_path / "own.toml"), found)
     assert same.largest_m < 5e-6  # the file's digits
     for row in same.rows:
         if row.name == "λ":
@@ -157,7 +157,8 @@ def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
     rubber = RubberEstimate(stretch, gauge)
     found = replace(found, tension=found.tension.under(gauge), rubber=rubber)
     rows = {
-        row.name: row for row in compare(write_sensor(found, tmp_path / "own.toml"), found).rows
+        row.name: row
+        for row in SensorComparison.of(write_sensor(found, tmp_path / "own.toml"), found).rows
     }
     tension = found.tension.tension.half_width
     for name, half in {"γ0": tension, "λ": 0.06, "gauge pressure": 85.5}.items():
@@ -168,7 +169,7 @@ def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
 
 def test_another_height_appears_in_table_and_image(found):
     higher = found.sensor.membrane.model_copy(update={"height_m": 0.052})
-    table = compare(found.sensor.model_copy(update={"membrane": higher}), found)
+    table = SensorComparison.of(found.sensor.model_copy(update={"membrane": higher}), found)
     height = next(row for row in table.rows if row.name == "height")
     assert height.old - height.new == pytest.approx(2e-3, abs=2e-4)
     middle = table.difference_m[tuple(s // 2 for s in table.difference_m.shape)]

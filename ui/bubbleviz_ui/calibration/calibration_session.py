@@ -26,7 +26,7 @@ from bubbleviz_ui.model.undo import UndoRecorder, UndoStep
 from bubbleviz_ui.model.units import Units
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import Comparison, Verdict, Workbench
+    from bubbleviz.calibration import SensorComparison, Verdict, Workbench
 
 
 # Results of the calibration thread: a draft and its images.
@@ -54,7 +54,7 @@ class Answer:
     # last frame minus surface, before and after rectification, (H, W) each, m
     last: tuple[np.ndarray, np.ndarray] | None = None
     local_tension: np.ndarray | None = None  # (H, W), N/m
-    comparison: Comparison | None = None  # with the sensor in use
+    comparison: SensorComparison | None = None  # with the sensor in use
     compared_with: Sensor | None = None
 
     @property
@@ -78,7 +78,7 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
         return Answer(work, draft, axis)
     progress("images", IMAGES_AT)
     # not at start
-    from bubbleviz.calibration import before_after, compare, local_tension_image
+    from bubbleviz.calibration import SensorComparison, before_after, local_tension_image
 
     return Answer(
         work,
@@ -86,7 +86,7 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
         axis,
         last=before_after(draft.found),
         local_tension=local_tension_image(draft.found),
-        comparison=compare(in_use, draft.found),
+        comparison=SensorComparison.of(in_use, draft.found),
         compared_with=in_use,
     )
 

@@ -33,7 +33,7 @@ from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import Comparison, QuantityKind, Validation
+    from bubbleviz.calibration import QuantityKind, SensorComparison, Validation
 
 
 class ReportPage(Page):
@@ -81,7 +81,7 @@ class ReportPage(Page):
             "Expected range of the untouched membrane, new sensor minus the one in use",
             difference, length, -limit, limit)  # fmt: skip
 
-    def _show_table(self, comparison: Comparison | None) -> None:
+    def _show_table(self, comparison: SensorComparison | None) -> None:
         rows = comparison.rows if comparison is not None else ()
         self.table.setRowCount(len(rows))
         for number, row in enumerate(rows):
