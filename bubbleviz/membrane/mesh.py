@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,10 @@ class MembraneMesh:
     # sensor)
     triangles: np.ndarray
     rim: np.ndarray  # (n,) bool, nodes clamped at the rim, where u = 0
+
+    def __getstate__(self) -> dict[str, np.ndarray]:
+        """Leave out what can be recomputed, for other processes."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def facet_vectors(self) -> np.ndarray:
