@@ -44,8 +44,6 @@ class Identified(Summary):
         The frames used.
     started_from : str
         Name of the initial sensor file.
-    validation : Validation or None
-        By a known press, if one was given.
     numbers : dict
         Numbers of the report, SI units, with `verdict`; empty before `save`.
     out, report : Path or None
@@ -55,7 +53,6 @@ class Identified(Summary):
     found: Identification
     source: FrameSource
     started_from: str
-    validation: Validation | None = None
     numbers: dict[str, Any] = field(default_factory=dict)
     out: Path | None = None
     report: Path | None = None
@@ -75,6 +72,11 @@ class Identified(Summary):
     def gauge_pressure_pa(self) -> float:
         """Gauge pressure of the gas, Pa: as measured, or the former sensor file's."""
         return self.found.sensor.pneumatics.gauge_pressure_pa
+
+    @property
+    def validation(self) -> Validation | None:
+        """Validation by a known press, if one was given."""
+        return self.found.validation
 
     @property
     def prestretch(self) -> float | None:
@@ -115,7 +117,7 @@ class Identified(Summary):
         args = self.found, self.source, self.started_from, out, folder
         files = output_files(out, folder, overwrite=overwrite)
         with restore_on_error(*files) if overwrite else nullcontext():
-            self.numbers = save(*args, progress, self.validation)
+            self.numbers = save(*args, progress)
         self.out, self.report = out, folder
         return self.numbers
 
@@ -232,7 +234,7 @@ def identify(
     with OneBlasThread():
         draft = Workbench(source, load_sensor(sensor)).work(settings, progress)
     assert draft.found is not None  # after the last step
-    identified = Identified(draft.found, source, name, draft.validation)
+    identified = Identified(draft.found, source, name)
     if out is not None:
         identified.save(out, report, overwrite=overwrite, progress=progress)
     return identified

@@ -29,6 +29,7 @@ from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
     from bubbleviz.calibration.material import RubberEstimate
+    from bubbleviz.calibration.validation import Validation
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
 
@@ -70,6 +71,7 @@ class Identification:
     vented: Vented | None = None  # the open chamber, whose pressure is in the tension
     # None without inflation levels, press and open chamber
     rubber: RubberEstimate | None = None
+    validation: Validation | None = None  # by a known press
 
     @property
     def mesh(self) -> MembraneMesh:

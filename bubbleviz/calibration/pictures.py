@@ -37,7 +37,7 @@ def local_tension_image(found: Identification) -> np.ndarray:
     return image
 
 
-def pictures(found: Identification, validation: Validation | None) -> list[dict[str, str]]:
+def pictures(found: Identification) -> list[dict[str, str]]:
     statistics, mask = found.samples.statistics, found.pixels.mask
     residual = found.surfaces.residual_m
     limit = 3.0 * float(np.std(residual[mask]))
@@ -59,7 +59,7 @@ def pictures(found: Identification, validation: Validation | None) -> list[dict[
                  1e3 * after, "mm", around, _DIVERGING),
         _picture("Local γ0", "force balance around each pixel", local_tension_image(found), "N/m",
                  (0.8 * tension, 1.2 * tension), _DIVERGING),
-        *([] if validation is None else _validation_pictures(validation)),
+        *([] if found.validation is None else _validation_pictures(found.validation)),
     ]  # fmt: skip
 
 

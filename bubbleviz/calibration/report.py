@@ -14,7 +14,6 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.validation import Validation
 from bubbleviz.calibration.verdict import judge, parameters
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
@@ -125,15 +124,11 @@ def _comment(found: Identification) -> str:
     return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
-def summary(
-    found: Identification,
-    origin: Origin,
-    validation: Validation | None = None,  # by a known press
-) -> dict[str, Any]:
+def summary(found: Identification, origin: Origin) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.tension, found.surfaces
     statistics, cap = found.samples.statistics, surfaces.cap
-    pressed = () if validation is None else (validation.summary,)
+    pressed = () if found.validation is None else (found.validation.summary,)
     return {
         "verdict": asdict(verdict) | {"advice": [*verdict.advice, *pressed]},
         "origin": origin,
@@ -145,7 +140,7 @@ def summary(
         "tension_by_surface_n_per_m": tension.by_surface,
         "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
         "tension_per_pascal_m": tension.per_pascal,
-        "validation": _validation(validation),
+        "validation": _validation(found),
         "rectification": _rectification(found),
         "rubber": _rubber(found),
         "gauge_pressure_pa": tension.gauge_pressure_pa,
@@ -174,7 +169,6 @@ def write_report(
     found: Identification,
     numbers: dict[str, Any],  # its `summary`
     folder: str | Path,
-    validation: Validation | None = None,  # for its pictures
 ) -> None:
     """Write `report.html` and `report.json` in a new folder, both or none.
 
@@ -193,7 +187,7 @@ def write_report(
     )
     pages.filters["length_of"] = np.linalg.norm
     page = pages.get_template("identification_report.html").render(
-        name=found.sensor.name, numbers=numbers, pictures=pictures(found, validation)
+        name=found.sensor.name, numbers=numbers, pictures=pictures(found)
     )
     with whole_file(folder) as temporary:
         temporary.mkdir()
@@ -229,8 +223,8 @@ def _rubber(found: Identification) -> dict[str, Any] | None:
     }
 
 
-def _validation(validation: Validation | None) -> dict[str, Any] | None:
-    if validation is None:
+def _validation(found: Identification) -> dict[str, Any] | None:
+    if (validation := found.validation) is None:
         return None
     overlap = validation.patch_overlap
     return {
@@ -251,7 +245,6 @@ def save(
     out: Path,  # SENSOR.toml; its mesh and pixels go into the same folder
     report: Path | None,  # new folder
     progress: Progress = quiet,
-    validation: Validation | None = None,  # by a known press
 ) -> dict[str, Any]:
     """Write the sensor to `out`, and its report; returns the numbers of the report.
 
@@ -267,12 +260,12 @@ def save(
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "report": None if report is None else portable_path(report / "report.html", out.parent),
     }
-    numbers = summary(found, origin, validation)
+    numbers = summary(found, origin)
     progress("writing", 0.0)
     write_sensor(found, out, origin)
     if report is not None:
         try:
-            write_report(found, numbers, report, validation)
+            write_report(found, numbers, report)
         except BaseException:
             for each in files[:3]:
                 each.unlink(missing_ok=True)  # none existed before: `output_files`

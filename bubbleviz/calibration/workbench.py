@@ -31,7 +31,6 @@ from bubbleviz.calibration.rest_frames import (
 )
 from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
 from bubbleviz.calibration.tension import estimate_tension
-from bubbleviz.calibration.validation import Validation
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
@@ -41,7 +40,7 @@ from bubbleviz.sensor import Sensor
 if TYPE_CHECKING:
     from bubbleviz.calibration.rest_frames import Ranges
     from bubbleviz.calibration.surface import SurfaceName, Surfaces
-    from bubbleviz.calibration.validation import KnownPress
+    from bubbleviz.calibration.validation import KnownPress, Validation
     from bubbleviz.recordings import ContactFree
 
 
@@ -86,7 +85,10 @@ class Draft:
     pixels: PixelModel | None = None
     surfaces: Surfaces | None = None
     found: Identification | None = None  # with the rectification by the other levels
-    validation: Validation | None = None
+
+    @property
+    def validation(self) -> Validation | None:
+        return None if self.found is None else self.found.validation
 
 
 _CACHED = 3  # results of a step: the present one, the one before an undo, and one more
@@ -191,7 +193,7 @@ class Workbench:
         validation = self._cached(
             "validation", settings, lambda: press.validate(rubber.model, self.source)
         )
-        return replace(draft, validation=validation)
+        return replace(draft, found=replace(rubber, validation=validation))
 
     def _level(self, draft: Draft, progress: Progress, level: FrameSource) -> Level:
         """Frames, surface and pixels of a level, by the same steps."""

@@ -93,7 +93,7 @@ class CalibrationPanel(QWidget):
     def save(self, path: Path) -> None:
         """Write sensor file, mesh, pixels and report in the calibration thread."""
         work, draft = self.calibration.answer.work, self.calibration.answer.draft
-        found, validation = draft.found, draft.validation
+        found = draft.found
         initial = self.calibration.initial_sensor
         if found is None or initial is None:
             return
@@ -103,7 +103,7 @@ class CalibrationPanel(QWidget):
         def job(progress: Progress) -> None:
             from bubbleviz.calibration import save  # not at start
 
-            save(named, benches.source(work), initial.name, path, report, progress, validation)
+            save(named, benches.source(work), initial.name, path, report, progress)
 
         saved = f"Saved {path} and {report.name}"
         notice = UserMessage("notice", saved, file=path, topic=TOPIC)
