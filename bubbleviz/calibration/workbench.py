@@ -8,8 +8,8 @@ at once.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -111,16 +111,27 @@ class Workbench:
         Raises InputError: as `bubbleviz.identify`. Raises Cancelled: by `progress`; steps completed
         before stay cached.
         """
-        draft, done = Draft(settings), 0.0
-        steps = self._frames, self._pixels, self._surface, self._tension
+        draft, done, progress = Draft(settings), 0.0, part_of(progress, 0.0, 1.0)
         wanted = [step for step in _SHARES if settings.last_step >= step]
         total = sum(_SHARES[step] for step in wanted)
-        for step, run in zip(wanted, steps, strict=False):
-            before, done = done, done + _SHARES[step] / total
-            # the last step reads other sources, too
-            named = _errors_name(self.source) if step < Step.TENSION else nullcontext()
-            with named:
-                draft = run(draft, part_of(progress, before, done))
+        executor = ThreadPoolExecutor(1)  # levels are measured while the first steps run
+        try:
+            measure = partial(self._level, settings.nodes, part_of(progress, 0.0, 0.0))
+            levels = [
+                executor.submit(self._of_other, each, settings.nodes, measure)
+                for each in settings.levels
+                if settings.last_step == Step.TENSION
+            ]
+            steps: tuple[Callable[[Draft, Progress], Draft], ...]
+            steps = self._frames, self._pixels, self._surface, partial(self._tension, levels)
+            for step, run in zip(wanted, steps, strict=False):
+                before, done = done, done + _SHARES[step] / total
+                # the last step reads other sources, too
+                named = _errors_name(self.source) if step < Step.TENSION else nullcontext()
+                with named:
+                    draft = run(draft, part_of(progress, before, done))
+        finally:
+            executor.shutdown(cancel_futures=True)
         progress("done", 1.0)
         return draft
 
@@ -157,7 +168,9 @@ class Workbench:
         draft = replace(draft, surfaces=surfaces)
         return self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
 
-    def _tension(self, draft: Draft, progress: Progress) -> Draft:
+    def _tension(
+        self, measured: Sequence[Future[Level]], draft: Draft, progress: Progress
+    ) -> Draft:
         settings, samples, surfaces = draft.settings, _known(draft.samples), _known(draft.surfaces)
         vented = None
         if settings.vented is not None:
@@ -171,10 +184,7 @@ class Workbench:
             )
         parts = samples, surfaces, _known(draft.pixels), tension
         found = Identification(self.sensor, *parts, vented)
-        with ThreadPoolExecutor(2) as executor:  # each of them holds its frames in memory
-            measure = partial(self._level, draft, progress)
-            of_level = partial(self._of_other, inputs=settings.nodes, measure=measure)
-            levels = list(executor.map(of_level, settings.levels))
+        levels = [level.result() for level in measured]
         found = rectify(found, levels)
 
         def fit_rubber() -> Identification:
@@ -195,10 +205,9 @@ class Workbench:
         )
         return replace(draft, found=replace(rubber, validation=validation))
 
-    def _level(self, draft: Draft, progress: Progress, level: FrameSource) -> Level:
+    def _level(self, nodes: int, progress: Progress, level: FrameSource) -> Level:
         """Frames, surface and pixels of a level, by the same steps."""
-        settings = Settings(Step.SURFACE, nodes=draft.settings.nodes)
-        found = Workbench(level, self.sensor).work(settings, part_of(progress, 0.5, 0.6))
+        found = Workbench(level, self.sensor).work(Settings(Step.SURFACE, nodes=nodes), progress)
         return _known(found.samples), _known(found.surfaces), _known(found.pixels)
 
     def _of_other(
