@@ -164,10 +164,11 @@ class Solver:
             T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
         change = self._estimator.observer.pixel_residuals(frame.depth_m)
         valid_m = self._image.valid_m if tracking else options.converged_m
-        for _ in range(options.next_steps if tracking else options.first_steps):
+        for k in range(options.next_steps if tracking else options.first_steps):
             step = self._image.step(
                 change, contact, T, directed, predicted.information,
-                valid_m=valid_m, gas_pressure_pa=frame.gas_pressure_pa,
+                valid_m=valid_m if k or not tracking else options.step_m,
+                gas_pressure_pa=frame.gas_pressure_pa,
             )  # fmt: skip
             if step is None:
                 return None
@@ -181,7 +182,7 @@ class Solver:
             )
             way_m = way_at(radius_m, motion)
             T = moved(T, motion * min(1.0, options.step_m / max(way_m, 1e-300)), center)
-            if way_m < valid_m:
+            if self._image.covers(T, contact, valid_m):
                 break
         assert step is not None  # there is at least one
         moved_fit = self._registration.at(contact, fit, T)

@@ -166,15 +166,20 @@ class ImageFit:
 
         None if the press fails, or has just failed nearby.
         """
-        last = self._failed if self._predicted is None else self._predicted.T_B_O
-        if last is not None:
-            way = motion_between(last, T_B_O, contact.center)
-            if way_at(contact.radius_m, way) < valid_m:
-                return self._predicted
+        if self.covers(T_B_O, contact, valid_m):
+            return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
         self._predicted = None if press is None else self._rendered(press, contact)
         self._failed = T_B_O if press is None else None
         return self._predicted
+
+    def covers(self, T_B_O: np.ndarray, contact: ContactPoints, valid_m: float) -> bool:
+        """Whether the last press was made within a motion of the patch's edge from a pose."""
+        last = self._failed if self._predicted is None else self._predicted.T_B_O
+        if last is None:
+            return False
+        way = motion_between(last, T_B_O, contact.center)
+        return way_at(contact.radius_m, way) < valid_m
 
     def _rendered(self, press: Press, contact: ContactPoints) -> PredictedImage:
         """The membrane and its derivatives in the camera image."""

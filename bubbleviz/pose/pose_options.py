@@ -58,14 +58,15 @@ class ImageOptions:
     # longest step of the patch's edge: the membrane around an edge is curved over a few mm, and
     # derivatives are valid over half of that
     step_m: float = 1.5e-3
-    # valid_m, converged_m: motion of the patch's edge up to which a linear model is at first reused
-    # from frame to frame, and below which the first pose of an object counts as converged
+    # valid_m, converged_m: motion of the patch's edge from that of a linear model up to which it is
+    # at first reused from frame to frame, and the first pose of an object has converged
     valid_m: float = 5e-4
     converged_m: float = 2e-4
     # pose error that reusing a linear model may cause, relative to the standard deviation of the
-    # pose. It persists from frame to frame, and does not average out as noise does.
-    max_error_share: float = 0.1
-    # first_steps, next_steps: maximum number of linear models in a first and in later frames
+    # pose: it makes the pose's variance larger by a tenth
+    max_error_share: float = 0.3
+    # first_steps, next_steps: maximum number of steps in a first and in later frames, where the
+    # first one uses the last linear model, and a press follows only if the pose leaves its range
     first_steps: int = 10
     next_steps: int = 2
 
