@@ -21,11 +21,17 @@ from bubbleviz.pose.motion import (
     moved,
     way_at,
 )
-from bubbleviz.pose.pose_options import PoseOptions
+from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Fit, Prior, Registration, directions
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Stage
+
+_CLOSE_M, _FAR_M = 2e-3, 5e-3  # possible error of a prediction, and of an initial pose
+_TRACKING, _CONVERGING, _COMPARING = 1, 12, 6
+"""Iterations of each stage while tracking, where the fit to the depth image follows; from an
+initial pose; and to compare initial poses."""
+_FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 
 
 @dataclass(frozen=True)
@@ -82,16 +88,14 @@ class Solver:
         registration: Registration,
         estimator: Estimator,
         membrane: RubberMembrane,  # that the object presses into
-        options: PoseOptions,
     ) -> None:
         self._registration, self._estimator = registration, estimator
-        self._membrane, self._options = membrane, options
+        self._membrane, self._options = membrane, ImageOptions()
 
     @cached_property
     def _image(self) -> ImageFit:
         """Fit to the depth image; built with the first pose."""
-        own, options = self._estimator, self._options.image
-        model = self._registration.model
+        own, options, model = self._estimator, self._options, self._registration.model
         pressed = PressedMembrane(self._membrane, own.bubble.gas, model, options.press)
         return ImageFit(own.observer, pressed, options, self._registration.precision)
 
@@ -104,15 +108,14 @@ class Solver:
         self, frame: Frame, contact: ContactPoints, predicted: Motion, *, tracking: bool
     ) -> Solution:
         """Both stages from a prediction; while `tracking` it is close."""
-        stages = self._options.stages
-        iterations = stages.tracking if tracking else stages.converging
+        iterations = _TRACKING if tracking else _CONVERGING
         prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
         first = self._registration.stage_one(
             contact,
             predicted.T_B_O,
             prior,
-            widest_m=stages.close_m if tracking else stages.far_m,
+            widest_m=_CLOSE_M if tracking else _FAR_M,
             iterations=iterations,
         )
         between = time.perf_counter()
@@ -131,11 +134,10 @@ class Solver:
         self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
     ) -> Solution | None:
         """Both stages from the best of initial poses (s, 4, 4); None if none fits."""
-        stages = self._options.stages
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
         coarse = [
             self._registration.stage_one(
-                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=stages.comparing
+                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=_COMPARING
             ).T_B_O
             for m in motions
         ]
@@ -149,14 +151,14 @@ class Solver:
             )
             for k in np.argsort(costs)[:finalists]
         ]
-        good = [solution for solution in found if solution.pose.fitness >= stages.found_fitness]
+        good = [solution for solution in found if solution.pose.fitness >= _FOUND_FITNESS]
         return min(good, key=lambda solution: solution.pose.cost, default=None)
 
     def _image_fit(
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
     ) -> _Found | None:
         """The fit refined with the depth image; None if no press is found."""
-        options, directed = self._options.image, directions(fit.surface, contact.radius_m)
+        options, directed = self._options, directions(fit.surface, contact.radius_m)
         center, radius_m = contact.center, contact.radius_m
         T = fit.T_B_O
         if tracking:  # the depth image, not the blurred patch, determines the other directions
@@ -199,7 +201,7 @@ TURNS = (
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
-_FAR_M = 5e-3  # m; larger distances are clipped
+_FARTHEST_M = 5e-3  # larger distances are clipped
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:
@@ -268,7 +270,7 @@ class InitialPoseFinder:
         local = np.einsum("spj,sjk->spk", points - poses[:, None, :3, 3], poses[:, :3, :3])
         found = self._model.closest(local.reshape(-1, 3))
         way = local.reshape(-1, 3) - found.place
-        length = np.minimum(np.linalg.norm(way, axis=1), _FAR_M)
+        length = np.minimum(np.linalg.norm(way, axis=1), _FARTHEST_M)
         inside = np.einsum("ij,ij->i", way, found.normal) < -0.5 * np.linalg.norm(way, axis=1)
         squares = (length**2).reshape(len(poses), -1)
         penetrating = squares[:, len(on) :] * inside.reshape(len(poses), -1)[:, len(on) :]

@@ -14,11 +14,17 @@ from bubbleviz.membrane import ObjectSurface, RubberMembrane
 from bubbleviz.pose.dual_stage import InitialPoseFinder, Solution, Solver
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
 from bubbleviz.pose.object_model import check_size
-from bubbleviz.pose.pose_options import PoseOptions
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
 from bubbleviz.rigid_object import RigidObject
+
+_MIN_FITNESS = 0.5  # share of the patch on the object below which the pose is lost
+_FASTEST = np.array([1.0, 10.0])  # of an object pressed into a bubble, m/s and rad/s
+_MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
+_STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
+"""Initial poses tried in a frame, few so that no frame waits for the search, and in a first one."""
+_FINALISTS_AT_FIRST = 2  # the best of these, which are refined
 
 
 class PoseTracker:
@@ -35,14 +41,11 @@ class PoseTracker:
         start: np.ndarray | None = None,
         *,
         membrane: RubberMembrane,  # that the object presses into, on the estimator's mesh
-        options: PoseOptions | None = None,
     ) -> None:
         check_size(obj, estimator.mesh)
         self.model = ObjectSurface(obj)
         registration = Registration(self.model, precision_of(estimator))
-        options = options or PoseOptions()
-        self._solver = Solver(registration, estimator, membrane, options)
-        self._options = options.tracking
+        self._solver = Solver(registration, estimator, membrane)
         self._finder = InitialPoseFinder(self.model)
         self._mesh = estimator.mesh
         self.reset(start)
@@ -87,22 +90,20 @@ class PoseTracker:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
         gap = frame.time_s - self._last_s
-        known = 0.0 <= gap <= self._options.max_gap_s
+        known = 0.0 <= gap <= _MAX_GAP_S
         if not known:  # jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
 
     def _plausible(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
-        if solution.pose.fitness < self._options.min_fitness:
+        if solution.pose.fitness < _MIN_FITNESS:
             return False
         if self._good is None:
             return True
         motion = motion_between(self._good, solution.pose.T_B_O, contact.center)
         way = np.array([np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])])
-        options = self._options
-        fastest = np.array([options.max_m_per_s, options.max_rad_per_s])
         slack = 3.0 * START_DEVIATION[[0, 3]]
-        return bool(np.all(way < fastest * abs(frame.time_s - self._good_s) + slack))
+        return bool(np.all(way < _FASTEST * abs(frame.time_s - self._good_s) + slack))
 
     def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
         """The best of a few initial poses; the next frame tries others."""
@@ -113,7 +114,7 @@ class PoseTracker:
         else:
             chosen = self._next_starts(contact)
         self._tried += 1
-        finalists = 1 if self._good is not None else self._options.finalists_at_first
+        finalists = 1 if self._good is not None else _FINALISTS_AT_FIRST
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
@@ -121,8 +122,7 @@ class PoseTracker:
         if not len(self._waiting):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._good is None and self._tried == 0
-        options = self._options
-        count = options.starts_at_first if first else options.starts_per_frame
+        count = _STARTS_AT_FIRST if first else _STARTS_PER_FRAME
         chosen, self._waiting = self._waiting[:count].copy(), self._waiting[count:]
         chosen[:, :3, 3] += contact.center - self._waiting_at
         return chosen
